@@ -217,7 +217,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
     lines += _nearest_family(ds)
     if not verbose:
         return "\n".join(lines)
-    lines += _error_lines(ds, tally)
+    lines += _error_lines(tally)
     if "atlas_half_step_points" in ds.attrs:
         lines.append(half_step.half_step_text(ds.attrs))
     seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
@@ -243,26 +243,20 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     return [f"drifting points: nearest to the family {name}, residual {residual:.2g} (median)"]
 
 
-def _error_lines(ds: xr.Dataset, tally: Tally) -> list[str]:
+def _error_lines(tally: Tally) -> list[str]:
     """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
-    lines = []
-    if "error_estimate" in ds and "label" in ds:
-        parts, remark = [], ""
-        for name in GROUPS:
-            if name not in tally.largest:
-                continue
-            largest = tally.largest[name]
-            cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
-            median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-            # Up to a quarter of a decade.
-            median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
-            parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
-            if largest > 1:
-                remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
-        if parts:
-            lines.append(
-                f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}"
-            )
+    lines, parts, remark = [], [], ""
+    for name in (name for name in GROUPS if name in tally.largest):
+        largest = tally.largest[name]
+        cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
+        median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
+        # Up to a quarter of a decade.
+        median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
+        parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
+        if largest > 1:
+            remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
+    if parts:
+        lines.append(f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}")
     if "integral_drift" in tally.largest:
         largest = tally.largest["integral_drift"]
         lines.append(f"largest relative change of a first integral (integral_drift): {largest:.2g}")

@@ -8,6 +8,9 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import atlas
+
+from .. import systems
 from ..errors import BadInput, attribute_text, say
 from ..files import without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
@@ -39,8 +42,6 @@ if TYPE_CHECKING:
 
 def _is_column(word: str) -> bool:
     """Whether a word after --keep is a column: neither a file nor a system."""
-    from .. import systems
-
     return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.names()
 
 
@@ -72,7 +73,6 @@ def _is_column(word: str) -> bool:
 )  # fmt: skip
 def label_points_of_file(options: argparse.Namespace) -> None:
     """Label points of a file, which names their parameters."""
-    from .. import systems
     from ..io import netcdf
     from ..scene import tables
 
@@ -87,14 +87,13 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     else:
         columns = tables.read(options.points, numeric)
     from ..analysis.compare import summary
-    from ..label.points import label_points
 
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
     same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     given = {name: getattr(options, name) for name in same}
-    ds = label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
+    ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
 
@@ -162,9 +161,8 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     else:
         from ..analysis.metadata import scene_of
         from ..analysis.select import nearest_trajectory
-        from ..runs.backend import open_atlas
 
-        with open_atlas(name) as ds:
+        with atlas.open_atlas(name) as ds:
             scene_of_atlas = scene_of(ds)
             if scene_of_atlas is None:
                 return nearest_trajectory(ds, coordinates, samples)
@@ -185,9 +183,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
 )
 def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
-    from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
     from ..io import netcdf
-    from ..runs.backend import open_atlas
 
     if options.out and not options.other:
         raise BadInput(
@@ -196,7 +192,7 @@ def print_comparison(options: argparse.Namespace) -> None:
     inputs = [name for name in (options.atlas, options.other) if name]
     out = options.out and netcdf.writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
     with ExitStack() as stack:
-        ds, *other = (stack.enter_context(open_atlas(name)) for name in inputs)
+        ds, *other = (stack.enter_context(atlas.open_atlas(name)) for name in inputs)
         say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
         if out:
             _write(ds.atlas.differences(*other), out, "map")
@@ -229,7 +225,6 @@ def print_comparison(options: argparse.Namespace) -> None:
 def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
     from ..plotting import maps, style
-    from ..runs.backend import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
@@ -246,7 +241,7 @@ def draw_map(options: argparse.Namespace) -> None:
         except ValueError:
             raise BadInput(f"--size {options.size}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
         size = width, height
-    with open_atlas(options.atlas) as ds:
+    with atlas.open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
         if options.caption:
             say(style.caption(ds))
@@ -259,11 +254,10 @@ def draw_map(options: argparse.Namespace) -> None:
 def make_page(options: argparse.Namespace) -> None:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page
-    from ..runs.backend import open_atlas
 
     name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
     out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])
-    with open_atlas(options.atlas) as ds:
+    with atlas.open_atlas(options.atlas) as ds:
         page = atlas_page(ds, file=Path(options.atlas).name)
     page.save(out, force=options.force)
     say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")

@@ -56,13 +56,12 @@ class Parser(argparse.ArgumentParser):
                 return [*repeated, *words[i:]]
             if name in self._several:
                 option, first = name, not equals
-            elif option is not None and not first:
-                if word.startswith("-") or not self._several[option](word):
-                    option = None
-                else:
-                    repeated.append(option)
-            else:
+            elif first:
                 first = False
+            elif option is not None and not word.startswith("-") and self._several[option](word):
+                repeated.append(option)
+            else:
+                option = None
             repeated.append(word)
         return repeated
 

@@ -14,6 +14,8 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+import atlas
+
 from ..compiling import Stopwatch
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, writable
@@ -103,10 +105,11 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.compare import summary
     from ..runs.folder import HISTORY, TALLY
-    from ..runs.runner import run
 
     given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
-    ds = run(scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given)
+    ds = atlas.run(
+        scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given
+    )
     if HISTORY in ds.attrs:
         say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))
     if shard is None:
@@ -175,11 +178,10 @@ def list_kernels(options: argparse.Namespace) -> None:
         from ..label.pipeline import evaluate
         from ..label.plan import Plan
         from ..scene import grid
-        from ..scene.read import load_scene
 
         scenes = {name: read_scene(name) for name in options.warm}
         if not scenes:
-            scenes = {name: load_scene(text.read_text("utf-8")) for name, text in examples().items()}
+            scenes = {name: atlas.load_scene(text.read_text("utf-8")) for name, text in examples().items()}
         for name, scene in scenes.items():
             sample, watch, began = grid.check(scene), Stopwatch(), time.perf_counter()
             evaluate(Plan.of(scene), sample.subset(np.flatnonzero(sample.exists)[:1]))
@@ -237,8 +239,8 @@ def copy_example(options: argparse.Namespace) -> None:
     with atomic_write(out) as temporary:
         temporary.write_bytes(scenes[name].read_bytes())
     figure = figure_options(scenes[name].read_text("utf-8"))
-    atlas, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
-    say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {atlas}{figure}")
+    result, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
+    say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {result}{figure}")
 
 
 def figure_options(scene: str) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from .. import systems
 from ..errors import say, text_table
 from ..files import atomic_write
 from .options import (
@@ -42,7 +43,6 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # wi
 )
 def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
-    from .. import systems
     from ..analysis import catalogue
 
     system = systems.get(options.system)
@@ -223,8 +223,6 @@ def measure_accuracy(options: argparse.Namespace) -> None:
 )
 def run_stress_cases(options: argparse.Namespace) -> int | None:
     """Run stiff and extreme cases and compare every label with the true one."""
-    from .. import systems
-
     with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
     names = [systems.get(options.system).name] if options.system else with_cases
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]

@@ -16,6 +16,7 @@ from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, text_table
 from ..io import netcdf
 from ..io.progress import Progress
+from ..measure.instrument import Variable
 from ..runs.plan import ScenePlan
 from ..runs.runner import columns_of
 from ..scene.model import Axis, Scene
@@ -72,13 +73,11 @@ def convergence(
             for factor, values in zip(FACTORS, stacked, strict=True):
                 if factor in VARIED[name]:
                     change |= np.where(values != ds[flag].values, 1 << bit, 0).astype(np.int8)
-    masks = range(1 << len(names))
-    meanings = ["_and_".join(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in masks]
-    ds[CHANGE] = ds["label"].dims, change, {
-        "long_name": "settings by which a label changes",
-        "flag_values": np.arange(len(masks), dtype=np.int8),
-        "flag_meanings": " ".join(f"by_{meaning}" if meaning else "unchanged" for meaning in meanings),
-    }  # fmt: skip
+    masks = range(1, 1 << len(names))
+    ways = ["_and_".join(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in masks]
+    meanings = dict.fromkeys(["unchanged", *(f"by_{way}" for way in ways)], "")
+    variable = Variable(CHANGE, "int8", "1", "settings by which a label changes", meanings)
+    ds[CHANGE] = ds["label"].dims, change, variable.attributes()
     return ds
 
 

@@ -40,11 +40,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-def _is_column(word: str) -> bool:
-    """Whether a word after --keep is a column: neither a file nor a system."""
-    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.names()
-
-
 @command(
     "points",
     argument("system", metavar="SYSTEM", help="satellite, fixed_point, or a system of your own"),
@@ -64,7 +59,8 @@ def _is_column(word: str) -> bool:
     ],
     option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit"),
     argument(
-        "--keep", belongs=_is_column, default=[], metavar="NAME",
+        "--keep", default=[], metavar="NAME",
+        belongs=lambda word: word not in (STANDARD_INPUT, *systems.names()) and not word.lower().endswith(FILES),
         help="columns that are no parameters, to be kept; those of text, id, index, name, number and point always are",
     ),
     THREADS,
@@ -156,19 +152,17 @@ def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
-    if Path(name).suffix.lower() != ".nc" and not Path(name).is_dir():
-        scene = read_scene(name)
-    else:
-        from ..analysis.metadata import scene_of
-        from ..analysis.select import nearest_trajectory
-
-        with atlas.open_atlas(name) as ds:
-            scene_of_atlas = scene_of(ds)
-            if scene_of_atlas is None:
-                return nearest_trajectory(ds, coordinates, samples)
-        scene = scene_of_atlas
+    from ..analysis.metadata import scene_of
+    from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
 
+    if Path(name).suffix.lower() == ".nc" or Path(name).is_dir():
+        with atlas.open_atlas(name) as ds:
+            scene = scene_of(ds)
+            if scene is None:
+                return nearest_trajectory(ds, coordinates, samples)
+    else:
+        scene = read_scene(name)
     return trajectory_of_scene(scene, coordinates, samples=samples)
 
 

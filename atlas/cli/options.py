@@ -18,7 +18,6 @@ from ..files import check_name, without_suffix
 if TYPE_CHECKING:
     from ..scene.model import Scene
 
-SECOND_NAME = "precession-atlas"
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FIGURES = (".png", ".pdf", ".svg")
@@ -146,12 +145,6 @@ RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
 THREADS = argument("--threads", type=int, metavar="N", lowest=1, help="processors to use (default: all)")
 QUIET = argument("--quiet", action="store_true", help="print no progress")
 VERBOSE = argument("--verbose", action="store_true", help="print errors, checks and times of the run too")
-
-
-def program() -> str:
-    """Name under which the command was called: `atlas`, or its second name."""
-    name = Path(sys.argv[0]).name
-    return name if name == SECOND_NAME else "atlas"
 
 
 def read_scene(name: str) -> Scene:

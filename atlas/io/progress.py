@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -22,6 +23,7 @@ SILENCE = 600.0
 AT_WORK = "at work"
 
 
+@dataclass(eq=False)
 class Progress:
     """Counter of finished points, for any thread, that reports points per second and the time left.
 
@@ -29,34 +31,25 @@ class Progress:
     of kernels. `save` takes JSON for people and scripts, which no computation reads.
     """
 
-    def __init__(
-        self,
-        points: int,
-        *,
-        show: bool = True,
-        save: Callable[[bytes], object] | None = None,
-        facts: Mapping[str, Any] | None = None,
-    ):
-        self.points = points
-        self.show = show
-        self.stream = sys.stderr
-        self.live = self.stream.isatty()
-        self.save = save
-        self.facts = dict(facts or {})
-        self.stopwatch = compiling.Stopwatch()
+    points: int
+    _: KW_ONLY
+    show: bool = True
+    save: Callable[[bytes], object] | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.stream, self.live = sys.stderr, sys.stderr.isatty()
+        self.stopwatch, self._lock = compiling.Stopwatch(), threading.Lock()
         self._last_print = self._last_save = time.perf_counter()
         self._done_at_no_cost = self._done = 0.0
-        self._lock = threading.Lock()
-        if show:
+        if self.show:
             compiling.announce(+1)
         self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
         """Add points of which some were done before."""
-        with self._lock:
-            self.points += points
-            self._done += done
-            self._done_at_no_cost += done
+        self.points += points
+        self.skip(done)
         self._save(running=True)
 
     def advance(self, points: float) -> None:
@@ -100,7 +93,8 @@ class Progress:
         if self.save is None:
             return
         speed, seconds_left = self._speed()
-        content = self.facts | {
+        content = {
+            **self.facts,
             "points": self.points,
             "done": min(round(self._done), self.points),
             "points_per_second": speed,

@@ -36,14 +36,8 @@ MAX_SURVIVED_GROWTH = 12.0
 MAX_NEAREST = 10_000  # drifting points that are compared with families
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
-OF_PLANE = (
-    "stable",
-    "growth_rate",
-    "end_time",
-    "family",
-    "regularity",
-    "lyapunov",
-)  # of motions in the plane
+# Variables by which motions in the plane are compared with the stability of theory.
+OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:

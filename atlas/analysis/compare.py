@@ -36,6 +36,8 @@ MAX_SURVIVED_GROWTH = 12.0
 MAX_NEAREST = 10_000  # drifting points that are compared with families
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
+# Variables by which motions in the plane are compared with the stability of theory.
+OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
 
 
 def report(ds: xr.Dataset, worst: int = 5) -> str:
@@ -57,7 +59,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
             )
     if ds["label"].dims != ds["predicted"].dims:
         raise BadInput("label and predicted lie along different dimensions: not an atlas")
-    for name in ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov", *RATES):
+    for name in (*OF_PLANE, *RATES):
         if name in ds and set(ds[name].dims) != set(ds["label"].dims):
             raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
     ds = ds.transpose(..., *ds["label"].dims)
@@ -117,11 +119,10 @@ def _stability_lines(ds: xr.Dataset) -> list[str]:
 
 def _plane_lines(ds: xr.Dataset) -> list[str]:
     """Motions in the plane: their stability out of it by theory against the measured regularity and Lyapunov exponent."""
-    names = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
-    if not {*names, "atlas_system"} <= {*ds, *ds.attrs}:
+    if not {*OF_PLANE, "atlas_system"} <= {*ds, *ds.attrs}:
         return []
     where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
-    stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in names)
+    stable, growth, time, _, kind, exponent = (ds[name].values[where] for name in OF_PLANE)
     corner = "motions in the plane, stability out of it \\ regularity"
     lines = confusion(corner, stable, kind, list(Stability.meanings()), list(Regularity.meanings()))
     unstable = stable == Stability.UNSTABLE
@@ -146,11 +147,8 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
-    largest = np.zeros(ds["label"].size)
-    for name in RATES:
-        if name in ds:
-            largest = np.fmax(largest, ds[name].values.ravel())
-    unsteadiness = largest[disagree]
+    variations = [ds[name].values.ravel()[disagree] for name in RATES if name in ds]
+    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *variations])
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims
@@ -207,20 +205,19 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
         lines.append(f"in doubt: {listed('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}")
     scene = scene_of(ds)
-    sample = None if scene is None else grid.check(scene)
-    if scene is not None and sample is not None:
-        lines += grid.not_computed(scene, sample)
+    plan = None if scene is None else ScenePlan.of(scene)
+    if plan is not None:
+        lines += grid.not_computed(plan.scene, plan.sample)
     lines += _nearest_family(ds)
     if not verbose:
         return "\n".join(lines)
-    lines += _error_lines(ds, tally)
+    lines += _error_lines(tally)
     if "atlas_half_step_points" in ds.attrs:
         lines.append(half_step.half_step_text(ds.attrs))
     seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
     lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
-    if scene is not None and sample is not None:
-        plan = ScenePlan(scene, sample)
-        lines += [] if plan.has_chaos else plan.method_lines()
+    if plan is not None and not plan.has_chaos:
+        lines += plan.method_lines()
     return "\n".join(lines)
 
 
@@ -240,26 +237,20 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
     return [f"drifting points: nearest to the family {name}, residual {residual:.2g} (median)"]
 
 
-def _error_lines(ds: xr.Dataset, tally: Tally) -> list[str]:
+def _error_lines(tally: Tally) -> list[str]:
     """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
-    lines = []
-    if "error_estimate" in ds and "label" in ds:
-        parts, remark = [], ""
-        for name in GROUPS:
-            if name not in tally.largest:
-                continue
-            largest = tally.largest[name]
-            cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
-            median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-            # Up to a quarter of a decade.
-            median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
-            parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
-            if largest > 1:
-                remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
-        if parts:
-            lines.append(
-                f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}"
-            )
+    lines, parts, remark = [], [], ""
+    for name in (name for name in GROUPS if name in tally.largest):
+        largest = tally.largest[name]
+        cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
+        median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
+        # Up to a quarter of a decade.
+        median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
+        parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
+        if largest > 1:
+            remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
+    if parts:
+        lines.append(f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}")
     if "integral_drift" in tally.largest:
         largest = tally.largest["integral_drift"]
         lines.append(f"largest relative change of a first integral (integral_drift): {largest:.2g}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +16,7 @@ from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, text_table
 from ..io import netcdf
 from ..io.progress import Progress
+from ..measure.instrument import Variable
 from ..runs.plan import ScenePlan
 from ..runs.runner import columns_of
 from ..scene.model import Axis, Scene
@@ -54,17 +56,13 @@ def convergence(
         scene = replace(scene, axes=axes)
     names, stopwatch = list(dict.fromkeys(names)), Stopwatch()
     cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
-    bar = Progress(scene.size * (1 + len(cases)), show=progress)
-    try:
-        scenes = [scene, *(_changed(scene, *case) for case in cases)]
-        base, *others = (columns_of(ScenePlan.of(each), bar)[0] for each in scenes)
-        varied = dict(zip(cases, others, strict=True))
-    finally:
-        bar.close()
+    plans = [ScenePlan.of(scene), *(ScenePlan.of(_changed(scene, *case)) for case in cases)]
+    with closing(Progress(scene.size * len(plans), show=progress)) as bar:
+        base, *others = (columns_of(plan, bar)[0] for plan in plans)
+    varied = dict(zip(cases, others, strict=True))
     ds = netcdf.dataset(scene, base)
-    plan = ScenePlan.of(scene)
     ds.attrs = netcdf.scene_provenance(
-        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
+        scene, plans[0].points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
     )
     change = np.zeros(scene.shape, np.int8)
     for bit, name in enumerate(names):
@@ -75,13 +73,11 @@ def convergence(
             for factor, values in zip(FACTORS, stacked, strict=True):
                 if factor in VARIED[name]:
                     change |= np.where(values != ds[flag].values, 1 << bit, 0).astype(np.int8)
-    masks = range(1 << len(names))
-    meanings = ["_and_".join(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in masks]
-    ds[CHANGE] = ds["label"].dims, change, {
-        "long_name": "settings by which a label changes",
-        "flag_values": np.arange(len(masks), dtype=np.int8),
-        "flag_meanings": " ".join(f"by_{meaning}" if meaning else "unchanged" for meaning in meanings),
-    }  # fmt: skip
+    masks = range(1, 1 << len(names))
+    ways = ["_and_".join(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in masks]
+    meanings = dict.fromkeys(["unchanged", *(f"by_{way}" for way in ways)], "")
+    variable = Variable(CHANGE, "int8", "1", "settings by which a label changes", meanings)
+    ds[CHANGE] = ds["label"].dims, change, variable.attributes()
     return ds
 
 

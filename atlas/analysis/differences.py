@@ -13,6 +13,7 @@ from ..engine.statistics import RATES
 from ..engine.tableaux import METHODS
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, printable, shown, text_table
 from ..measure import circle
+from ..measure.instrument import Variable
 from ..scene.checks import choice, whole_number
 from ..variables import main_instrument
 from .compare import confusion, place
@@ -69,13 +70,9 @@ def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
     result: dict[str, xr.Variable] = {}
     for name in flags:
         ours, theirs = first[name].variable, second[name].variable
-        meanings = ["unchanged", *(f"to_{flag}" for flag in flag_names(first[name]))]
+        meanings = dict.fromkeys(["unchanged", *(f"to_{flag}" for flag in flag_names(first[name]))], "")
         result[f"{name}_change"] = changed = (theirs + 1).where(ours != theirs, 0).astype(np.int8)
-        changed.attrs = {
-            "long_name": f"change of {name}",
-            "flag_values": np.arange(len(meanings), dtype=np.int8),
-            "flag_meanings": " ".join(meanings),
-        }
+        changed.attrs = Variable(name, "int8", "1", f"change of {name}", meanings).attributes()
     for name in numbers:
         result[f"{name}_difference"] = difference = second[name].variable - first[name].variable
         units = attribute_text(first[name].attrs, "units", "1")

@@ -60,11 +60,8 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
 
 def settings_of(ds: xr.Dataset) -> Settings:
     """Settings of points that come from no scene, from the attributes of their dataset."""
-    step = number_attribute(ds, "atlas_step")
-    settings = Settings(
-        method=attribute_text(ds.attrs, "atlas_method"),
-        rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"),
-    )
+    method, step = attribute_text(ds.attrs, "atlas_method"), number_attribute(ds, "atlas_step")
+    settings = Settings(method=method, rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"))
     if math.isfinite(step):
         return replace(settings, step=step)
     return replace(settings, tolerance=number_attribute(ds, "atlas_tolerance"))
@@ -172,21 +169,17 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
 def map_variable(ds: xr.Dataset) -> str:
     """What a map shows unless a variable is named: what the scene names, else the first flags that differ, else the label."""
     scene = scene_of(ds)
-    rank = max((array.ndim for array in ds.data_vars.values()), default=0)
-    flags = [
-        str(name)
-        for name, array in ds.data_vars.items()
-        if array.ndim == rank and has_flags(array) and not is_averaged(array)
-    ]
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
-    default = "label" if "label" in ds.data_vars or not ds.data_vars else str(next(iter(ds.data_vars)))
-    for name in flags:  # read in chunks, to the first difference
-        values = (ds[name].isel(box).values.ravel() for box in chunks(ds[name].sizes, ds[name].dims))
-        first = next(values)
-        if (first != first[:1]).any() or any((each != first[:1]).any() for each in values):
-            return name
-    return default
+    rank = max((array.ndim for array in ds.data_vars.values()), default=0)
+    for name, array in ds.data_vars.items():
+        if array.ndim == rank and has_flags(array) and not is_averaged(array):
+            # Read in chunks, to the first difference.
+            values = (array.isel(box).values.ravel() for box in chunks(array.sizes, array.dims))
+            first = next(values)
+            if (first != first[:1]).any() or any((each != first[:1]).any() for each in values):
+                return str(name)
+    return "label" if "label" in ds.data_vars or not ds.data_vars else str(next(iter(ds.data_vars)))
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:

@@ -50,9 +50,7 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(chunk.isel(pointwise).load())
-    if (
-        not selected
-    ):  # names and types of a point in memory: old versions of xarray cannot read no points from a file
+    if not selected:  # names and types of a point: old versions of xarray cannot read no points from a file
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
         return ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing)
     if len(selected) == 1:
@@ -164,10 +162,7 @@ def plane_of(
     panel_dims = panel_dims or others
     if (count := math.prod(plane.sizes[dim] for dim in panel_dims)) > MAX_PANELS:
         raise BadInput(f"{' x '.join(panel_dims)} are {count} panels; allowed: at most {MAX_PANELS}")
-    dims = []
-    for name in (x, y):
-        if name is not None or chosen:
-            dims.append(chosen.pop(0) if name is None else name)
+    dims = [name or chosen.pop(0) for name in (x, y) if name or chosen]
     for dim in dims:
         if not 0 < np.ptp(plane[dim].values) < np.inf:
             raise BadInput(f"{dim}: its values are equal or not finite: no axis to draw a map over")
@@ -185,11 +180,7 @@ def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples
                 raise BadInput(
                     f"{dim}: this axis of the scene is not in the dataset: it was renamed, dropped or averaged over"
                 )
-        values = {
-            axis.name: float(point[dim])
-            for dim, axis in axes_of(scene).items()
-            if dim in point.coords and point[dim].ndim == 0
-        }
+        values = {a.name: float(point[dim]) for dim, a in axes_of(scene).items() if not point[dim].ndim}
         return trajectory_of_scene(scene, values, samples=samples)
     if point.dims:
         raise BadInput("trajectory: these are several points; name the point by values of its parameters")

@@ -6,21 +6,17 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from .._version import __version__
 from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
-from ..interruption import (
-    STOPPED,
-    Stopped,
-    exit_process,
-    explain_kept,
-    outcome,
-    signals_as_interrupt,
-)
+from ..interruption import STOPPED, Stopped, exit_process, explain_kept, outcome, signals_as_interrupt
 from . import atlases, scenes, studies
-from .options import BAD_INPUT, DONE, FAILED, Parser, program
+from .options import BAD_INPUT, DONE, FAILED, Parser
+
+SECOND_NAME = "precession-atlas"
 
 __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
@@ -67,8 +63,9 @@ def command() -> NoReturn:
 
 def parser() -> argparse.ArgumentParser:
     """The command line with its help; building it imports no compiler."""
+    name = Path(sys.argv[0]).name
     top = Parser(
-        prog=program(),
+        prog=name if name == SECOND_NAME else "atlas",
         description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
         epilog="Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after), 130 interrupted, 143 terminated"
         " (SIGTERM).",

@@ -8,12 +8,14 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import atlas
+
+from .. import systems
 from ..errors import BadInput, attribute_text, say
 from ..files import without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
 from .options import (
     ATLAS,
-    DONE,
     FIGURES,
     FILES,
     QUIET,
@@ -27,23 +29,15 @@ from .options import (
     axis_values,
     command,
     default_name,
-    force_option,
     input_files,
     option_with_default,
-    out_option,
+    out_options,
     read_input,
     read_scene,
 )
 
 if TYPE_CHECKING:
     from xarray import Dataset
-
-
-def _is_column(word: str) -> bool:
-    """Whether a word after --keep is a column: neither a file nor a system."""
-    from .. import systems
-
-    return word != STANDARD_INPUT and not word.lower().endswith(FILES) and word not in systems.names()
 
 
 @command(
@@ -54,7 +48,7 @@ def _is_column(word: str) -> bool:
         metavar="POINTS",
         help=".csv with names in its first line, or .nc; - for CSV on standard input",
     ),
-    out_option("FILE", ".nc, or .csv", required=True),
+    *out_options("FILE", ".nc, or .csv", required=True),
     option_with_default(
         "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
     ),
@@ -65,17 +59,16 @@ def _is_column(word: str) -> bool:
     ],
     option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit"),
     argument(
-        "--keep", belongs=_is_column, default=[], metavar="NAME",
+        "--keep", default=[], metavar="NAME",
+        belongs=lambda word: word not in (STANDARD_INPUT, *systems.names()) and not word.lower().endswith(FILES),
         help="columns that are no parameters, to be kept; those of text, id, index, name, number and point always are",
     ),
     THREADS,
-    force_option("an existing file"),
     QUIET,
     VERBOSE,
 )  # fmt: skip
-def label_points_of_file(options: argparse.Namespace) -> int:
+def label_points_of_file(options: argparse.Namespace) -> None:
     """Label points of a file, which names their parameters."""
-    from .. import systems
     from ..io import netcdf
     from ..scene import tables
 
@@ -90,28 +83,25 @@ def label_points_of_file(options: argparse.Namespace) -> int:
     else:
         columns = tables.read(options.points, numeric)
     from ..analysis.compare import summary
-    from ..label.points import label_points
 
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
     same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     given = {name: getattr(options, name) for name in same}
-    ds = label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
+    ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
     (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
-    return DONE
 
 
 @command(
     "trajectory",
     argument("scene", metavar="SCENE", help="scene file, atlas or run folder, - for standard input"),
     assignment_option("--at", "AXIS=VALUE", "the point, by a value for every axis"),
-    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
+    *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
     option_with_default("--samples", "N", 1001, "instants to keep", lowest=2),
-    force_option("an existing file"),
 )
-def draw_trajectory(options: argparse.Namespace) -> int:
+def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
     from ..analysis.metadata import system_of
     from ..io import netcdf
@@ -126,17 +116,15 @@ def draw_trajectory(options: argparse.Namespace) -> int:
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
     span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
     say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
-    return DONE
 
 
 @command(
     "branches",
     SCENE,
-    out_option("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
+    *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
     option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
-    force_option("an existing file"),
 )
-def draw_branches(options: argparse.Namespace) -> int:
+def draw_branches(options: argparse.Namespace) -> None:
     """Draw the branches of equilibria of the bodies of a scene along its only axis."""
     from ..analysis.branches import branches_of_scene
     from ..io import netcdf
@@ -146,7 +134,6 @@ def draw_branches(options: argparse.Namespace) -> int:
     ds = branches_of_scene(read_scene(options.scene))
     _write(ds, out, "diagram", options.variable)
     say(f"{ds.sizes['branch']} branches, {ds.sizes['fold']} points at which they meet or change; wrote {out}")
-    return DONE
 
 
 def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
@@ -165,20 +152,17 @@ def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
-    if Path(name).suffix.lower() != ".nc" and not Path(name).is_dir():
-        scene = read_scene(name)
-    else:
-        from ..analysis.metadata import scene_of
-        from ..analysis.select import nearest_trajectory
-        from ..runs.backend import open_atlas
-
-        with open_atlas(name) as ds:
-            scene_of_atlas = scene_of(ds)
-            if scene_of_atlas is None:
-                return nearest_trajectory(ds, coordinates, samples)
-        scene = scene_of_atlas
+    from ..analysis.metadata import scene_of
+    from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
 
+    if Path(name).suffix.lower() == ".nc" or Path(name).is_dir():
+        with atlas.open_atlas(name) as ds:
+            scene = scene_of(ds)
+            if scene is None:
+                return nearest_trajectory(ds, coordinates, samples)
+    else:
+        scene = read_scene(name)
     return trajectory_of_scene(scene, coordinates, samples=samples)
 
 
@@ -187,16 +171,13 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     ATLAS,
     argument("other", metavar="OTHER", nargs="?", help="another atlas on the same grid, instead of theory"),
     option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list", lowest=0),
-    out_option(
+    *out_options(
         "FILE", "of two atlases: .png, .pdf or .svg for a map of changed labels, .nc for all differences"
     ),
-    force_option("an existing file"),
 )
-def print_comparison(options: argparse.Namespace) -> int:
+def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
-    from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
     from ..io import netcdf
-    from ..runs.backend import open_atlas
 
     if options.out and not options.other:
         raise BadInput(
@@ -205,18 +186,19 @@ def print_comparison(options: argparse.Namespace) -> int:
     inputs = [name for name in (options.atlas, options.other) if name]
     out = options.out and netcdf.writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
     with ExitStack() as stack:
-        ds, *other = (stack.enter_context(open_atlas(name)) for name in inputs)
+        ds, *other = (stack.enter_context(atlas.open_atlas(name)) for name in inputs)
         say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
         if out:
             _write(ds.atlas.differences(*other), out, "map")
             say(f"wrote {out}")
-    return DONE
 
 
 @command(
     "map",
     ATLAS,
-    out_option("FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)"),
+    *out_options(
+        "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)", replaces="existing figures"
+    ),
     argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
     argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
     argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
@@ -233,12 +215,10 @@ def print_comparison(options: argparse.Namespace) -> int:
     argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory"),
     argument("--no-legend", dest="legend", action="store_false", help="draw no legend"),
     argument("--caption", action="store_true", help="print a caption for the figure"),
-    force_option("existing figures"),
 )
-def draw_map(options: argparse.Namespace) -> int:
+def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
     from ..plotting import maps, style
-    from ..runs.backend import open_atlas
 
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
@@ -255,26 +235,23 @@ def draw_map(options: argparse.Namespace) -> int:
         except ValueError:
             raise BadInput(f"--size {options.size}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
         size = width, height
-    with open_atlas(options.atlas) as ds:
+    with atlas.open_atlas(options.atlas) as ds:
         figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
         if options.caption:
             say(style.caption(ds))
     for path in paths:
         style.save(figure, path, options.dpi)
         say(f"wrote {path}")
-    return DONE
 
 
-@command("page", ATLAS, out_option("FILE", ".html (default: ATLAS.html)"), force_option("an existing file"))
-def make_page(options: argparse.Namespace) -> int:
+@command("page", ATLAS, *out_options("FILE", ".html (default: ATLAS.html)"))
+def make_page(options: argparse.Namespace) -> None:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from ..page.page import FORMATS, atlas_page
-    from ..runs.backend import open_atlas
 
     name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
     out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])
-    with open_atlas(options.atlas) as ds:
+    with atlas.open_atlas(options.atlas) as ds:
         page = atlas_page(ds, file=Path(options.atlas).name)
     page.save(out, force=options.force)
     say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")
-    return DONE

@@ -18,13 +18,12 @@ from ..files import check_name, without_suffix
 if TYPE_CHECKING:
     from ..scene.model import Scene
 
-SECOND_NAME = "precession-atlas"
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FIGURES = (".png", ".pdf", ".svg")
 FILES = (*FIGURES, ".nc", ".csv")
 
-Handler = Callable[[argparse.Namespace], int]  # runs a command and returns its exit code
+Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
@@ -56,13 +55,12 @@ class Parser(argparse.ArgumentParser):
                 return [*repeated, *words[i:]]
             if name in self._several:
                 option, first = name, not equals
-            elif option is not None and not first:
-                if word.startswith("-") or not self._several[option](word):
-                    option = None
-                else:
-                    repeated.append(option)
-            else:
+            elif first:
                 first = False
+            elif option is not None and not word.startswith("-") and self._several[option](word):
+                repeated.append(option)
+            else:
+                option = None
             repeated.append(word)
         return repeated
 
@@ -106,13 +104,13 @@ class Command:
                 group.add_argument(*names, **{k: v for k, v in settings.items() if k != "lowest"})
 
     def run(self, options: argparse.Namespace) -> int:
-        """Run the handler; BadInput for a number that is too small."""
+        """Run the handler, for its exit code; BadInput for a number that is too small."""
         for each in self.arguments:
             for (name, *_), settings in each if isinstance(each, list) else [each]:
                 value = getattr(options, name.removeprefix("--")) if "lowest" in settings else None
                 if value is not None and value < settings["lowest"]:
                     raise BadInput(f"{name} {value}: must be at least {settings['lowest']}")
-        return self.handler(options)
+        return self.handler(options) or DONE
 
 
 def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:
@@ -120,14 +118,14 @@ def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handl
     return partial(Command, name, arguments)
 
 
-def out_option(metavar: str, text: str, **more: Any) -> Argument:
-    """The option for the output."""
-    return argument("-o", "--out", metavar=metavar, help=text, **more)
-
-
-def force_option(what: str) -> Argument:
-    """The option that allows to replace files; what: their description in the help."""
-    return argument("--force", action="store_true", help=f"replace {what}")
+def out_options(
+    metavar: str, text: str, *, replaces: str = "an existing file", **more: Any
+) -> tuple[Argument, Argument]:
+    """The option for the output, and the one that allows to replace what its help names."""
+    return (
+        argument("-o", "--out", metavar=metavar, help=text, **more),
+        argument("--force", action="store_true", help=f"replace {replaces}"),
+    )
 
 
 def option_with_default(name: str, metavar: str, default: float | str, text: str, **more: Any) -> Argument:
@@ -147,12 +145,6 @@ RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
 THREADS = argument("--threads", type=int, metavar="N", lowest=1, help="processors to use (default: all)")
 QUIET = argument("--quiet", action="store_true", help="print no progress")
 VERBOSE = argument("--verbose", action="store_true", help="print errors, checks and times of the run too")
-
-
-def program() -> str:
-    """Name under which the command was called: `atlas`, or its second name."""
-    name = Path(sys.argv[0]).name
-    return name if name == SECOND_NAME else "atlas"
 
 
 def read_scene(name: str) -> Scene:

@@ -14,12 +14,13 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
+import atlas
+
 from ..compiling import Stopwatch
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
 from .options import (
-    DONE,
     QUIET,
     RUN_FOLDER,
     SCENE,
@@ -28,9 +29,8 @@ from .options import (
     argument,
     command,
     default_name,
-    force_option,
     input_files,
-    out_option,
+    out_options,
     read_scene,
 )
 
@@ -45,7 +45,6 @@ EXECUTION = (
         ),
     ],
     argument("--stop-after", metavar="TIME", help="begin no tile after this time, such as 2h or 1h30m"),
-    force_option("an existing atlas"),
     QUIET,
     VERBOSE,
 )
@@ -55,11 +54,11 @@ SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
 @command(
     "run",
     SCENE,
-    out_option("OUT", f"{OUT} (default: the scene's name with .nc)"),
+    *out_options("OUT", f"{OUT} (default: the scene's name with .nc)", replaces="an existing atlas"),
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     *EXECUTION,
 )
-def run_scene(options: argparse.Namespace) -> int:
+def run_scene(options: argparse.Namespace) -> None:
     """Integrate a scene and write its labelled atlas."""
     if options.dry_run:
         from ..runs.estimate import dry_run
@@ -67,25 +66,25 @@ def run_scene(options: argparse.Namespace) -> int:
         scene = read_scene(options.scene)
         text = dry_run(scene, options.out or "", threads=options.threads, workers=options.workers)
         say(*text.split("\n"))
-        return DONE
-    return _run(options, options.out or default_name(options.scene) + ".nc", ())
+    else:
+        _run(options, options.out or default_name(options.scene) + ".nc", ())
 
 
 @command(
     "extend",
     argument("atlases", metavar="ATLAS", nargs="+", help="earlier atlases, also unfinished run folders"),
     SCENE,
-    out_option("OUT", OUT, required=True),
+    *out_options("OUT", OUT, replaces="an existing atlas", required=True),
     *EXECUTION,
 )
-def extend_atlases(options: argparse.Namespace) -> int:
+def extend_atlases(options: argparse.Namespace) -> None:
     """Run a scene, and take the points that it shares with earlier atlases from these."""
     for each in options.atlases:
         check_not_input(Path(options.out), [each])
-    return _run(options, options.out, options.atlases)
+    _run(options, options.out, options.atlases)
 
 
-def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
+def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     """Run the scene of the options into an atlas."""
     shard = None
     if options.shard is not None:
@@ -106,10 +105,11 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.compare import summary
     from ..runs.folder import HISTORY, TALLY
-    from ..runs.runner import run
 
     given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
-    ds = run(scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given)
+    ds = atlas.run(
+        scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given
+    )
     if HISTORY in ds.attrs:
         say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))
     if shard is None:
@@ -118,25 +118,18 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> int:
         say(
             f"shard {options.shard} is done; {out} holds {attribute_text(ds.attrs, 'atlas_run', limit=MAX_MESSAGE)}"
         )
-    return DONE
 
 
 @command("status", RUN_FOLDER)
-def print_status(options: argparse.Namespace) -> int:
+def print_status(options: argparse.Namespace) -> None:
     """Print the progress of a run folder."""
     from ..runs.folder import RunFolder
 
     say(*RunFolder.open(options.folder).status().split("\n"))
-    return DONE
 
 
-@command(
-    "join",
-    RUN_FOLDER,
-    out_option("FILE", "atlas to write (.nc or .zarr)", required=True),
-    force_option("an existing file"),
-)
-def join_folder(options: argparse.Namespace) -> int:
+@command("join", RUN_FOLDER, *out_options("FILE", "atlas to write (.nc or .zarr)", required=True))
+def join_folder(options: argparse.Namespace) -> None:
     """Write a finished run folder as one file."""
     from ..io import netcdf
     from ..runs.folder import RunFolder
@@ -148,11 +141,10 @@ def join_folder(options: argparse.Namespace) -> int:
         )
     )
     say(f"wrote {options.out}")
-    return DONE
 
 
 @command("check", SCENE)
-def check_scene(options: argparse.Namespace) -> int:
+def check_scene(options: argparse.Namespace) -> None:
     """Check a scene without running it."""
     from ..runs.plan import ScenePlan
     from ..scene import grid
@@ -165,13 +157,8 @@ def check_scene(options: argparse.Namespace) -> int:
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
         *plan.method_lines(),
     )
-    for warning in [
-        *grid.warnings(scene, plan.sample),
-        *plan.step_warnings(),
-        *plan.chaos_warnings(),
-    ]:
+    for warning in [*grid.warnings(scene, plan.sample), *plan.step_warnings(), *plan.chaos_warnings()]:
         say(f"warning: {printable(warning, MAX_MESSAGE)}")
-    return DONE
 
 
 @command(
@@ -181,7 +168,7 @@ def check_scene(options: argparse.Namespace) -> int:
         "--warm", nargs="*", metavar="SCENE", help="compile those of these scenes (default: of every example)"
     ),
 )
-def list_kernels(options: argparse.Namespace) -> int:
+def list_kernels(options: argparse.Namespace) -> None:
     """List the compiled kernels."""
     from .. import jit
 
@@ -191,11 +178,10 @@ def list_kernels(options: argparse.Namespace) -> int:
         from ..label.pipeline import evaluate
         from ..label.plan import Plan
         from ..scene import grid
-        from ..scene.read import load_scene
 
         scenes = {name: read_scene(name) for name in options.warm}
         if not scenes:
-            scenes = {name: load_scene(text.read_text("utf-8")) for name, text in examples().items()}
+            scenes = {name: atlas.load_scene(text.read_text("utf-8")) for name, text in examples().items()}
         for name, scene in scenes.items():
             sample, watch, began = grid.check(scene), Stopwatch(), time.perf_counter()
             evaluate(Plan.of(scene), sample.subset(np.flatnonzero(sample.exists)[:1]))
@@ -206,7 +192,7 @@ def list_kernels(options: argparse.Namespace) -> int:
 
         shutil.rmtree(cache_folder() / LINES_FOLDER, ignore_errors=True)
         say(f"removed {jit.clear()} kernels from {cache_folder()}")
-        return DONE
+        return
     files = jit.cached()
     kernels = [(name, size) for name, size, _ in files if jit.is_kernel(name)]
     say(
@@ -215,37 +201,35 @@ def list_kernels(options: argparse.Namespace) -> int:
     )
     for name, size in kernels:
         say(f"  {name}  {size / 1e6:.1f} MB")
-    return DONE
 
 
-@command("schema", out_option("FILE", "write it to this file (.json)"), force_option("an existing file"))
-def print_schema(options: argparse.Namespace) -> int:
+@command("schema", *out_options("FILE", "write it to this file (.json)"))
+def print_schema(options: argparse.Namespace) -> None:
     """Print the JSON Schema of scenes, with which editors complete and check them."""
     from ..scene.schema import scene_schema
 
     text = json.dumps(scene_schema(), indent=2)
     if options.out is None:
         say(*text.split("\n"))
-        return DONE
-    path: Path = writable(options.out, (".json",), force=options.force)
-    path.write_text(text + "\n", encoding="utf-8")
-    say(f"wrote {path}")
-    return DONE
+    else:
+        path: Path = writable(options.out, (".json",), force=options.force)
+        path.write_text(text + "\n", encoding="utf-8")
+        say(f"wrote {path}")
 
 
 @command(
     "new",
     argument("name", metavar="NAME", nargs="?", help="which example (default: list them)"),
-    out_option("SCENE", "name of the copy (default: NAME.toml)"),
+    argument("-o", "--out", metavar="SCENE", help="name of the copy (default: NAME.toml)"),
 )
-def copy_example(options: argparse.Namespace) -> int:
+def copy_example(options: argparse.Namespace) -> None:
     """Copy an example scene, to run it or to change it."""
     scenes = examples()
     if options.name is None:
         rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
         say(*text_table([("example", "what it shows"), *rows]).split("\n"))
         say(f"{called_as()} new NAME copies one of them")
-        return DONE
+        return
     name = options.name.removesuffix(".toml")
     if name not in scenes:
         raise BadInput(f"{options.name}: no such example; {allowed_text(name, scenes)}")
@@ -255,9 +239,8 @@ def copy_example(options: argparse.Namespace) -> int:
     with atomic_write(out) as temporary:
         temporary.write_bytes(scenes[name].read_bytes())
     figure = figure_options(scenes[name].read_text("utf-8"))
-    atlas, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
-    say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {atlas}{figure}")
-    return DONE
+    result, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
+    say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {result}{figure}")
 
 
 def figure_options(scene: str) -> str:

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from .. import systems
 from ..errors import say, text_table
 from ..files import atomic_write
 from .options import (
-    DONE,
     FAILED,
     FIGURES,
     FILES,
@@ -22,12 +22,13 @@ from .options import (
     THREADS,
     argument,
     command,
-    force_option,
     input_files,
-    out_option,
+    out_options,
     output_folder,
     read_scene,
 )
+
+RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # with their heads in tables
 
 
 @command(
@@ -40,9 +41,8 @@ from .options import (
         argument("--json", action="store_true", help="JSON, with every printed equation"),
     ],
 )
-def print_conditions(options: argparse.Namespace) -> int:
+def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
-    from .. import systems
     from ..analysis import catalogue
 
     system = systems.get(options.system)
@@ -53,7 +53,7 @@ def print_conditions(options: argparse.Namespace) -> int:
             content["families"] = families
         content["printed"] = catalogue.published(system, options.family, options.errata)
         say(*json.dumps(content, indent=1).split("\n"))
-        return DONE
+        return
     rows = catalogue.published(system, options.family, errata=True) if options.errata else families
     if options.csv:
         writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
@@ -63,58 +63,45 @@ def print_conditions(options: argparse.Namespace) -> int:
             for row in rows
         )
     elif options.errata:
-        _print_errata(rows)
+        for row in map(_with_residuals, rows):
+            say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+            say(f"  printed: {row['printed']}", f"  true:    {row['true']}")
+            if row["measure"]:
+                printed, true = row["residual_printed"], row["residual_true"]
+                say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+            if row["effect"]:
+                say(f"  {row['effect']}")
         say(f"{len(rows)} equations differ; {system.reference}")
     elif options.family is not None:
-        for key, value in rows[0].items():
-            field = _residual(value) if key.startswith("residual") else value
-            lines = field if isinstance(field, list) else textwrap.wrap(field, 100)
+        for key, value in _with_residuals(rows[0]).items():
+            lines = value if isinstance(value, list) else textwrap.wrap(value, 100)
             say(key.replace("_", " "), *(f"    {line}" for line in lines or ["-"]))
     elif not families:
         say(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
     else:
-        _print_catalogue(families, catalogue.published(system), system.reference)
-    return DONE
+        of_families = {"family": "family", "equations": "equations", "solves_for": "solves for"} | RESIDUALS
+        _print_table(families, of_families | {"motion": "motion"})
+        say("", f"{system.reference}:")
+        of_equations = {"equation": "equation", "family": "family"} | RESIDUALS
+        _print_table(catalogue.published(system), of_equations | {"verdict": "verdict"})
+        say(
+            "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+            " equations);",
+            "--errata lists what differs, --family NAME gives conditions and formulas",
+        )
 
 
-def _print_errata(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print the equations that are wrong as printed."""
-    for row in rows:
-        say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
-        say(f"  printed: {row['printed']}", f"  true:    {row['true']}")
-        if row["measure"]:
-            printed, true = _residual(row["residual_printed"]), _residual(row["residual_true"])
-            say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
-        if row["effect"]:
-            say(f"  {row['effect']}")
+def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row with residuals of two digits, or a dash where there is nothing to measure."""
+    texts = {name: "-" if row[name] is None else f"{row[name]:.1e}" for name in RESIDUALS if name in row}
+    return {**row, **texts}
 
 
-def _print_catalogue(
-    families: Sequence[Mapping[str, Any]], published: Sequence[Mapping[str, Any]], reference: str
-) -> None:
-    """Print all families and all published equations as two tables."""
-
-    def residuals(row: Mapping[str, Any]) -> tuple[str, str]:
-        return _residual(row["residual_printed"]), _residual(row["residual_true"])
-
-    rows: list[tuple[str, ...]] = [("family", "equations", "solves for", "as printed", "as true", "motion")]
-    for row in families:
-        solves_for = " ".join(row["solves_for"]) or "-"
-        rows.append((row["family"], row["equations"], solves_for, *residuals(row), row["motion"]))
-    say(*text_table(rows).split("\n"))
-    rows = [("equation", "family", "as printed", "as true", "verdict")]
-    rows += [(row["equation"], row["family"] or "-", *residuals(row), row["verdict"]) for row in published]
-    say("", f"{reference}:", *text_table(rows).split("\n"))
-    say(
-        "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
-        " equations);",
-        "--errata lists what differs, --family NAME gives conditions and formulas",
-    )
-
-
-def _residual(value: float | None) -> str:
-    """A residual to two digits; a dash where there is nothing to measure."""
-    return "-" if value is None else f"{value:.1e}"
+def _print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
+    """Print some columns of rows under the words that head them."""
+    cells = [[row[name] or "-" for name in columns] for row in map(_with_residuals, rows)]
+    lines = [[" ".join(each) if isinstance(each, list) else each for each in row] for row in cells]
+    say(*text_table([[*columns.values()], *lines]).split("\n"))
 
 
 FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
@@ -122,7 +109,9 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 
 @command(
     "figures",
-    out_option("FOLDER", "folder of the figures (default: figures)", default="figures"),
+    *out_options(
+        "FOLDER", "folder of the figures (default: figures)", default="figures", replaces="existing figures"
+    ),
     argument(
         "--only",
         belongs=str.isdecimal,
@@ -138,9 +127,8 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
         action="store_true",
         help="print amplitudes, periods, stability and the paper's claims; draw nothing",
     ),
-    force_option("existing figures"),
 )
-def draw_figures(options: argparse.Namespace) -> int:
+def draw_figures(options: argparse.Namespace) -> None:
     """Draw figures 1-20 of Amer et al., as printed, corrected and exact."""
     from ..papers.amer2013 import claims
     from ..plotting import amer2013
@@ -151,7 +139,7 @@ def draw_figures(options: argparse.Namespace) -> int:
         texts = [f"{claim.verdict}: {claim.text}\n  {claim.measured}" for claim in claims.claims(rows)]
         tables = (amer2013.amplitude_table(rows), amer2013.periodic_solutions(claims.periodic_table()))
         say(*"\n\n".join([*map(text_table, tables), *texts]).split("\n"))
-        return DONE
+        return
     figures = [amer2013.paper_figure(number) for number in options.only or amer2013.NUMBERS]
     kinds = options.format or ["png", "pdf"]
     files = [f"figure_{figure.number:02d}.{kind}" for figure in figures for kind in kinds]
@@ -162,19 +150,17 @@ def draw_figures(options: argparse.Namespace) -> int:
         for path in paths:
             save(fig, path)
         say(f"wrote {' and '.join(map(str, paths))}: {figure.caption}")
-    return DONE
 
 
 @command(
     "accuracy",
     SCENE,
-    argument(
-        "-o",
-        "--out",
+    *out_options(
+        "OUT",
+        ".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
+        replaces="existing files",
         belongs=lambda word: word.lower().endswith(FILES),
         default=[],
-        metavar="OUT",
-        help=".nc for every number, .csv for the table, .png, .pdf or .svg for the figure; one or several",
     ),
     argument(
         "--points",
@@ -189,9 +175,8 @@ def draw_figures(options: argparse.Namespace) -> int:
         metavar="SETTING",
         help="how labels depend on duration, rate_tolerance or tolerance instead; one or several",
     ),
-    force_option("existing files"),
 )
-def measure_accuracy(options: argparse.Namespace) -> int:
+def measure_accuracy(options: argparse.Namespace) -> None:
     """Measure error against run time, or how labels depend on settings, at some points of a scene."""
     from ..io import netcdf
 
@@ -226,7 +211,6 @@ def measure_accuracy(options: argparse.Namespace) -> int:
         else:
             style.save(figure(ds), out)
         say(f"wrote {out}")
-    return DONE
 
 
 @command(
@@ -234,14 +218,11 @@ def measure_accuracy(options: argparse.Namespace) -> int:
     argument(
         "system", metavar="SYSTEM", nargs="?", help="one system (default: all that have cases of their own)"
     ),
-    out_option("FOLDER", "write SYSTEM.nc and SYSTEM.png there"),
+    *out_options("FOLDER", "write SYSTEM.nc and SYSTEM.png there", replaces="existing files"),
     THREADS,
-    force_option("existing files"),
 )
-def run_stress_cases(options: argparse.Namespace) -> int:
+def run_stress_cases(options: argparse.Namespace) -> int | None:
     """Run stiff and extreme cases and compare every label with the true one."""
-    from .. import systems
-
     with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
     names = [systems.get(options.system).name] if options.system else with_cases
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
@@ -264,4 +245,4 @@ def run_stress_cases(options: argparse.Namespace) -> int:
     if set(names) & set(with_cases):
         say(*text_table(stress.limits()).split("\n"))
     say(f"labels that are not true: {wrong}")
-    return FAILED if wrong or failed else DONE
+    return FAILED if wrong or failed else None

@@ -6,6 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
+from typing import Any
 
 from ..systems.base import System
 from . import assemble, deviation, observe, tangent
@@ -40,11 +41,9 @@ def source(
     of: ModuleType | None = None,
 ) -> str:
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
-    from .. import jit  # in each function: what only reads or draws atlases needs no compiler
-
     of = of or (observe if system.observables else kernel_of_bodies)
     zero, equal = specialization.zero, dict(specialization.equal)
-    with jit.PARSING:
+    with _jit().PARSING:
         return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
 
 
@@ -53,31 +52,29 @@ def kernel(
     system: System, method: str, specialization: Specialization = GENERIC, plugs: tuple[Plug, ...] = ()
 ) -> ModuleType:
     """The compiled module that integrates a system; compiled, or taken from the cache, at its first call."""
-    return _loaded(source(system, method, specialization, plugs))
+    return _jit().load(source(system, method, specialization, plugs))
 
 
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module that integrates a system with a tangent vector."""
-    return _loaded(source(system, tangent.METHOD.name, specialization, of=tangent))
+    return _jit().load(source(system, tangent.METHOD.name, specialization, of=tangent))
 
 
 @cache
 def kernel_hash(*sources: str) -> str:
     """Hashes of sources with compilers and processor type, recorded in every atlas."""
-    from .. import jit
-
-    return "-".join(map(jit.digest, sources))
+    return "-".join(map(_jit().digest, sources))
 
 
 @cache
 def deviation_kernel(system: System) -> ModuleType:
     """The compiled module of linear deviations from given motions of a system, see `deviation`."""
-    return _loaded(source(system, "rk4", of=deviation))
+    return _jit().load(source(system, "rk4", of=deviation))
 
 
-def _loaded(text: str) -> ModuleType:
-    """The module of a kernel."""
+def _jit() -> Any:
+    """The compiler, which nothing imports that only reads or draws atlases."""
     from .. import jit
 
-    return jit.load(text)
+    return jit

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -22,6 +23,7 @@ SILENCE = 600.0
 AT_WORK = "at work"
 
 
+@dataclass(eq=False)
 class Progress:
     """Counter of finished points, for any thread, that reports points per second and the time left.
 
@@ -29,37 +31,26 @@ class Progress:
     of kernels. `save` takes JSON for people and scripts, which no computation reads.
     """
 
-    def __init__(
-        self,
-        points: int,
-        *,
-        show: bool = True,
-        save: Callable[[bytes], object] | None = None,
-        facts: Mapping[str, Any] | None = None,
-    ):
-        self.points = points
-        self.show = show
-        self.stream = sys.stderr
-        self.live = self.stream.isatty()
-        self.save = save
-        self.facts = dict(facts or {})
-        self.stopwatch = compiling.Stopwatch()
+    points: int
+    _: KW_ONLY
+    show: bool = True
+    save: Callable[[bytes], object] | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.stream, self.live = sys.stderr, sys.stderr.isatty()
+        self.stopwatch, self._lock = compiling.Stopwatch(), threading.Lock()
         self._last_print = self._last_save = time.perf_counter()
         self._done_at_no_cost = self._done = 0.0
-        self._lock = threading.Lock()
-        if show:
+        if self.show:
             compiling.announce(+1)
-        if save is not None:
-            self._save(running=True)
+        self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
         """Add points of which some were done before."""
-        with self._lock:
-            self.points += points
-            self._done += done
-            self._done_at_no_cost += done
-        if self.save is not None:
-            self._save(running=True)
+        self.points += points
+        self.skip(done)
+        self._save(running=True)
 
     def advance(self, points: float) -> None:
         """Add finished points; fractions too, because a tile reports after each block of its points."""
@@ -74,7 +65,7 @@ class Progress:
                 text = f"{done}  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
                 self.stream.flush()
-            if self.save is not None and now - self._last_save >= FILE_INTERVAL:
+            if now - self._last_save >= FILE_INTERVAL:
                 self._last_save = now
                 self._save(running=True)
 
@@ -91,8 +82,7 @@ class Progress:
             if self.live:
                 self.stream.write("\r\x1b[K")
                 self.stream.flush()
-        if self.save is not None:
-            self._save(running=False)
+        self._save(running=False)
 
     def _speed(self) -> tuple[float, float]:
         """Points per second, and seconds left."""
@@ -100,9 +90,11 @@ class Progress:
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
 
     def _save(self, *, running: bool) -> None:
-        assert self.save is not None
+        if self.save is None:
+            return
         speed, seconds_left = self._speed()
-        content = self.facts | {
+        content = {
+            **self.facts,
             "points": self.points,
             "done": min(round(self._done), self.points),
             "points_per_second": speed,

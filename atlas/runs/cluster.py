@@ -10,7 +10,8 @@ import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from ..errors import BadInput
@@ -52,16 +53,12 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """
     import distributed
 
-    if scheduler is not None:
-        with _client(scheduler) as client:
-            yield client
-        return
-    cluster = distributed.LocalCluster(
+    cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
         host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
         silence_logs=logging.CRITICAL,
     )  # fmt: skip
-    with cluster, _client(cluster) as client:
+    with cluster as server, _client(server) as client:
         yield client
 
 
@@ -137,8 +134,8 @@ def for_each(
         in_flight[future] = task_arguments, attempt
 
     try:
-        exhausted, last_worker = False, time.monotonic()
-        while not exhausted or in_flight:
+        last_worker = time.monotonic()
+        while True:
             threads = sum(client.nthreads().values())
             if threads:
                 last_worker = time.monotonic()
@@ -147,16 +144,14 @@ def for_each(
                     "no dask worker for %.0f s: still waiting", NO_WORKER_WARNING
                 )
                 last_worker = math.inf  # no second warning before a worker appears
-            while not exhausted and len(in_flight) < max(TASKS_PER_THREAD * threads, 1):
-                task_arguments = next(source, None)
-                if task_arguments is None:
-                    exhausted = True
-                else:
-                    submit(task_arguments, 1)
+            free = max(TASKS_PER_THREAD * threads, 1) - len(in_flight)
+            for task_arguments in islice(source, max(free, 0)):
+                submit(task_arguments, 1)
+            if not in_flight:
+                return
             ended: Iterable[Future[Any]] = []
             with suppress(TimeoutError):  # the interval is over
-                if in_flight:
-                    ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
+                ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
             for future in ended:
                 task_arguments, attempt = in_flight.pop(future)
                 if _succeeded(future, attempt):

@@ -185,12 +185,9 @@ class ScenePlan:
         ]
 
     def relative_costs(self) -> dict[str, float]:
-        """Expected processor time of the integration by the other methods, at the tolerance of the scene.
+        """Expected processor time of whole integrations by each other method at the tolerance of the scene, over that by its own.
 
-        It is the number of steps that a method takes at the points of the sample times the cost of a step; compiling and the
-        prediction of theory are not part of it. Returns name of a method -> its time over that of the
-        scene's method, for runs that go on to the end. Empty where the scene sets a step: with the same step,
-        methods have different errors.
+        Empty where the scene sets a step: with the same step, methods have different errors.
         """
         if self.scene.settings.step is not None:
             return {}

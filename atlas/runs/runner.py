@@ -9,12 +9,12 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from threading import Event, Lock
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -51,16 +51,17 @@ from .folder import (
 )
 from .levels import Level, RefinedFolder
 from .plan import ScenePlan, differences, identity
-from .tiles import DamagedTile, TileFiles, tile_types
+from .tiles import DamagedTile, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
 # Seconds between two checks whether tiles that other processes compute are done; between the first CLAIM_POLL.
 MAX_CLAIM_POLL = 10.0
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file is computed
 Advance = Callable[[float], None]  # takes a number of finished points
+Source: TypeAlias = tuple[RunFolder | Level, Plan, list[Earlier]]  # what tiles are computed from
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Execution:
     """Processes and threads that compute the tiles, and the shard that they compute; see `run`."""
 
@@ -70,8 +71,10 @@ class _Execution:
     workers: int | None
     stop_after: float | None
     began: float  # time.monotonic
+    progress: bool = True
+    plan: ScenePlan = field(init=False)
     earlier: list[Earlier] = field(default_factory=list)
-    clients: list[Any] = field(default_factory=list)  # the client of dask, when it is connected
+    stack: ExitStack = field(default_factory=ExitStack)  # closes the client of dask
 
     @property
     def time_is_up(self) -> bool:
@@ -83,16 +86,16 @@ class _Execution:
         """Whether dask workers compute the tiles."""
         return bool(self.scheduler or self.workers)
 
-    def client(self, plan: ScenePlan, stack: ExitStack) -> Any:
-        """The client of dask workers, which is connected once and closed with the stack."""
-        if not self.clients:
-            if self.workers:
-                # Compile the kernel by one step at one point: each new process would compile it otherwise.
-                points = replace(plan.points.without_derived(), settings=plan.limited(1))
-                if points.outputs:
-                    evaluate(points, plan.sample.subset(np.flatnonzero(plan.sample.exists)[:1]), threads=1)
-            self.clients.append(stack.enter_context(cluster.connect(self.scheduler, self.workers)))
-        return self.clients[0]
+    @cached_property
+    def client(self) -> Any:
+        """The client of the dask workers."""
+        if self.workers:
+            # Compile the kernel by one step at one point: each new process would compile it otherwise.
+            sample = self.plan.sample
+            points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
+            if points.outputs:
+                evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
+        return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
 
     def check(self) -> None:
         """Raise BadInput for values and combinations that are not allowed."""
@@ -174,7 +177,7 @@ def run(
         If `stop_after` is over before the run is; the same call continues it.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic())
+    execution = _Execution(threads, shard, scheduler, workers, stop_after, time.monotonic(), progress)
     if out is None and (shard or execution.on_cluster or stop_after is not None):
         raise BadInput("shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc")
     execution.check()
@@ -193,20 +196,20 @@ def run(
         return _finished(ScenePlan.of(scene), file)
     if scheduler:
         cluster.check(scheduler)
-    plan = ScenePlan.of(scene)
+    execution.plan = plan = ScenePlan.of(scene)
     for each in [reuse] if isinstance(reuse, str | Path) else reuse:
         execution.earlier.append(Earlier.of(each, scene))
     warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
     log_warnings(warnings)
     if path is None:
-        return _run_in_memory(plan, warnings, threads, progress, execution.earlier)
+        return _run_in_memory(warnings, execution)
     if force:
         RunFolder.discard(plan, path)
     if file is not None:
-        return _run_to_file(plan, file, warnings, execution, progress)
+        return _run_to_file(file, warnings, execution)
     folder = RunFolder.prepare(plan, path, warnings)
-    _complete(folder, plan, execution, progress).close()
-    explain_kept(None)
+    with _complete(folder, execution):
+        explain_kept(None)
     return folder.dataset()
 
 
@@ -243,36 +246,33 @@ def _folder_of(path: Path) -> Path:
     return path.with_name(path.name + RUN_SUFFIX)
 
 
-def _complete(folder: RunFolder, plan: ScenePlan, execution: _Execution, progress: bool) -> Progress:
-    """Compute what is missing in a folder or shard; the progress is at work until it is closed."""
+@contextmanager
+def _complete(folder: RunFolder, execution: _Execution) -> Iterator[None]:
+    """Compute what is missing in a folder or shard; this process counts as at work while the context is open."""
     explain_kept(folder.progress_text)
     job = None if isinstance(folder, RefinedFolder) else _Job(folder, execution)
     if isinstance(folder.storage, Folder) and (job.unfinished if job else not folder.is_complete):
         check_folder(folder.storage.path / folder.content / "tile")
     part, parts = execution.shard or (1, 1)
     name = "progress.json" if parts == 1 else f"progress-{part}-of-{parts}.json"
-    bar = Progress(
-        0,
-        show=progress,
-        save=partial(folder.storage.write, name),
-        facts={"shard": f"{part}/{parts}", "host": socket.gethostname()},
-    )
+    facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
+    bar = Progress(0, show=execution.progress, save=partial(folder.storage.write, name), facts=facts)
     try:
-        with ExitStack() as stack:
+        with execution.stack:
             if isinstance(folder, RefinedFolder):
-                _compute_levels(folder, bar, plan, execution, stack, progress)
+                _compute_levels(folder, bar, execution)
             elif job is not None:
-                _compute(job, bar, plan, stack)
-                _complete_notes(folder, plan, execution)
-    except BaseException as error:
-        bar.close()
-        if isinstance(error, OSError):
-            folder.check_kept()
+                job.compute(bar)
+                _complete_notes(folder, execution)
+        yield
+    except (BadInput, OSError):
+        folder.check_kept()
         raise
-    return bar
+    finally:
+        bar.close()
 
 
-def _complete_notes(folder: RunFolder, plan: ScenePlan, execution: _Execution) -> None:
+def _complete_notes(folder: RunFolder, execution: _Execution) -> None:
     """Write the attributes that only the finished run has, if all tiles are there."""
     try:
         finished = bool(folder.final_attributes()) and (folder.is_complete or not folder.is_store)
@@ -280,24 +280,16 @@ def _complete_notes(folder: RunFolder, plan: ScenePlan, execution: _Execution) -
         logging.getLogger("atlas").warning("%s", error)
         finished = False
     if not finished and not folder.tiles.missing():
-        folder.save_final_attributes(
-            half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
-        )
+        plan, threads = execution.plan, execution.threads
+        folder.save_final_attributes(half_step.half_step_sample(plan.scene, plan.points, threads=threads))
 
 
-def _compute_levels(
-    folder: RefinedFolder,
-    bar: Progress,
-    plan: ScenePlan,
-    execution: _Execution,
-    stack: ExitStack,
-    progress: bool,
-) -> None:
+def _compute_levels(folder: RefinedFolder, bar: Progress, execution: _Execution) -> None:
     """Compute the levels of a refined scene one after the other, and write its atlas."""
+    plan, levels = execution.plan, list[Level]()
     if folder.is_complete and _is_result(plan, folder.result):
         bar.add(plan.scene.size, done=plan.scene.size)
         return
-    levels = list[Level]()
 
     def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
         if not indices.size:
@@ -305,77 +297,44 @@ def _compute_levels(
         level = Level(folder, len(levels), levels[-1].key if levels else "", indices)
         levels.append(level)
         level.prepare()
-        _compute(_Job(level, execution), bar, plan, stack)
+        _Job(level, execution).compute(bar)
         for tile in range(level.tiling.count):
             try:
                 yield level.tiling.slices(tile)[0], level.tiles.read(tile)
             except DamagedTile as error:
                 raise OSError(f"{level.storage}: tile {tile}: {error}; run the scene again") from None
 
-    ds = refine.refined(integrate, plan, threads=execution.threads, progress=progress)
+    ds = refine.refined(integrate, plan, threads=execution.threads, progress=execution.progress)
     folder.save_result(ds.assign_attrs(folder.provenance()[0] | ds.attrs))
 
 
-def _compute(job: _Job, bar: Progress, plan: ScenePlan, stack: ExitStack) -> None:
-    """Compute the tiles of a job; a client of dask workers is closed with the stack."""
-    folder, execution, logger = job.folder, job.execution, logging.getLogger("atlas")
-    for tile, reason in list(job.status.damaged.items())[:MAX_DAMAGE_WARNINGS]:
-        logger.warning("%s: tile %d is computed again: %s", folder.storage, tile, reason)
-    if len(job.status.damaged) > MAX_DAMAGE_WARNINGS:
-        logger.warning("... and %d damaged tiles more", len(job.status.damaged) - MAX_DAMAGE_WARNINGS)
-    missing = sum(map(folder.tiling.size_of, job.unfinished))
-    bar.add(sum(map(folder.tiling.size_of, job.tiles)), done=sum(map(folder.tiling.size_of, job.status.done)))
-    if not job.unfinished:
-        return
-    if isinstance(folder.storage, Folder):
-        path = folder.storage.path
-        estimate.check_disk(plan, path, missing, is_joined=path.suffix == RUN_SUFFIX)
-    try:
-        if execution.on_cluster:
-            _compute_on_cluster(job, bar, execution.client(plan, stack))
-        else:
-            _compute_in_threads(job, bar, plan)
-    finally:
-        folder.remove_leftovers()
-    if job.is_stopped:
-        raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.run.progress_text()}")
-
-
-def _run_to_file(
-    plan: ScenePlan, path: Path, warnings: list[str], execution: _Execution, progress: bool
-) -> xr.Dataset:
+def _run_to_file(path: Path, warnings: list[str], execution: _Execution) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder.
 
     If another process did the same, it may have removed the folder; the error then means a finished file.
     """
-    before, bar, folder = _stamp(path), None, None
+    before, plan = _stamp(path), execution.plan
     try:
         folder = RunFolder.prepare(plan, _folder_of(path), warnings)
         if _stamp(path) == before:
-            bar = _complete(folder, plan, execution, progress)
-        if _stamp(path) == before:
-            folder.join(path)
-            folder.remove()
-            explain_kept(None)
-            return open_atlas(path)
+            with _complete(folder, execution):
+                if _stamp(path) == before:
+                    folder.join(path)
+                    folder.remove()
+                    explain_kept(None)
+                    return open_atlas(path)
     except (BadInput, OSError):
         if _stamp(path) == before or not _is_result(plan, path):
-            if folder is not None:
-                folder.check_kept()
             raise
-    finally:
-        if bar is not None:
-            bar.close()
     return _finished(plan, path)
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
     """Number and time of a file, which change when it is replaced; None if there is no file."""
-    try:
+    with suppress(FileNotFoundError):
         status = path.stat()
-    except FileNotFoundError:
-        return None
-    return status.st_ino, status.st_mtime_ns
+        return status.st_ino, status.st_mtime_ns
+    return None
 
 
 def _is_result(plan: ScenePlan, path: Path | str) -> bool:
@@ -409,10 +368,9 @@ def _finished(plan: ScenePlan, path: Path) -> xr.Dataset:
     return open_atlas(path)
 
 
-def _run_in_memory(
-    plan: ScenePlan, warnings: list[str], threads: int | None, progress: bool, earlier: Sequence[Earlier]
-) -> xr.Dataset:
+def _run_in_memory(warnings: list[str], execution: _Execution) -> xr.Dataset:
     """Compute an atlas without a run folder."""
+    plan, threads, earlier = execution.plan, execution.threads, execution.earlier
     scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
 
     def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
@@ -426,14 +384,11 @@ def _run_in_memory(
             yield chunk, values
 
     if scene.refine is not None:
-        with announced(progress):
-            ds = refine.refined(integrate, plan, threads=threads, progress=progress)
+        with announced(execution.progress):
+            ds = refine.refined(integrate, plan, threads=threads, progress=execution.progress)
     else:
-        bar = Progress(scene.size, show=progress)
-        try:
+        with closing(Progress(scene.size, show=execution.progress)) as bar:
             columns, reused = columns_of(plan, bar, threads, earlier)
-        finally:
-            bar.close()
         ds, points = netcdf.dataset(scene, columns), scene.size
     attributes = scene_provenance(
         scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=warnings
@@ -546,52 +501,84 @@ class _Job:
                 pause = min(2 * pause, MAX_CLAIM_POLL)
             tiles = claimed
 
+    def compute(self, bar: Progress) -> None:
+        """Compute the unfinished tiles; Stopped if the time is over before."""
+        folder, execution, damaged = self.folder, self.execution, self.status.damaged
+        warn, size_of = logging.getLogger("atlas").warning, folder.tiling.size_of
+        for tile, reason in list(damaged.items())[:MAX_DAMAGE_WARNINGS]:
+            warn("%s: tile %d is computed again: %s", folder.storage, tile, reason)
+        if len(damaged) > MAX_DAMAGE_WARNINGS:
+            warn("... and %d damaged tiles more", len(damaged) - MAX_DAMAGE_WARNINGS)
+        bar.add(sum(map(size_of, self.tiles)), done=sum(map(size_of, self.status.done)))
+        if not self.unfinished:
+            return
+        if isinstance(folder.storage, Folder):
+            path, missing = folder.storage.path, sum(map(size_of, self.unfinished))
+            estimate.check_disk(execution.plan, path, missing, is_joined=path.suffix == RUN_SUFFIX)
+        try:
+            if execution.on_cluster:
+                self._compute_on_cluster(bar)
+            else:
+                self._compute_in_threads(bar)
+        finally:
+            folder.remove_leftovers()
+        if self.is_stopped:
+            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {folder.run.progress_text()}")
 
-def _compute_in_threads(job: _Job, bar: Progress, plan: ScenePlan) -> None:
-    """Compute the tiles of a job in threads of this process."""
-    folder, threads, earlier = job.folder, job.execution.threads, job.execution.earlier
-    by = f"{threads or blocks.available_threads()} threads"
-    by += f", shard {job.part}/{job.parts}" if job.parts > 1 else ""
-    stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
+    def _compute_in_threads(self, bar: Progress) -> None:
+        plan, threads = self.execution.plan, self.execution.threads
+        source = self.folder, plan.points, self.execution.earlier
+        by = f"{threads or blocks.available_threads()} threads"
+        by += f", shard {self.part}/{self.parts}" if self.parts > 1 else ""
+        stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
-    def compute(tile: int, advance: Advance) -> None:
-        nonlocal last_end
-        with folder.tiles.held(tile) as keep:
+        def seconds() -> float:
+            """Since the tile before this one ended, because tiles overlap."""
+            nonlocal last_end
+            with lock:
+                before, last_end = last_end, stopwatch.seconds()
+                return last_end - before
 
-            def report(points: float) -> None:
-                keep()
-                advance(points)
+        def compute(tile: int, advance: Advance) -> None:
+            bar.skip(_compute_tile(source, tile, threads, by, seconds, advance))
 
-            columns, computed, reused = evaluate_at(
-                plan.points, folder.scene, folder.indices(tile), earlier, threads=threads, progress=report
-            )
-            with lock:  # tiles overlap: each takes the time since the one before it ended
-                now = stopwatch.seconds()
-                seconds, last_end = now - last_end, now
-            folder.run.check_kept()
-            folder.tiles.write(tile, columns, computed=computed, seconds=seconds, by=by, reused=reused)
-        bar.skip(folder.tiling.size_of(tile) - computed + reused.total())
+        in_flight = plan.tiles_in_flight(threads)
+        for_each_tile(self.remaining_tiles(bar), compute, bar.advance, in_flight, self.stop)
 
-    in_flight = plan.tiles_in_flight(threads)
-    for_each_tile(job.remaining_tiles(bar), compute, bar.advance, in_flight, job.stop)
+    def _compute_on_cluster(self, bar: Progress) -> None:
+        folder, client = self.folder, self.execution.client
+
+        def on_result(tile: int) -> None:
+            if not folder.tiles.is_written(tile):
+                raise BadInput(
+                    f"a worker wrote tile {tile}, but it is not in {folder.storage}: workers must see the same files"
+                )
+            bar.advance(folder.tiling.size_of(tile))
+
+        run = str(folder.run.path), folder.number, folder.key
+        reuse = tuple(str(each.path) for each in self.execution.earlier)
+        arguments = ((*run, tile, reuse) for tile in self.remaining_tiles(bar))
+        cluster.check_workers(client, check_worker, (*run, reuse))
+        cluster.for_each(client, compute_tile, arguments, on_result)
 
 
-def _compute_on_cluster(job: _Job, bar: Progress, client: Any) -> None:
-    """Compute the tiles of a job on dask workers."""
-    folder = job.folder
+def _compute_tile(
+    source: Source, tile: int, threads: int | None, by: str, seconds: Callable[[], float], advance: Advance
+) -> int:
+    """Compute and write a tile; the number of its points that were not integrated."""
+    folder, plan, earlier = source
+    with folder.tiles.held(tile) as keep:
 
-    def on_result(tile: int) -> None:
-        if not folder.tiles.is_written(tile):
-            raise BadInput(
-                f"a worker wrote tile {tile}, but it is not in {folder.storage}: workers must see the same files"
-            )
-        bar.advance(folder.tiling.size_of(tile))
+        def report(points: float) -> None:
+            keep()
+            advance(points)
 
-    run = str(folder.run.path), folder.number, folder.key
-    reuse = tuple(str(each.path) for each in job.execution.earlier)
-    arguments = ((*run, tile, reuse) for tile in job.remaining_tiles(bar))
-    cluster.check_workers(client, check_worker, (*run, reuse))
-    cluster.for_each(client, compute_tile, arguments, on_result)
+        columns, computed, reused = evaluate_at(
+            plan, folder.scene, folder.indices(tile), earlier, threads=threads, progress=report
+        )
+        folder.run.check_kept()
+        folder.tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)
+    return folder.tiling.size_of(tile) - computed + reused.total()
 
 
 def check_worker(path: str, number: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
@@ -601,35 +588,24 @@ def check_worker(path: str, number: int | None, key: str, reuse: tuple[str, ...]
 
 def compute_tile(path: str, number: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
-    folder, tiles, plan, earlier = _open_cached(path, number, key, reuse)
-    stopwatch = Stopwatch()
-    with tiles.held(tile) as keep:
-        columns, computed, reused = evaluate_at(
-            plan, folder.scene, folder.indices(tile), earlier, threads=1, progress=lambda points: keep()
-        )
-        folder.run.check_kept()
-        tiles.write(
-            tile, columns, computed=computed, seconds=stopwatch.seconds(), by="dask workers", reused=reused
-        )
+    source = _open_cached(path, number, key, reuse)
+    _compute_tile(source, tile, 1, "dask workers", Stopwatch().seconds, lambda points: None)
     return tile
 
 
 @lru_cache(maxsize=8)
-def _open_cached(
-    path: str, number: int | None, key: str, reuse: tuple[str, ...]
-) -> tuple[RunFolder | Level, TileFiles, Plan, list[Earlier]]:
-    """A run whose bits this process computes, its tiles with the key of what this process computes, plan, earlier atlases."""
+def _open_cached(path: str, number: int | None, key: str, reuse: tuple[str, ...]) -> Source:
+    """The source of the tiles of a run or level whose bits this process computes."""
     run = RunFolder.open(path)
     folder = run if number is None else Level.open(run, number)
     if folder.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(folder.scene)
     own = identity(plan)
-    different = differences(folder.manifest["identity"], own, "in the run", "in the worker")
-    if different:
+    if different := differences(folder.manifest["identity"], own, "in the run", "in the worker"):
         raise BadInput(
             f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
             f" same programs. It differs in {different}"
         )
-    earlier = [Earlier.of(each, folder.scene) for each in reuse]
-    return folder, folder.tiles_with(folder.key_with(own)), plan, earlier
+    folder.tiles = folder.tiles_with(folder.key_with(own))  # with the key of what this process computes
+    return folder, plan, [Earlier.of(each, folder.scene) for each in reuse]

@@ -19,6 +19,7 @@ from ..errors import BadInput, text_table
 from ..flags import Flag, Label, Status
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
+from ..measure.instrument import Variable
 from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
@@ -182,10 +183,8 @@ def _dataset(
         "comment": "relative to the tolerance where the true value is less; nan where it is unknown, because only a"
         " part of the run was integrated by the reference or numbers overflow",
     }  # fmt: skip
-    ds["verdict"] = dims, verdict.astype(np.int8), {
-        "long_name": "label compared with the true label", "flag_values": np.arange(len(Verdict), dtype=np.int8),
-        "flag_meanings": " ".join(Verdict.meanings()),
-    }  # fmt: skip
+    variable = Variable("verdict", "int8", "1", "label compared with the true label", Verdict.meanings())
+    ds["verdict"] = dims, verdict.astype(np.int8), variable.attributes()
     ds["truth"] = "point", truth.label, registry["label"].attributes() | {"long_name": "true label"}
     duration = np.concatenate([part.duration for part in parts])
     ds["duration"] = "point", duration, {"long_name": "length of the run", "units": "s"}

@@ -141,15 +141,15 @@ def integrals(spin: FastSpin, y: Array) -> Array:
     return np.array([energy, area, transverse + g3**2])
 
 
+def reduced(spin: FastSpin, y: Array) -> tuple[Array, Array]:
+    """(10) with chi = 0: p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2 of y, and so their derivatives of those of y."""
+    gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
+    return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
+
+
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
-    """(p2, p2', gamma2, gamma2') of y, by (10) with chi = 0: p2 = p1 - eps chi1 gamma2, gamma2 = g1 - eps nu p2."""
-    rate = rhs(spin, y)
-    eps, chi1, nu = spin.eps, spin.chi1, spin.nu
-    pairs = []
-    for p, g in ((y[0], y[3]), (rate[0], rate[3])):
-        gamma2 = (g - eps * nu * p) / (1 - eps**2 * nu * chi1)
-        pairs.append((p - eps * chi1 * gamma2, gamma2))
-    (p2, gamma2), (p2_dot, gamma2_dot) = pairs
+    """(p2, p2', gamma2, gamma2') of y."""
+    (p2, gamma2), (p2_dot, gamma2_dot) = reduced(spin, y), reduced(spin, rhs(spin, y))
     return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 

@@ -19,7 +19,7 @@ from ...systems.base import Array, Points, PublishedEquation
 from .. import Readings, row
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
-from .reduction import CONTENT, VARIABLES, Values, evaluate
+from .reduction import CONTENT, VARIABLES, Values, evaluate, state
 
 COEFFICIENTS = ("chi", "chi1", "nu", "X", "chi2", "nu2")
 
@@ -32,10 +32,7 @@ def frequency_squared(spin: FastSpin) -> Array:
 def numbers(spin: FastSpin) -> Values:
     """The numbers of a body by their names in [printed]."""
     names = ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0", "A1", "a", "z", "scale", "eps", "M3")
-    values = {name: getattr(spin, name) for name in names} | dict(
-        zip(("y1", "y2", "y3"), spin.y, strict=True)
-    )
-    return values | {"squared": frequency_squared(spin)}
+    return reduction.numbers(spin, *names) | {"squared": frequency_squared(spin)}
 
 
 def formulas(values: Values, *names: str) -> Array:
@@ -57,13 +54,13 @@ def coefficients(spin: FastSpin) -> Values:
 
 def rhs(spin: FastSpin, y: Array) -> Array:
     """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
-    values = numbers(spin) | dict(zip(VARIABLES, y, strict=True))
+    values = numbers(spin) | state(y)
     return formulas(values, *(f"d_{name}" for name in VARIABLES))
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
     """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
-    return formulas(numbers(spin) | dict(zip(VARIABLES, y, strict=True)), "energy", "area", "length")
+    return formulas(numbers(spin) | state(y), "energy", "area", "length")
 
 
 def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
@@ -86,7 +83,7 @@ def first_order(spin: FastSpin, tau: Array) -> Array:
 
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
     """(p2, gamma2) of y, by (10); shape (2, ...)."""
-    return formulas(coefficients(spin) | dict(zip(VARIABLES, y, strict=True)), "p2", "gamma2")
+    return formulas(coefficients(spin) | state(y), "p2", "gamma2")
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
@@ -169,12 +166,9 @@ def _coupling(
 def _reduced(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
     """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
-    x, acceleration = fast_spin.to_quasilinear(spin, y), true_acceleration(spin, y)
-    gamma2 = acceleration[3] - spin.eps * spin.nu * acceleration[0]
-    gamma2 = gamma2 / (1 - spin.eps**2 * spin.nu * spin.chi1)
-    exact = acceleration[0] - spin.eps * spin.chi1 * gamma2 if index == 1 else gamma2
+    exact = fast_spin.reduced(spin, true_acceleration(spin, y))[index // 2]
     term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
-    return (right_side(spin, x)[index] - exact) / term
+    return (right_side(spin, fast_spin.to_quasilinear(spin, y))[index] - exact) / term
 
 
 def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:

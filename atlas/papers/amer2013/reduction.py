@@ -50,17 +50,26 @@ def reading(number: str, which: str, values: Values) -> Any:
     return sum(evaluate(term, values) for term in entry.get(f"terms_{which}", entry["terms_true"]))
 
 
+def numbers(spin: FastSpin, *names: str) -> Values:
+    """These numbers of a body by their names, and its rotor y."""
+    return {name: getattr(spin, name) for name in names} | dict(zip(("y1", "y2", "y3"), spin.y, strict=True))
+
+
 def names(spin: FastSpin) -> Values:
     """The numbers of a body by their names, in their true forms."""
-    y1, y2, y3 = spin.y
     X, momentum = 1 / spin.Omega, spin.A * spin.r0
     fields = (
         "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
     )  # fmt: skip
-    return {name: getattr(spin, name) for name in fields} | {
-        "y1": y1, "y2": y2, "y3": y3, "mu1": spin.mu.real, "mu2": spin.mu.imag, "s1": spin.l1 / momentum,
-        "s2": spin.l2 / momentum, "s3": spin.l3 / momentum, "X": X, "chi2": spin.chi1 + spin.G0, "nu2": spin.nu - X,
+    return numbers(spin, *fields) | {
+        "mu1": spin.mu.real, "mu2": spin.mu.imag, "s1": spin.l1 / momentum, "s2": spin.l2 / momentum,
+        "s3": spin.l3 / momentum, "X": X, "chi2": spin.chi1 + spin.G0, "nu2": spin.nu - X,
     }  # fmt: skip
+
+
+def state(y: Array, prefix: str = "") -> Values:
+    """The variables of (1), or their rates, by their names."""
+    return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
 # (3), corrected, and states that satisfy (2) with it.
@@ -111,8 +120,8 @@ def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
 def variables(x0: Array, x: Array) -> Values:
     """p = p2, v = p2', g = gamma2, u = gamma2' at x, at x0 with 0, and D with a name: its value at x0 less that at x."""
 
-    def products(state: Array) -> Values:
-        of = dict(zip("pvgu", state, strict=True))
+    def products(x: Array) -> Values:
+        of = dict(zip("pvgu", x, strict=True))
         return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
 
     first, second = products(x0), products(x)
@@ -125,18 +134,13 @@ def variables(x0: Array, x: Array) -> Values:
 # What the names of a row stand for, by its key `at`: (random generator, entry) -> values.
 
 
-def _state(y: Array, prefix: str = "") -> Values:
-    """The variables of (1), or their rates, by their names."""
-    return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
-
-
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
     """Two random states of one motion, the second with its S1 and S2."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     y0, y = random_states(rng, spin)
-    x0, x = (fast_spin.to_quasilinear(spin, state) for state in (y0, y))
+    x0, x = (fast_spin.to_quasilinear(spin, each) for each in (y0, y))
     S1, S2 = S1_S2(spin, y0, y)
-    return names(spin) | variables(x0, x) | _state(y) | {"S1": S1, "S2": S2}
+    return names(spin) | variables(x0, x) | state(y) | {"S1": S1, "S2": S2}
 
 
 def _motion(rng: np.random.Generator, entry: Entry) -> Values:
@@ -145,8 +149,8 @@ def _motion(rng: np.random.Generator, entry: Entry) -> Values:
     p, q, g1, g2, S1, S2 = rng.normal(size=6)
     r = np.sqrt(1 + spin.eps**2 * S1)
     y = np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r])
-    rates = _state(true_rate(spin, y), "d_") | _state(true_acceleration(spin, y), "dd_")
-    return names(spin) | _state(y) | rates | {"S1": S1, "S2": S2}
+    rates = state(true_rate(spin, y), "d_") | state(true_acceleration(spin, y), "dd_")
+    return names(spin) | state(y) | rates | {"S1": S1, "S2": S2}
 
 
 def _generating(rng: np.random.Generator, entry: Entry) -> Values:
@@ -176,10 +180,8 @@ def _series(rng: np.random.Generator, entry: Entry) -> Values:
     acceleration = 0.5 * (
         fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate)
     )  # exact: (1) is quadratic
-    second = acceleration[3] - spin.eps * spin.nu * acceleration[0]
-    second = second / (1 - spin.eps**2 * spin.nu * spin.chi1)
-    exact = {"dd_p": acceleration[0] - spin.eps * spin.chi1 * second, "dd_g": second}
-    return names(spin) | variables(x0, x) | exact
+    exact = zip(("dd_p", "dd_g"), fast_spin.reduced(spin, acceleration), strict=True)
+    return names(spin) | variables(x0, x) | dict(exact)
 
 
 @cache
@@ -188,7 +190,7 @@ def _periodic(body: str, rotor: float) -> Values:
     spin = paper_body(body, rotor).of_shape((1,))
     start = periodic.solutions(spin).start
     x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
-    return names(spin) | _state(start) | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
+    return names(spin) | state(start) | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:

@@ -51,12 +51,13 @@ def fault_rounds(request) -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Collect no garbage among modules and tests, which stay to the end: a tenth of the time of short tests."""
+    """Collect no garbage among modules and tests, which stay to the end, and less often among what tests import."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(5_000)
         gc.enable()
 
 
@@ -99,6 +100,39 @@ def short_timings():
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 30)
         yield
+
+
+@pytest.fixture(scope="module")
+def coarse_lines():
+    """Trace lines of theory, of which the tests of a module look at none, from a ninth of the samples; others keep none of them."""
+    from atlas.analysis import boundary
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(boundary, "COARSE_SAMPLES", boundary.COARSE_SAMPLES // 3)
+        patched.setattr(boundary, "LINES_FOLDER", "coarse_lines")
+        yield
+
+
+@pytest.fixture(scope="session")
+def measured_residuals():
+    """Rows of printed equations and their residuals, by number of samples and rows."""
+    return {}
+
+
+@pytest.fixture
+def residuals_measured_once(measured_residuals, monkeypatch):
+    """Measure the residuals of printed equations once for all tests that print them, which takes seconds."""
+    from atlas.analysis import catalogue
+
+    measure = catalogue._max_residuals
+
+    def measured(rows):
+        key = catalogue.N_SAMPLES, *map(id, rows)  # of rows that stay in the dictionary
+        if key not in measured_residuals:
+            measured_residuals[key] = rows, measure(rows)
+        return measured_residuals[key][1]
+
+    monkeypatch.setattr(catalogue, "_max_residuals", measured)
 
 
 @pytest.fixture(scope="session")

@@ -87,6 +87,7 @@ def test_rows_of_families_are_complete():
         catalogue.families(SATELLITE, "banana")
 
 
+@pytest.mark.usefixtures("residuals_measured_once")
 def test_command_line_tables(capsys, monkeypatch):
     monkeypatch.setattr(catalogue, "N_SAMPLES", 1)
 

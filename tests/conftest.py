@@ -103,13 +103,18 @@ def short_timings():
 
 
 @pytest.fixture(scope="module")
-def coarse_lines():
-    """Trace lines of theory, of which the tests of a module look at none, from a ninth of the samples; others keep none of them."""
+def coarse_figures():
+    """Trace lines of theory from a ninth of the samples and save fewer dots, where no test of a module looks at a figure.
+
+    These lines are kept apart from those that other tests use.
+    """
     from atlas.analysis import boundary
+    from atlas.plotting import style
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(boundary, "COARSE_SAMPLES", boundary.COARSE_SAMPLES // 3)
         patched.setattr(boundary, "LINES_FOLDER", "coarse_lines")
+        patched.setitem(style.STYLE, "savefig.dpi", 100)
         yield
 
 

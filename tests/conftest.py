@@ -119,28 +119,6 @@ def coarse_figures():
 
 
 @pytest.fixture(scope="session")
-def measured_residuals():
-    """Rows of printed equations and their residuals, by number of samples and rows."""
-    return {}
-
-
-@pytest.fixture
-def residuals_measured_once(measured_residuals, monkeypatch):
-    """Measure the residuals of printed equations once for all tests that print them, which takes seconds."""
-    from atlas.analysis import catalogue
-
-    measure = catalogue._max_residuals
-
-    def measured(rows):
-        key = catalogue.N_SAMPLES, *map(id, rows)  # of rows that stay in the dictionary
-        if key not in measured_residuals:
-            measured_residuals[key] = rows, measure(rows)
-        return measured_residuals[key][1]
-
-    monkeypatch.setattr(catalogue, "_max_residuals", measured)
-
-
-@pytest.fixture(scope="session")
 def longer_atlas(scene_text):
     """Text of a scene of about a second, and its result computed in memory."""
     import atlas

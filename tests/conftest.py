@@ -51,12 +51,13 @@ def fault_rounds(request) -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Collect no garbage among modules and tests, which stay to the end: a tenth of the time of short tests."""
+    """Collect no garbage among modules and tests, which stay to the end, and less often among what tests import."""
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
+        gc.set_threshold(5_000)
         gc.enable()
 
 
@@ -98,6 +99,22 @@ def short_timings():
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 30)
+        yield
+
+
+@pytest.fixture(scope="module")
+def coarse_figures():
+    """Trace lines of theory from a ninth of the samples and save fewer dots, where no test of a module looks at a figure.
+
+    These lines are kept apart from those that other tests use.
+    """
+    from atlas.analysis import boundary
+    from atlas.plotting import style
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(boundary, "COARSE_SAMPLES", boundary.COARSE_SAMPLES // 3)
+        patched.setattr(boundary, "LINES_FOLDER", "coarse_lines")
+        patched.setitem(style.STYLE, "savefig.dpi", 100)
         yield
 
 

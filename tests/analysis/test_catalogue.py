@@ -87,9 +87,23 @@ def test_rows_of_families_are_complete():
         catalogue.families(SATELLITE, "banana")
 
 
-def test_command_line_tables(capsys, monkeypatch):
+@pytest.fixture
+def residuals_measured_once(monkeypatch):
+    """Measure each residual of a printed equation once, and with one sample."""
+    measured, measure = {}, catalogue._max_residuals
+
+    def once(rows):
+        key = tuple(map(id, rows))  # of rows that the dictionary holds
+        if key not in measured:
+            measured[key] = rows, measure(rows)
+        return measured[key][1]
+
+    monkeypatch.setattr(catalogue, "_max_residuals", once)
     monkeypatch.setattr(catalogue, "N_SAMPLES", 1)
 
+
+@pytest.mark.usefixtures("residuals_measured_once")
+def test_command_line_tables(capsys):
     def output(*arguments):
         assert main(["conditions", *arguments]) == 0
         return capsys.readouterr().out

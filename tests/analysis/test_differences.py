@@ -131,6 +131,7 @@ def test_other_grids_and_systems_are_refused_with_what_differs(pair):
     assert "the same at every point: label" in free.atlas.compare(free.copy())
 
 
+@pytest.mark.usefixtures("coarse_figures")
 def test_the_command_prints_and_draws_differences(pair, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, ds in zip("ab", pair, strict=True):

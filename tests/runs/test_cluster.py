@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from dask.base import get_scheduler
 from truth import assert_same_bytes
 
 import atlas
+from atlas import cli
 from atlas.runs import cluster
 from atlas.runs.folder import RunFolder
 
@@ -67,37 +69,51 @@ def servers(tmp_path):
 
 
 def client(folder, address, out="run/", **variables):
-    """`atlas run` on a scheduler."""
+    """`atlas run` on a scheduler, in a process of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", out, "--quiet", "--scheduler", address],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | variables,
     )  # fmt: skip
 
 
+def run_here(address):
+    """`atlas run` on a scheduler in this process and its working folder, which spares the imports; returns the exit code."""
+    return cli.main(["run", "scene.toml", "-o", "run/", "--quiet", "--scheduler", address])
+
+
 def wait_for_a_tile(run, process):
     while not run.tiles.written_count() and process.poll() is None:
-        time.sleep(0.05)
+        time.sleep(0.02)
 
 
-def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers):
+def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers, monkeypatch, capsys):
     """dask gives up what the worker had, and the tiles are sent again."""
     path, run, whole = longer
+    monkeypatch.chdir(path)
     start_scheduler, start_worker = servers
     _, address = start_scheduler()
     first_worker = start_worker(address)
-    process = client(path, address)
-    wait_for_a_tile(run, process)
-    kill(first_worker)
-    start_worker(address)
-    printed, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
-    assert "wrote run/" in printed
+
+    def replace_worker():
+        wait_for_a_tile(run, first_worker)
+        kill(first_worker)
+        start_worker(address)
+
+    with ThreadPoolExecutor(1) as pool:
+        replaced = pool.submit(replace_worker)
+        assert run_here(address) == cli.DONE
+        replaced.result()
+    assert first_worker.returncode == -signal.SIGKILL
+    assert "wrote run/" in capsys.readouterr().out
     assert len(run.tiles.status().done) == run.tiling.count
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
-def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_another(longer, servers):
+def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_another(
+    longer, servers, monkeypatch
+):
     path, run, whole = longer
+    monkeypatch.chdir(path)
     start_scheduler, start_worker = servers
     scheduler, address = start_scheduler()
     start_worker(address)
@@ -115,9 +131,7 @@ def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_ano
     assert not kept.damaged
     _, address = start_scheduler()
     start_worker(address)
-    process = client(path, address)
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 0, errors
+    assert run_here(address) == cli.DONE
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
@@ -208,17 +222,18 @@ def test_a_worker_that_started_before_an_edit_is_refused(copied_package, servers
     assert third.returncode == 0, errors
 
 
-def test_a_worker_of_another_copy_of_the_package_is_refused(copied_package, longer, servers):
+def test_a_worker_of_another_copy_of_the_package_is_refused(
+    copied_package, longer, servers, monkeypatch, capsys
+):
     (folder, run, _), (package, variables) = longer, copied_package
+    monkeypatch.chdir(folder)
     swap_labels(package)
     start_scheduler, start_worker = servers
     _, address = start_scheduler()
     start_worker(address, **variables)
-    process = client(folder, address)
     # The worker may come after the client has compared those that there are; its first tile is then refused.
-    _, errors = process.communicate(timeout=300)
-    assert process.returncode == 2, errors
-    (line,) = errors.splitlines()
+    assert run_here(address) == cli.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
     assert re.search(
         r"would compute other bits; .* It differs in code \([0-9a-f]{16} in the run, [0-9a-f]{16} in the worker\)$",
         line,
@@ -311,14 +326,11 @@ def test_a_task_under_which_workers_die_is_sent_again_a_few_times():
         cluster._succeeded(failed, 1)
 
 
-def test_worker_processes_on_this_machine_give_the_same_atlas(longer):
+def test_worker_processes_on_this_machine_give_the_same_atlas(longer, monkeypatch, capfd):
     path, _, whole = longer
-    done = subprocess.run(
-        [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "run/", "--workers", "2", "--quiet"],
-        cwd=path, capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    monkeypatch.chdir(path)
+    assert cli.main(["run", "scene.toml", "-o", "run/", "--workers", "2", "--quiet"]) == cli.DONE
+    assert capfd.readouterr().err == ""
     ds = atlas.open_atlas(path / "run")
     assert_same_bytes(whole, ds)
     assert "by dask workers" in ds.attrs["atlas_run"]

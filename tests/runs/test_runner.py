@@ -288,7 +288,8 @@ import atlas
 
 STRIDE, NO_LINKS = int(sys.argv[1]), sys.argv[2] == "no links"
 scene = atlas.load_scene("small.toml")
-atlas.run(scene, threads=1, progress=False)  # so that every fork has the kernel
+atlas.run(scene, "a.nc", threads=1, progress=False)  # so that every fork has the kernel and all modules
+os.unlink("a.nc")
 OUT = os.open("steps.txt", os.O_RDWR | os.O_CREAT)
 
 def refuse(*arguments, **options):

@@ -195,15 +195,15 @@ def unsealed(text: str | bytes) -> dict[str, Any]:
     return content
 
 
-def read_bytes(path: Path, most: int = MAX_JSON_BYTES) -> bytes:
+def read_bytes(path: Path | str, most: int = MAX_JSON_BYTES) -> bytes:
     """Content of a file; ValueError if it is longer than allowed, or no regular file."""
-    if not stat.S_ISREG(path.stat().st_mode):
+    status = os.stat(path)
+    if not stat.S_ISREG(status.st_mode):
         raise ValueError("it is no regular file")
-    with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
+    if status.st_size > most:
         raise ValueError(f"more than {most} bytes")
-    return content
+    with open(path, "rb", buffering=0) as file:
+        return file.read()
 
 
 def cache_folder() -> Path:

@@ -63,7 +63,7 @@ class Folder:
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
         """A content; FileNotFoundError without one, ValueError if it is longer than allowed."""
-        return read_bytes(self.path / name, most)
+        return read_bytes(os.path.join(self.path, name), most)
 
     @contextmanager
     def writing(self, name: str, *, durable: bool = True) -> Iterator[Path]:

@@ -374,7 +374,7 @@ class RunFolder:
             reused.update(sidecar["reused"])
             if tally is not None:
                 try:
-                    tally.add(Tally(sidecar["tally"]))
+                    tally.add(**sidecar["tally"])
                 except (LookupError, TypeError, ValueError, AttributeError):
                     tally = None  # a sidecar of an older version
         attributes = {
@@ -425,7 +425,6 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        shape = self.scene.shape
         # A file cannot be read while another one is written.
         ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
@@ -436,10 +435,9 @@ class RunFolder:
             else:
                 names = (*map(str, ds.data_vars), *self.scene.solve)
                 # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-                lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
+                lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
                 chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
-                whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
-                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole), ds), out)
+                netcdf.write_blocks(ds, chunk, names, self._blocks(lengths, ds), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
@@ -458,28 +456,19 @@ class RunFolder:
 
     def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
         """All points in boxes of these lengths, with the values of the tiles, or of the dataset of a refined run."""
-        boxes = Tiling(self.scene.shape, lengths)
-        for box in map(boxes.slices, range(boxes.count)):
-            values = {
-                name: np.empty([part.stop - part.start for part in box], dtype)
-                for name, dtype in tile_types(self.scene).items()
-            }
-            first = [part.start // length for part, length in zip(box, self.tiling.tile, strict=True)]
-            last = [(part.stop - 1) // length for part, length in zip(box, self.tiling.tile, strict=True)]
-            for offset in np.ndindex(*[b - a + 1 for a, b in zip(first, last, strict=True)]):
-                tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
-                try:
-                    arrays = self.tiles.read(tile, packed=True)
-                except (FileNotFoundError, DamagedTile) as error:
-                    raise DamagedTile(f"tile {tile}: {error}") from None
-                in_box, in_tile = [], []
-                for a, b in zip(box, self.tiling.slices(tile), strict=True):
-                    start, stop = max(a.start, b.start), min(a.stop, b.stop)
-                    in_box.append(slice(start - a.start, stop - a.start))
-                    in_tile.append(slice(start - b.start, stop - b.start))
-                for name, array in arrays.items():
-                    values[name][tuple(in_box)] = array[tuple(in_tile)]
-            yield box, values
+        boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
+        parts, points = (
+            [{name: np.empty(0, dtype) for name, dtype in types.items()}],
+            0,
+        )  # read, not yet given
+        for box in range(boxes.count):
+            size, shape = boxes.size_of(box), boxes.shape_of(box)
+            while points < size:
+                parts.append(next(tiles))
+                points += next(iter(parts[-1].values())).size
+            flat = {name: np.concatenate([values[name].ravel() for values in parts]) for name in types}
+            yield boxes.slices(box), {name: values[:size].reshape(shape) for name, values in flat.items()}
+            parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
 
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else is in it; the manifest last.

@@ -9,9 +9,7 @@ import errno
 import os
 import re
 import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -65,15 +63,9 @@ class Folder:
         """A content; FileNotFoundError without one, ValueError if it is longer than allowed."""
         return read_bytes(os.path.join(self.path, name), most)
 
-    @contextmanager
-    def writing(self, name: str, *, durable: bool = True) -> Iterator[Path]:
-        """Give a file, whose content appears under the name in the end."""
-        with atomic_write(self._place(name), durable=durable) as temporary:
-            yield temporary
-
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         """Write a content, or replace it."""
-        with self.writing(name, durable=durable) as temporary:
+        with atomic_write(self._place(name), durable=durable) as temporary:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
@@ -171,12 +163,6 @@ class Objects:
         if result.meta["size"] > most:
             raise ValueError(f"more than {most} bytes")
         return bytes(result.bytes())
-
-    @contextmanager
-    def writing(self, name: str, *, durable: bool = True) -> Iterator[Path]:
-        with tempfile.TemporaryDirectory() as folder:
-            yield Path(folder, "content")
-            self.write(name, Path(folder, "content").read_bytes())
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         self._call("put", name, content)

@@ -276,7 +276,7 @@ class RunFolder:
         """The tiles of this run if it had this key."""
         rest = key, netcdf.dims(self.scene), tile_types(self.scene), self.tiling
         if self.is_store:
-            return TileShards(self.root, *rest)
+            return TileShards(self.storage.inside("tiles"), *rest, root=self.root)
         return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
@@ -365,18 +365,17 @@ class RunFolder:
 
     def provenance(self) -> tuple[dict[str, Any], Tally | None]:
         """Provenance of the written tiles, summed over processes, and the tally if all are written."""
-        points, seconds, tiles_by, reused = 0, 0.0, Counter[str](), Counter[str]()
-        tally: Tally | None = Tally()
-        sets = self.tile_sets().values()
+        points, tallied, seconds, tiles_by, reused = 0, 0, 0.0, Counter[str](), Counter[str]()
+        tally, sets = Tally(), self.tile_sets().values()
         for sidecar in chain.from_iterable(tiles.sidecars() for tiles in sets):
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
             reused.update(sidecar["reused"])
-            if tally is not None:
-                try:
-                    tally.add(**sidecar["tally"])
-                except (LookupError, TypeError, ValueError, AttributeError):
-                    tally = None  # a sidecar of an older version
+            with suppress(
+                LookupError, TypeError, ValueError, AttributeError
+            ):  # a sidecar of an older version
+                tally.add(**sidecar["tally"])
+                tallied += sidecar["points"]
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -389,7 +388,7 @@ class RunFolder:
         attributes["atlas_run"] = f"{tiles_by.total()} of {count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
-        return attributes, tally if points == self.scene.size else None
+        return attributes, tally if tallied == self.scene.size else None
 
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
@@ -446,8 +445,10 @@ class RunFolder:
         names = (*map(str, ds.data_vars), *self.scene.solve)
         tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
         types = {name: str(ds[name].dtype) for name in names}
-        shards = TileShards(root, self.key, netcdf.dims(self.scene), types, tiling)
-        for storage in (root.inside(zarr_store.RUN), shards.storage):
+        run = root.inside(zarr_store.RUN)
+        tiles, dims = run.inside("tiles"), netcdf.dims(self.scene)
+        shards = TileShards(tiles, self.key, dims, types, tiling, root=root)
+        for storage in run, tiles:
             storage.make()
         for tile, (_, values) in enumerate(self._blocks(tiling.tile, ds)):
             computed = next(iter(computed_counts(values)), tiling.size_of(tile))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import accumulate, groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import netCDF4
@@ -120,32 +121,28 @@ class Tally:
             self.largest[name] = max(self.largest.get(name, float(value)), float(value))
 
 
+@dataclass(eq=False)
 class TileFiles:
     """The tiles of one run: of each a NetCDF file, then a sidecar that marks it as written.
 
     A pack holds the sidecars of many tiles whose files were read and not changed since, so that these are not read again.
     """
 
-    def __init__(
-        self,
-        storage: Storage,
-        key: str,
-        dims: tuple[str, ...],
-        types: Mapping[str, str],
-        tiling: Tiling,
-        *,
-        is_flat: bool = False,
-    ):
-        self.storage = storage
-        self.key = key
-        self.dims = dims
-        self.types = types
-        self.tiling = tiling
-        self.per_folder = MAX_TILES if is_flat else TILES_PER_FOLDER
-        self._last = 0  # tile that this process wrote
-        self.listed: tuple[int, set[int]] | None = None  # number of a folder, and the tiles written in it
-        # By shape: the head of a classic NetCDF file that the library has read, but for the number of its tile.
-        self._heads = dict[tuple[int, ...], bytes]()
+    storage: Storage
+    key: str
+    dims: tuple[str, ...]
+    types: Mapping[str, str]
+    tiling: Tiling
+    is_flat: bool = False  # all tiles are in one folder
+    listed: tuple[int, set[int]] | None = None  # number of a folder, and the tiles written in it
+    _last: int = 0  # tile that this process wrote
+    # By shape: the head of a classic NetCDF file that the library has read, but for the number of its tile.
+    _heads: dict[tuple[int, ...], bytes] = field(default_factory=dict)
+
+    @property
+    def per_folder(self) -> int:
+        """Tiles in a folder."""
+        return MAX_TILES if self.is_flat else TILES_PER_FOLDER
 
     def name(self, tile: int, suffix: str = ".nc") -> str:
         """Name of the file of a tile, or with suffix ".json" of its sidecar."""
@@ -198,7 +195,11 @@ class TileFiles:
             name: columns[name].astype(dtype, copy=False).reshape(self.tiling.shape_of(tile))
             for name, dtype in self.types.items()
         }
-        contents = self._write(tile, columns, computed)
+        contents = self._encoded(tile, columns, computed)
+        for name, (storage, place) in self._objects(tile, self.types).items():
+            storage.write(place, contents[name])
+            if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
+                raise OSError(errno.EIO, "read back otherwise than it was written", place)
         sidecar = {
             "key": self.key, "tile": tile, "points": self.tiling.size_of(tile), "computed": computed,
             "hash": {name: self._hash(tile, content, computed) for name, content in contents.items()},
@@ -210,32 +211,31 @@ class TileFiles:
         if last // self.per_folder != tile // self.per_folder:
             self.status(self._tiles_of(last // self.per_folder))
 
-    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
-        """Write the values of a tile, and read them back; the contents by the names that the sidecar gives them."""
+    def _encoded(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        """What holds the values of a tile, by the names that the sidecar gives it."""
         small = self.tiling.size_of(tile) < MIN_COMPRESSED_POINTS
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
         # Filled first, because the library leaves the bytes between variables as they are in memory otherwise.
         options = {"fill_value": None} if small else {"fill_value": False, **netcdf.COMPRESSION}
-        with self.storage.writing(self.name(tile)) as temporary:
-            path = temporary.with_name(self.name(tile).rpartition("/")[2])
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "tile.nc")
             try:
                 # Made in memory and written when closed: such a file, unlike others, has no time stamp inside.
                 with (
                     NETCDF_LOCK,
-                    netCDF4.Dataset(temporary, "w", format=kind, diskless=True, persist=True) as file,
+                    netCDF4.Dataset(path, "w", format=kind, diskless=True, persist=True) as file,
                 ):
                     file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
                     for name, length in zip(self.dims, self.tiling.shape_of(tile), strict=True):
                         file.createDimension(name, length)
                     for name, dtype in self.types.items():
                         file.createVariable(name, dtype, self.dims, **options)[:] = columns[name]
-                contents = {"": temporary.read_bytes()}
+                contents = {"": path.read_bytes()}
+                self._arrays(tile, contents, computed, ())
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, path) from None
-            try:
-                self._arrays(tile, contents, computed, ())
             except DamagedTile as error:  # netCDF writes short files in NetCDF-3 without an error
-                differs = OSError(errno.EIO, f"read back otherwise than it was computed: {error}", str(path))
+                differs = RuntimeError(f"read back otherwise than it was computed: {error}")
                 raise disk_error(differs, path) from None
         return contents
 
@@ -284,10 +284,10 @@ class TileFiles:
     def read_all(self) -> Iterator[dict[str, np.ndarray]]:
         """Variables of one tile after the other, by sidecars in packs where there are some; DamagedTile if one is not as written."""
         for part in self._parts():
-            sidecars = self._packed(part)[1]
+            packed = self._packed(part)[1]
             for tile in self._tiles_of(part):
                 try:
-                    yield self.read(tile, sidecar=sidecars.get(tile))
+                    yield self.read(tile, sidecar=json.loads(packed.get(tile, "null")))
                 except (FileNotFoundError, DamagedTile) as error:
                     raise DamagedTile(f"tile {tile}: {error}") from None
 
@@ -374,11 +374,8 @@ class TileFiles:
         status = TileStatus()
         chosen = range(self.tiling.count) if tiles is None else tiles
         for part, group in groupby(chosen, lambda tile: tile // self.per_folder):
-            (stamps, sidecars), wanted = self._packed(part), list(group)
-            unread, packed = (
-                [tile for tile in wanted if tile in stamps.keys() - sidecars.keys()],
-                len(sidecars),
-            )
+            (stamps, packed), wanted, read = self._packed(part), list(group), dict[int, str]()
+            unread = [tile for tile in wanted if tile in stamps and tile not in packed]
             with ThreadPoolExecutor(4) as pool:
                 # Threads that read small files take turns, at up to four times the processor time.
                 each = map if self.tiling.size_of(0) < MIN_COMPRESSED_POINTS else pool.map
@@ -386,23 +383,24 @@ class TileFiles:
                     if isinstance(result, DamagedTile):
                         status.damaged[tile] = str(result)
                     elif not isinstance(result, Exception):  # removed in the meantime
-                        sidecars[tile] = result
-            if len(sidecars) - packed >= MIN_PACK:
-                content = json.dumps([[tile, stamps[tile], sidecar] for tile, sidecar in sidecars.items()])
+                        read[tile] = json.dumps(result)
+            packed |= read
+            if len(read) >= MIN_PACK:
+                content = json.dumps([[tile, stamps[tile], sidecar] for tile, sidecar in packed.items()])
+                pack = f"{self._pack_hash(content.encode())}\n{content}".encode()
                 with suppress(OSError):
-                    pack = f"{self._pack_hash(content.encode())}\n{content}".encode()
                     self.storage.write(self._pack_name(part), pack, durable=False)
-            status.done += [tile for tile in wanted if tile in sidecars]
-            status.missing += [tile for tile in wanted if tile not in sidecars and tile not in status.damaged]
+            status.done += [tile for tile in wanted if tile in packed]
+            status.missing += [tile for tile in wanted if tile not in packed and tile not in status.damaged]
         return status
 
     def sidecars(self) -> Iterator[dict[str, Any]]:
         """Readable sidecars of all tiles that are written."""
         for part in self._parts():
-            stamps, sidecars = self._packed(part)
+            stamps, packed = self._packed(part)
             for tile in stamps:
                 with suppress(FileNotFoundError, DamagedTile):
-                    yield sidecars.get(tile) or self._sidecar(tile)
+                    yield json.loads(packed[tile]) if tile in packed else self._sidecar(tile)
 
     def _parts(self) -> range:
         """Numbers of the folders of tiles."""
@@ -416,8 +414,8 @@ class TileFiles:
         """Where the files of a folder are."""
         return self.name(part * self.per_folder, "")[:-8]
 
-    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, Any]]:
-        """Stamps of the files of each written tile of a folder; of those that its pack has with these stamps, the sidecars."""
+    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, str]]:
+        """Stamps of the files of each written tile of a folder; the sidecars, as JSON, of those that its pack has with these stamps."""
         files = self.storage.stamps(self._folder(part))
         stamps = {
             tile: [files[f"{tile:08d}.json"], files.get(f"{tile:08d}.nc")] for tile in sorted(_written(files))
@@ -478,27 +476,25 @@ def _layout(types: tuple[tuple[str, str], ...], shape: tuple[int, ...]) -> np.dt
     return np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": end})
 
 
+@dataclass(eq=False)
 class TileShards(TileFiles):
     """The tiles of a run in a Zarr store: of each an object of every variable, then a sidecar."""
 
-    def __init__(
-        self, root: Storage, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
-    ):
-        super().__init__(root.inside(zarr_store.RUN).inside("tiles"), key, dims, types, tiling)
-        self.root = root
-        self.layout = tiling.shape, tiling.chunk, tiling.tile  # for `zarr_store`
+    root: Storage = field(kw_only=True)  # the whole store
+
+    @property
+    def layout(self) -> zarr_store.Layout:
+        """Lengths of the grid, of its chunks and of its tiles."""
+        return self.tiling.shape, self.tiling.chunk, self.tiling.tile
 
     def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
         place = "/".join(map(str, np.unravel_index(tile, self.tiling.counts)))
         return {name: (self.root, f"{name}/c/{place}") for name in {*names, *self._flags}}
 
-    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
-        box, contents = self.tiling.slices(tile), dict[str, bytes]()
-        for name, (storage, place) in self._objects(tile, self.types).items():
+    def _encoded(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        contents, box = dict[str, bytes](), self.tiling.slices(tile)
+        for name in self.types:
             (contents[name],) = zarr_store.encode(name, columns[name], box, self.layout).values()
-            storage.write(place, contents[name])
-            if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
-                raise OSError(errno.EIO, "read back otherwise than it was written", place)
         return contents
 
     def _decoded(

@@ -371,9 +371,8 @@ class RunFolder:
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
             reused.update(sidecar["reused"])
-            with suppress(
-                LookupError, TypeError, ValueError, AttributeError
-            ):  # a sidecar of an older version
+            # A sidecar of an older version has none.
+            with suppress(LookupError, TypeError, ValueError, AttributeError):
                 tally.add(**sidecar["tally"])
                 tallied += sidecar["points"]
         attributes = {
@@ -445,10 +444,9 @@ class RunFolder:
         names = (*map(str, ds.data_vars), *self.scene.solve)
         tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
         types = {name: str(ds[name].dtype) for name in names}
-        run = root.inside(zarr_store.RUN)
-        tiles, dims = run.inside("tiles"), netcdf.dims(self.scene)
-        shards = TileShards(tiles, self.key, dims, types, tiling, root=root)
-        for storage in run, tiles:
+        places = root.inside(zarr_store.RUN), root.inside(zarr_store.RUN).inside("tiles")
+        shards = TileShards(places[1], self.key, netcdf.dims(self.scene), types, tiling, root=root)
+        for storage in places:
             storage.make()
         for tile, (_, values) in enumerate(self._blocks(tiling.tile, ds)):
             computed = next(iter(computed_counts(values)), tiling.size_of(tile))
@@ -458,10 +456,8 @@ class RunFolder:
     def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
         """All points in boxes of these lengths, with the values of the tiles, or of the dataset of a refined run."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
-        parts, points = (
-            [{name: np.empty(0, dtype) for name, dtype in types.items()}],
-            0,
-        )  # read, not yet given
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
+        points = 0  # in the parts
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
             while points < size:

@@ -9,9 +9,11 @@ import errno
 import os
 import re
 import shutil
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 from urllib.parse import unquote
 
@@ -62,6 +64,15 @@ class Folder:
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
         """A content; FileNotFoundError without one, ValueError if it is longer than allowed."""
         return read_bytes(os.path.join(self.path, name), most)
+
+    @contextmanager
+    def temporary(self) -> Iterator[Path]:
+        """Give the name of a file on the same disk, which is removed in the end."""
+        path = temporary_path(self.path)
+        try:
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         """Write a content, or replace it."""
@@ -163,6 +174,11 @@ class Objects:
         if result.meta["size"] > most:
             raise ValueError(f"more than {most} bytes")
         return bytes(result.bytes())
+
+    @contextmanager
+    def temporary(self) -> Iterator[Path]:
+        with TemporaryDirectory() as folder:
+            yield Path(folder, "content")
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         self._call("put", name, content)

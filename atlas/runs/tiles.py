@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import accumulate, groupby
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import netCDF4
@@ -217,20 +216,20 @@ class TileFiles:
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
         # Filled first, because the library leaves the bytes between variables as they are in memory otherwise.
         options = {"fill_value": None} if small else {"fill_value": False, **netcdf.COMPRESSION}
-        with TemporaryDirectory() as folder:
-            path = Path(folder, "tile.nc")
+        with self.storage.temporary() as temporary:
+            path = temporary.with_name(self.name(tile).rpartition("/")[2])
             try:
                 # Made in memory and written when closed: such a file, unlike others, has no time stamp inside.
                 with (
                     NETCDF_LOCK,
-                    netCDF4.Dataset(path, "w", format=kind, diskless=True, persist=True) as file,
+                    netCDF4.Dataset(temporary, "w", format=kind, diskless=True, persist=True) as file,
                 ):
                     file.setncatts({"atlas_key": self.key, "atlas_tile": tile})
                     for name, length in zip(self.dims, self.tiling.shape_of(tile), strict=True):
                         file.createDimension(name, length)
                     for name, dtype in self.types.items():
                         file.createVariable(name, dtype, self.dims, **options)[:] = columns[name]
-                contents = {"": path.read_bytes()}
+                contents = {"": temporary.read_bytes()}
                 self._arrays(tile, contents, computed, ())
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, path) from None

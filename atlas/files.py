@@ -186,24 +186,31 @@ def sealed(content: Mapping[str, Any]) -> str:
 
 def unsealed(text: str | bytes) -> dict[str, Any]:
     """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
+    return parsed(text, is_sealed=True)
+
+
+def parsed(text: str | bytes, *, is_sealed: bool = False) -> dict[str, Any]:
+    """Entries of a JSON text; ValueError if it is damaged, or changed since it was sealed."""
     try:
         content = json.loads(text)
-        if not isinstance(content, dict) or content.pop("checksum", None) != _checksum(content):
+        if not isinstance(content, dict):
+            raise ValueError("it is no table")
+        if is_sealed and content.pop("checksum", None) != _checksum(content):
             raise ValueError("its checksum does not match its content")
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     return content
 
 
-def read_bytes(path: Path, most: int = MAX_JSON_BYTES) -> bytes:
+def read_bytes(path: Path | str, most: int = MAX_JSON_BYTES) -> bytes:
     """Content of a file; ValueError if it is longer than allowed, or no regular file."""
-    if not stat.S_ISREG(path.stat().st_mode):
+    status = os.stat(path)
+    if not stat.S_ISREG(status.st_mode):
         raise ValueError("it is no regular file")
-    with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
+    if status.st_size > most:
         raise ValueError(f"more than {most} bytes")
-    return content
+    with open(path, "rb", buffering=0) as file:
+        return file.read()
 
 
 def cache_folder() -> Path:
@@ -211,17 +218,6 @@ def cache_folder() -> Path:
     import platformdirs  # few commands need it
 
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
-
-
-def parsed(text: bytes) -> dict[str, Any]:
-    """Entries of a JSON text; ValueError if it is damaged."""
-    try:
-        content = json.loads(text)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
-    if not isinstance(content, dict):
-        raise ValueError("it is no table")
-    return content
 
 
 def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:

@@ -186,7 +186,8 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         tally = Tally()
         for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
             part = ds[names].isel(box).load()
-            tally.add(Tally.of({name: part[name].transpose(*ds[names[0]].dims).values for name in names}))
+            columns = {name: part[name].transpose(*ds[names[0]].dims).values for name in names}
+            tally.add(**vars(Tally.of(columns)))
     counts: dict[str, dict[str, int]] = {}
     for name in (name for name in COUNTED if name in ds):
         tallied = tally.counts.get(name, Counter())

@@ -23,7 +23,6 @@ from typing import Any
 import netCDF4
 import numpy as np
 import xarray as xr
-from xarray.backends import BackendArray
 from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
 from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
 from xarray.core import indexing
@@ -86,10 +85,10 @@ def check_path(path: Path) -> None:
 def verify(path: Path) -> None:
     """Read all of a file that has checksums; BadInput if it is damaged."""
     with closing(CheckedStore.of(path)) as store:
-        for name, (block, crc) in (store.checksums or {}).items():
-            array = _CheckedArray(NetCDF4ArrayWrapper(name, store), str(path), block, crc)
+        for name, (block, crc) in store.checksums.items():
+            array = _CheckedArray(name, store)
             for index in np.ndindex(crc.shape):
-                array.read(_slices(index, block))
+                array[indexing.BasicIndexer(_slices(index, block))]
 
 
 def _counts(shape: Sequence[int], block: Sequence[int]) -> list[int]:
@@ -137,14 +136,14 @@ def _attributes(owner: Any) -> dict[str, Any]:
 class CheckedStore(xr.backends.NetCDF4DataStore):
     """A NetCDF file for xarray, whose values are checked when read; without checksums it is read as it is."""
 
-    checksums: dict[str, tuple[list[int], np.ndarray]] | None = None  # shape of a block, CRC of each block
+    checksums: dict[str, tuple[list[int], np.ndarray]]  # shape of a block, CRC of each block
 
     @classmethod
     def of(cls, path: Path) -> CheckedStore:
         """Open a file; BadInput if its metadata do not fit their hash, or claim more than the file can hold."""
         check_path(path)
         store = cls.open(str(path))
-        file = store.ds
+        file, store.checksums = store.ds, {}
         try:
             with NETCDF_LOCK:
                 claimed = sum(
@@ -163,7 +162,7 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
                     if group.getncattr("metadata_sha256") != _metadata_hash(file):
                         raise ValueError("their hash differs")
                     blocks: BlockShapes = json.loads(group.getncattr("block_shapes"))
-                    crc, store.checksums = np.asarray(group.variables["crc32"][:]), {}
+                    crc = np.asarray(group.variables["crc32"][:])
                     for name, variable in file.variables.items():
                         counts = _counts(variable.shape, blocks[name])
                         store.checksums[name] = blocks[name], crc[: math.prod(counts)].reshape(counts)
@@ -176,41 +175,36 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
     def open_store_variable(self, name: str, var: Any) -> xr.Variable:
         """Variable of the file, read through `_CheckedArray`."""
         variable = super().open_store_variable(name, var)
-        if self.checksums is None:
+        if name not in self.checksums:
             return variable
-        array = _CheckedArray(NetCDF4ArrayWrapper(name, self), str(self._filename), *self.checksums[name])
-        return xr.Variable(
-            variable.dims, indexing.LazilyIndexedArray(array), variable.attrs, variable.encoding
-        )
+        return variable.copy(deep=False, data=indexing.LazilyIndexedArray(_CheckedArray(name, self)))
 
 
-class _CheckedArray(BackendArray):
+class _CheckedArray(NetCDF4ArrayWrapper):
     """A variable that is read block by block, and compared with the CRC of each block."""
 
-    def __init__(self, array: NetCDF4ArrayWrapper, path: str, block: list[int], crc: np.ndarray):
-        self.array, self.path, self.block, self.crc = array, path, block, crc
-        self.shape, self.dtype = array.shape, array.dtype
-
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self.read)
+        return indexing.explicit_indexing_adapter(
+            key, self.shape, indexing.IndexingSupport.BASIC, self._getitem
+        )
 
-    def read(self, key: tuple[int | slice, ...]) -> np.ndarray:
-        """Values at an integer or a slice for each axis."""
+    def _getitem(self, key: tuple[int | slice, ...]) -> np.ndarray:
+        """Values at an integer or a slice with a positive step for each axis."""
+        path, (block, crc) = self.datastore._filename, self.datastore.checksums[self.variable_name]
         chosen = [range(count)[k] for count, k in zip(self.shape, key, strict=True)]
         ranges = [c if isinstance(c, range) else range(c, c + 1) for c in chosen]
-        ascending = [r if r.step > 0 else r[::-1] for r in ranges]
-        values = np.empty([len(r) for r in ascending], self.dtype)
-        for parts in product(*map(_parts, ascending, self.block)):
-            index, name = tuple(number for number, _, _ in parts), self.array.variable_name
+        values = np.empty([len(r) for r in ranges], self.dtype)
+        for parts in product(*map(_parts, ranges, block)):
+            index, places, inside = zip(*parts, strict=True) if parts else ((), (), ())
+            damaged = f"{path}: the values of {self.variable_name} are damaged"
             try:
-                block = np.asarray(self.array[indexing.BasicIndexer(_slices(index, self.block))])
+                content = np.asarray(super()._getitem(_slices(index, block)))
             except (RuntimeError, OSError) as error:
-                raise BadInput(f"{self.path}: the values of {name} are damaged: {one_line(error)}") from None
-            if _crc(block) != self.crc[index]:
-                raise BadInput(f"{self.path}: the values of {name} are damaged: their checksum differs")
-            values[tuple(place for _, place, _ in parts)] = block[tuple(inside for _, _, inside in parts)]
-        order = (slice(None, None, 1 if r.step > 0 else -1) for r in ranges)
-        return values[tuple(o if isinstance(c, range) else 0 for c, o in zip(chosen, order, strict=True))]
+                raise BadInput(f"{damaged}: {one_line(error)}") from None
+            if _crc(content) != crc[index]:
+                raise BadInput(f"{damaged}: their checksum differs")
+            values[places] = content[inside]
+        return values[tuple(slice(None) if isinstance(c, range) else 0 for c in chosen)]
 
 
 def _parts(positions: range, length: int) -> Iterator[tuple[int, slice, slice]]:

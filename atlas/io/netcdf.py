@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 import math
 import platform
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, TypeAlias
 
 import netCDF4
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from .. import files, systems
@@ -155,14 +155,18 @@ def write(ds: xr.Dataset, path: Path) -> None:
     """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all."""
     encoding: dict[str, dict[str, Any]] = {}
     for name, variable in ds.variables.items():
-        encoding[str(name)] = {"_FillValue": None}
-        if variable.dtype.kind == "f":
-            encoding[str(name)] = {"_FillValue": np.nan if name in ds.data_vars else None}
-        if variable.ndim:
-            encoding[str(name)] |= CHECKED_COMPRESSION
+        fill_value = np.nan if name in ds.data_vars and variable.dtype.kind == "f" else None
+        encoding[str(name)] = {"_FillValue": fill_value} | (CHECKED_COMPRESSION if variable.ndim else {})
+    with _checked(path) as temporary:
+        ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+
+
+@contextmanager
+def _checked(path: Path) -> Iterator[Path]:
+    """Give a temporary name for a file that gets checksums; it appears at `path` whole or not at all."""
     with atomic_write(path) as temporary:
         try:
-            ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+            yield temporary
             checksums.add(temporary)
         except (RuntimeError, OSError) as error:
             raise disk_error(error, path) from None
@@ -173,44 +177,39 @@ def write_blocks(
 ) -> None:
     """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    with atomic_write(path) as temporary:
+    with _checked(path) as temporary:
+        with NETCDF_LOCK:
+            file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
         try:
             with NETCDF_LOCK:
-                file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
-            try:
-                with NETCDF_LOCK:
-                    file.setncatts(ds.attrs)
-                    for dim, length in ds.sizes.items():
-                        file.createDimension(str(dim), length)
+                file.setncatts(ds.attrs)
+                for dim, length in ds.sizes.items():
+                    file.createDimension(str(dim), length)
                 for name, array in ds.variables.items():
                     is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
-                    options: dict[str, Any] = {"fill_value": False}
-                    if is_data and array.dtype.kind == "f":
-                        options["fill_value"] = np.nan
+                    options: dict[str, Any] = {
+                        "fill_value": np.nan if is_data and array.dtype.kind == "f" else False
+                    }
                     if dimensions:
-                        options |= CHECKED_COMPRESSION | {"chunksizes": [chunk[dim] for dim in dimensions]}
-                    with NETCDF_LOCK:
-                        variable = file.createVariable(str(name), array.dtype, dimensions, **options)
-                        variable.set_auto_maskandscale(False)
-                        variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
-                        if dimensions:
-                            size = 2 * math.prod(variable.chunking()) * array.dtype.itemsize
-                            variable.set_var_chunk_cache(size=size)
-                        if array.chunks is None:
-                            variable[...] = array.values
-                for name, array in ds.variables.items():  # parameters too large for memory
-                    if array.chunks is not None and name not in names:
-                        array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
-                for box, values in blocks:
-                    with NETCDF_LOCK:
-                        for name, part in values.items():
-                            file[name][box] = part
-            finally:
+                        options |= CHECKED_COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
+                    variable = file.createVariable(str(name), array.dtype, dimensions, **options)
+                    variable.set_auto_maskandscale(False)
+                    variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
+                    if dimensions:
+                        size = 2 * math.prod(variable.chunking()) * array.dtype.itemsize
+                        variable.set_var_chunk_cache(size=size)
+                    if array.chunks is None:
+                        variable[...] = array.values
+            for name, array in ds.variables.items():  # parameters too large for memory
+                if array.chunks is not None and name not in names:
+                    array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
+            for box, values in blocks:
                 with NETCDF_LOCK:
-                    file.close()
-            checksums.add(temporary)
-        except (RuntimeError, OSError) as error:
-            raise disk_error(error, path) from None
+                    for name, part in values.items():
+                        file[name][box] = part
+        finally:
+            with NETCDF_LOCK:
+                file.close()
 
 
 def writable(
@@ -242,10 +241,8 @@ def write_csv(ds: xr.Dataset, path: Path) -> None:
             flags = str(array.attrs.get("flag_meanings", "")).split()
             values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()
             columns[str(name)] = [flags[value] for value in values] if flags else values
-    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+    with atomic_write(path) as temporary:
+        pd.DataFrame(columns).to_csv(temporary, index=False, na_rep="nan", lineterminator="\n")
 
 
 def log_warnings(warnings: list[str]) -> None:

@@ -9,11 +9,11 @@ import errno
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 from urllib.parse import unquote
 
@@ -63,17 +63,20 @@ class Folder:
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
         """A content; FileNotFoundError without one, ValueError if it is longer than allowed."""
-        return read_bytes(self.path / name, most)
+        return read_bytes(os.path.join(self.path, name), most)
 
     @contextmanager
-    def writing(self, name: str, *, durable: bool = True) -> Iterator[Path]:
-        """Give a file, whose content appears under the name in the end."""
-        with atomic_write(self._place(name), durable=durable) as temporary:
-            yield temporary
+    def temporary(self) -> Iterator[Path]:
+        """Give the name of a file on the same disk, which is removed in the end."""
+        path = temporary_path(self.path)
+        try:
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         """Write a content, or replace it."""
-        with self.writing(name, durable=durable) as temporary:
+        with atomic_write(self._place(name), durable=durable) as temporary:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
@@ -173,10 +176,9 @@ class Objects:
         return bytes(result.bytes())
 
     @contextmanager
-    def writing(self, name: str, *, durable: bool = True) -> Iterator[Path]:
-        with tempfile.TemporaryDirectory() as folder:
+    def temporary(self) -> Iterator[Path]:
+        with TemporaryDirectory() as folder:
             yield Path(folder, "content")
-            self.write(name, Path(folder, "content").read_bytes())
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
         self._call("put", name, content)

@@ -276,7 +276,7 @@ class RunFolder:
         """The tiles of this run if it had this key."""
         rest = key, netcdf.dims(self.scene), tile_types(self.scene), self.tiling
         if self.is_store:
-            return TileShards(self.root, *rest)
+            return TileShards(self.storage.inside("tiles"), *rest, root=self.root)
         return TileFiles(self.storage.inside("tiles"), *rest, is_flat=self.is_flat)
 
     def remove_leftovers(self) -> None:
@@ -365,18 +365,16 @@ class RunFolder:
 
     def provenance(self) -> tuple[dict[str, Any], Tally | None]:
         """Provenance of the written tiles, summed over processes, and the tally if all are written."""
-        points, seconds, tiles_by, reused = 0, 0.0, Counter[str](), Counter[str]()
-        tally: Tally | None = Tally()
-        sets = self.tile_sets().values()
+        points, tallied, seconds, tiles_by, reused = 0, 0, 0.0, Counter[str](), Counter[str]()
+        tally, sets = Tally(), self.tile_sets().values()
         for sidecar in chain.from_iterable(tiles.sidecars() for tiles in sets):
             points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
             tiles_by[sidecar["by"]] += 1
             reused.update(sidecar["reused"])
-            if tally is not None:
-                try:
-                    tally.add(Tally(sidecar["tally"]))
-                except (LookupError, TypeError, ValueError, AttributeError):
-                    tally = None  # a sidecar of an older version
+            # A sidecar of an older version has none.
+            with suppress(LookupError, TypeError, ValueError, AttributeError):
+                tally.add(**sidecar["tally"])
+                tallied += sidecar["points"]
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -389,7 +387,7 @@ class RunFolder:
         attributes["atlas_run"] = f"{tiles_by.total()} of {count} tiles" + "".join(
             f"; {count} by {by}" for by, count in sorted(tiles_by.items())
         )
-        return attributes, tally if points == self.scene.size else None
+        return attributes, tally if tallied == self.scene.size else None
 
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
@@ -425,7 +423,6 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        shape = self.scene.shape
         # A file cannot be read while another one is written.
         ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
         try:
@@ -436,10 +433,9 @@ class RunFolder:
             else:
                 names = (*map(str, ds.data_vars), *self.scene.solve)
                 # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-                lengths = Tiling.of(shape, grid.MAX_POINTS_PER_TILE).tile
+                lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
                 chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
-                whole = (t * max(c // t, 1) for t, c in zip(self.tiling.tile, lengths, strict=True))
-                netcdf.write_blocks(ds, chunk, names, self._blocks(tuple(whole), ds), out)
+                netcdf.write_blocks(ds, chunk, names, self._blocks(lengths, ds), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
@@ -448,8 +444,9 @@ class RunFolder:
         names = (*map(str, ds.data_vars), *self.scene.solve)
         tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
         types = {name: str(ds[name].dtype) for name in names}
-        shards = TileShards(root, self.key, netcdf.dims(self.scene), types, tiling)
-        for storage in (root.inside(zarr_store.RUN), shards.storage):
+        places = root.inside(zarr_store.RUN), root.inside(zarr_store.RUN).inside("tiles")
+        shards = TileShards(places[1], self.key, netcdf.dims(self.scene), types, tiling, root=root)
+        for storage in places:
             storage.make()
         for tile, (_, values) in enumerate(self._blocks(tiling.tile, ds)):
             computed = next(iter(computed_counts(values)), tiling.size_of(tile))
@@ -458,28 +455,17 @@ class RunFolder:
 
     def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
         """All points in boxes of these lengths, with the values of the tiles, or of the dataset of a refined run."""
-        boxes = Tiling(self.scene.shape, lengths)
-        for box in map(boxes.slices, range(boxes.count)):
-            values = {
-                name: np.empty([part.stop - part.start for part in box], dtype)
-                for name, dtype in tile_types(self.scene).items()
-            }
-            first = [part.start // length for part, length in zip(box, self.tiling.tile, strict=True)]
-            last = [(part.stop - 1) // length for part, length in zip(box, self.tiling.tile, strict=True)]
-            for offset in np.ndindex(*[b - a + 1 for a, b in zip(first, last, strict=True)]):
-                tile = int(np.ravel_multi_index(tuple(np.add(first, offset)), self.tiling.counts))
-                try:
-                    arrays = self.tiles.read(tile, packed=True)
-                except (FileNotFoundError, DamagedTile) as error:
-                    raise DamagedTile(f"tile {tile}: {error}") from None
-                in_box, in_tile = [], []
-                for a, b in zip(box, self.tiling.slices(tile), strict=True):
-                    start, stop = max(a.start, b.start), min(a.stop, b.stop)
-                    in_box.append(slice(start - a.start, stop - a.start))
-                    in_tile.append(slice(start - b.start, stop - b.start))
-                for name, array in arrays.items():
-                    values[name][tuple(in_box)] = array[tuple(in_tile)]
-            yield box, values
+        boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
+        points = 0  # in the parts
+        for box in range(boxes.count):
+            size, shape = boxes.size_of(box), boxes.shape_of(box)
+            while points < size:
+                parts.append(next(tiles))
+                points += next(iter(parts[-1].values())).size
+            flat = {name: np.concatenate([values[name].ravel() for values in parts]) for name in types}
+            yield boxes.slices(box), {name: values[:size].reshape(shape) for name, values in flat.items()}
+            parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
 
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else is in it; the manifest last.

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import chain, groupby
+from functools import cached_property, lru_cache
+from itertools import accumulate, groupby
 from pathlib import Path
 from typing import Any, Literal
 
@@ -39,7 +39,6 @@ MIN_COMPRESSED_POINTS = 4096
 SIDECAR_BYTES, TABLE_BYTES = 1200, 3600
 CLAIM = ".claim"  # suffix of the file of a tile that a process computes
 TILES_PER_FOLDER = 1000
-STATUS_BATCH = 64  # tiles that a thread checks at a time
 MIN_PACK = 64  # tiles that are worth a new pack
 SIDECAR_TYPES = {"points": int, "computed": int, "seconds": (int, float), "by": str, "reused": dict}
 
@@ -51,7 +50,10 @@ GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drift
 # Histogram of errors: quarters of a decade from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 # Flags of points that are not computed.
-MISSING = {"label": (Label.NOT_COMPUTED,), "status": (Status.NOT_COMPUTED, Status.IMPOSSIBLE_BODY)}
+MISSING = {
+    "label": [int(Label.NOT_COMPUTED)],
+    "status": [int(Status.NOT_COMPUTED), int(Status.IMPOSSIBLE_BODY)],
+}
 
 
 class DamagedTile(Exception):
@@ -85,21 +87,15 @@ def computed_counts(columns: Mapping[str, np.ndarray]) -> set[int]:
 class Tally:
     """What the summary of a run prints of its points: numbers that are added or compared, tile by tile."""
 
-    def __init__(self, entries: Mapping[str, Any] | None = None):
-        entries = entries or {"counts": {}, "largest": {}}
-        self.counts = {  # points by flag variable and flag, or by group of GROUPS and bin of errors
-            str(name): Counter({str(value): int(count) for value, count in counts.items()})
-            for name, counts in entries["counts"].items()
-        }
-        self.largest = {str(name): float(value) for name, value in entries["largest"].items()}
+    def __init__(self) -> None:
+        # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group.
+        self.counts, self.largest = dict[str, Counter[str]](), dict[str, float]()
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
         """Tally of some points, whose variables are of the same shape; other variables are ignored."""
         tally = cls()
-        for name in COUNTED:
-            if name in columns:
-                tally._count(name, columns[name])
+        counted = {name: columns[name] for name in COUNTED if name in columns}
         if "error_estimate" in columns and "label" in columns:
             for name, labels in GROUPS.items():
                 values = columns["error_estimate"][np.isin(columns["label"], labels)]
@@ -107,51 +103,45 @@ class Tally:
                 if values.size:
                     with np.errstate(divide="ignore"):
                         bins = np.ceil(BINS_PER_DECADE * (np.log10(np.fmax(values, 0.0)) - LOWEST_DECADE))
-                    tally._count(name, np.clip(bins, 0, BINS - 1).astype(np.int64))
+                    counted[name] = np.clip(bins, 0, BINS - 1).astype(np.int64)
                     tally.largest[name] = float(values.max())
         if "integral_drift" in columns:
             tally.largest["integral_drift"] = float(np.nanmax(columns["integral_drift"], initial=0.0))
+        for name, values in counted.items():
+            unique, counts = np.unique(values, return_counts=True)
+            tally.counts[name] = Counter(dict(zip(map(str, unique.tolist()), counts.tolist(), strict=True)))
         return tally
 
-    def _count(self, name: str, values: np.ndarray) -> None:
-        """Count values."""
-        unique, counts = np.unique(values, return_counts=True)
-        self.counts[name] = Counter(dict(zip(map(str, unique.tolist()), counts.tolist(), strict=True)))
-
-    def add(self, other: Tally) -> None:
-        """Add the tally of other points."""
-        for name, counts in other.counts.items():
-            self.counts.setdefault(name, Counter()).update(counts)
-        for name, value in other.largest.items():
-            self.largest[name] = max(self.largest.get(name, value), value)
+    def add(self, counts: Mapping[str, Mapping[str, int]], largest: Mapping[str, float]) -> None:
+        """Add the entries of the tally of other points."""
+        for name, number in counts.items():
+            self.counts.setdefault(name, Counter()).update({flag: int(n) for flag, n in number.items()})
+        for name, value in largest.items():
+            self.largest[name] = max(self.largest.get(name, float(value)), float(value))
 
 
+@dataclass(eq=False)
 class TileFiles:
     """The tiles of one run: of each a NetCDF file, then a sidecar that marks it as written.
 
     A pack holds the sidecars of many tiles whose files were read and not changed since, so that these are not read again.
     """
 
-    def __init__(
-        self,
-        storage: Storage,
-        key: str,
-        dims: tuple[str, ...],
-        types: Mapping[str, str],
-        tiling: Tiling,
-        *,
-        is_flat: bool = False,
-    ):
-        self.storage = storage
-        self.key = key
-        self.dims = dims
-        self.types = types
-        self.tiling = tiling
-        self.per_folder = MAX_TILES if is_flat else TILES_PER_FOLDER
-        self._last = 0  # tile that this process wrote
-        self.listed: tuple[int, set[str]] | None = None  # number of a folder, and the names in it
-        self._pack: tuple[int, dict[int, Any]] | None = None  # of a folder, by its number: sidecars by tile
-        self._head = b""  # of a classic NetCDF file that the library has read, but for the number of its tile
+    storage: Storage
+    key: str
+    dims: tuple[str, ...]
+    types: Mapping[str, str]
+    tiling: Tiling
+    is_flat: bool = False  # all tiles are in one folder
+    listed: tuple[int, set[int]] | None = None  # number of a folder, and the tiles written in it
+    _last: int = 0  # tile that this process wrote
+    # By shape: the head of a classic NetCDF file that the library has read, but for the number of its tile.
+    _heads: dict[tuple[int, ...], bytes] = field(default_factory=dict)
+
+    @property
+    def per_folder(self) -> int:
+        """Tiles in a folder."""
+        return MAX_TILES if self.is_flat else TILES_PER_FOLDER
 
     def name(self, tile: int, suffix: str = ".nc") -> str:
         """Name of the file of a tile, or with suffix ".json" of its sidecar."""
@@ -178,12 +168,12 @@ class TileFiles:
         """Whether the folder of a tile had its sidecar when it was last listed; this needs no look at each tile."""
         part = tile // self.per_folder
         if self.listed is None or self.listed[0] != part:
-            self.listed = part, self.storage.names(self._folder(part))
-        return self.name(tile, ".json").rpartition("/")[2] in self.listed[1]
+            self.listed = part, _written(self.storage.names(self._folder(part)))
+        return tile in self.listed[1]
 
     def written_count(self) -> int:
         """Number of the tiles that are written; some may be damaged."""
-        return sum(len(self._stamps(part)) for part in self._parts())
+        return sum(len(_written(self.storage.names(self._folder(part)))) for part in self._parts())
 
     def write(
         self,
@@ -204,7 +194,11 @@ class TileFiles:
             name: columns[name].astype(dtype, copy=False).reshape(self.tiling.shape_of(tile))
             for name, dtype in self.types.items()
         }
-        contents = self._write(tile, columns, computed)
+        contents = self._encoded(tile, columns, computed)
+        for name, (storage, place) in self._objects(tile, self.types).items():
+            storage.write(place, contents[name])
+            if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
+                raise OSError(errno.EIO, "read back otherwise than it was written", place)
         sidecar = {
             "key": self.key, "tile": tile, "points": self.tiling.size_of(tile), "computed": computed,
             "hash": {name: self._hash(tile, content, computed) for name, content in contents.items()},
@@ -214,16 +208,15 @@ class TileFiles:
         self.storage.write(self.name(tile, ".json"), sealed(sidecar).encode())
         last, self._last = self._last, tile
         if last // self.per_folder != tile // self.per_folder:
-            first = last // self.per_folder * self.per_folder
-            self.status(range(first, min(first + self.per_folder, self.tiling.count)))
+            self.status(self._tiles_of(last // self.per_folder))
 
-    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
-        """Write the values of a tile, and read them back; the contents by the names that the sidecar gives them."""
+    def _encoded(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        """What holds the values of a tile, by the names that the sidecar gives it."""
         small = self.tiling.size_of(tile) < MIN_COMPRESSED_POINTS
         kind: Literal["NETCDF3_64BIT_OFFSET", "NETCDF4"] = "NETCDF3_64BIT_OFFSET" if small else "NETCDF4"
         # Filled first, because the library leaves the bytes between variables as they are in memory otherwise.
         options = {"fill_value": None} if small else {"fill_value": False, **netcdf.COMPRESSION}
-        with self.storage.writing(self.name(tile)) as temporary:
+        with self.storage.temporary() as temporary:
             path = temporary.with_name(self.name(tile).rpartition("/")[2])
             try:
                 # Made in memory and written when closed: such a file, unlike others, has no time stamp inside.
@@ -237,12 +230,11 @@ class TileFiles:
                     for name, dtype in self.types.items():
                         file.createVariable(name, dtype, self.dims, **options)[:] = columns[name]
                 contents = {"": temporary.read_bytes()}
+                self._arrays(tile, contents, computed, ())
             except (RuntimeError, OSError) as error:
                 raise disk_error(error, path) from None
-            try:
-                self._arrays(tile, contents, computed, ())
             except DamagedTile as error:  # netCDF writes short files in NetCDF-3 without an error
-                differs = OSError(errno.EIO, f"read back otherwise than it was computed: {error}", str(path))
+                differs = RuntimeError(f"read back otherwise than it was computed: {error}")
                 raise disk_error(differs, path) from None
         return contents
 
@@ -277,25 +269,26 @@ class TileFiles:
                         self.storage.remove(folder + name)
 
     def read(
-        self, tile: int, names: Iterable[str] | None = None, *, packed: bool = False
+        self, tile: int, names: Iterable[str] | None = None, *, sidecar: Mapping[str, Any] | None = None
     ) -> dict[str, np.ndarray]:
-        """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails.
-
-        packed: use the sidecar in the pack, if there is one, which is faster for one tile after the other.
-        """
-        part, names = tile // self.per_folder, list(self.types if names is None else names)
-        if packed and (self._pack is None or self._pack[0] != part):
-            _, whole, content = self._packed(part)
-            sidecars = json.loads(content)
-            self._pack = part, {number: sidecars[str(number)] for number in whole}
-        sidecar = self._pack[1].get(tile) if packed and self._pack else None
-        sidecar = self._sidecar(tile) if sidecar is None else sidecar
+        """Checked variables of a tile, default all; FileNotFoundError, DamagedTile if a check fails."""
+        sidecar, names = sidecar or self._sidecar(tile), list(self.types if names is None else names)
         try:
             return self._arrays(tile, self._contents(tile, sidecar, names), sidecar["computed"], names)
         except DamagedTile:
             with suppress(OSError):  # so that the next run reads the tile
-                self.storage.remove(self._pack_name(part))
+                self.storage.remove(self._pack_name(tile // self.per_folder))
             raise
+
+    def read_all(self) -> Iterator[dict[str, np.ndarray]]:
+        """Variables of one tile after the other, by sidecars in packs where there are some; DamagedTile if one is not as written."""
+        for part in self._parts():
+            packed = self._packed(part)[1]
+            for tile in self._tiles_of(part):
+                try:
+                    yield self.read(tile, sidecar=json.loads(packed.get(tile, "null")))
+                except (FileNotFoundError, DamagedTile) as error:
+                    raise DamagedTile(f"tile {tile}: {error}") from None
 
     def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
         """Where the values of a tile are, by the names in its sidecar."""
@@ -331,40 +324,36 @@ class TileFiles:
         """Variables in what holds them."""
         content, shape, head = contents[""], self.tiling.shape_of(tile), b""
         if content.startswith(b"CDF"):  # each tile opened by the library would take three times as long
-            end, arrays = len(content), dict[str, np.ndarray]()
-            for name, dtype in [*self.types.items()][::-1]:  # the file ends with the values
-                kind, count = np.dtype(dtype).newbyteorder(">"), math.prod(shape)
-                end -= -(-count * kind.itemsize // 4) * 4
-                arrays[name] = np.frombuffer(content, kind, count, end).reshape(shape)
-            number = content.find(b"atlas_tile") + 20
-            head = content[:number] + content[number + 4 : end]
-            if head == self._head and content[number : number + 4] == tile.to_bytes(4, "big"):
-                return {name: arrays[name].astype(self.types[name]) for name in names}
+            number, layout = content.find(b"atlas_tile") + 20, _layout(tuple(self.types.items()), shape)
+            start = len(content) - layout.itemsize  # the file ends with the values
+            values = np.frombuffer(content, layout, 1, start)[0]
+            head = content[:number] + content[number + 4 : start]
+            if head == self._heads.get(shape) and content[number : number + 4] == tile.to_bytes(4, "big"):
+                return {name: values[name].astype(self.types[name]) for name in names}
         with NETCDF_LOCK, netCDF4.Dataset("tile.nc", memory=content) as file:
             if (file.getncattr("atlas_key"), file.getncattr("atlas_tile")) != (self.key, tile):
                 raise DamagedTile("it is a tile of another run or place")
             file.set_auto_maskandscale(False)
+            if any(file[name].shape != shape or file[name].dtype != self.types[name] for name in names):
+                raise DamagedTile("its shape or type is wrong")
             if head and all(
-                file[name].dtype == dtype and np.array_equal(file[name][...], arrays[name], equal_nan=True)
+                file[name].dtype == dtype and np.array_equal(file[name][...], values[name], equal_nan=True)
                 for name, dtype in self.types.items()
             ):
-                self._head = head
-            return {name: np.asarray(file.variables[name][...]) for name in names}
+                self._heads[shape] = head
+            return {name: np.asarray(file[name][...]) for name in names}
 
     def _arrays(
         self, tile: int, contents: Mapping[str, bytes], computed: int, names: Iterable[str]
     ) -> dict[str, np.ndarray]:
         """Variables of a tile; DamagedTile unless key, shape and number of computed points are right."""
-        shape, selected = self.tiling.shape_of(tile), list(names)
         try:
-            arrays = self._decoded(tile, contents, {*selected, *self._flags})
+            arrays = self._decoded(tile, contents, {*names, *self._flags})
         except (OSError, RuntimeError, AttributeError, LookupError, ValueError) as error:
             raise DamagedTile(f"it does not open: {error}") from None
-        if any(array.shape != shape or array.dtype != self.types[name] for name, array in arrays.items()):
-            raise DamagedTile("its shape or type is wrong")
         if computed_counts(arrays) - {computed}:
             raise DamagedTile("it contains points that are not computed")
-        return {name: arrays[name] for name in selected}
+        return {name: arrays[name] for name in names}
 
     @property
     def _flags(self) -> list[str]:
@@ -373,78 +362,74 @@ class TileFiles:
 
     def missing(self) -> list[int]:
         """Tiles that are not written."""
-        written = set(chain.from_iterable(map(self._stamps, self._parts())))
-        return [tile for tile in range(self.tiling.count) if tile not in written]
+        return [
+            tile
+            for part in self._parts()
+            for tile in sorted({*self._tiles_of(part)} - _written(self.storage.names(self._folder(part))))
+        ]
 
     def status(self, tiles: Iterable[int] | None = None) -> TileStatus:
         """Check tiles (default: all), reading the whole of every file that is in no pack."""
         status = TileStatus()
-        # Threads that read small files take turns, at up to four times the processor time.
-        threads = 1 if self.tiling.size_of(0) < MIN_COMPRESSED_POINTS else 4
         chosen = range(self.tiling.count) if tiles is None else tiles
         for part, group in groupby(chosen, lambda tile: tile // self.per_folder):
-            stamps, whole, packed = self._packed(part)
-            wanted, read = list(group), dict[int, Any]()
-            unread = [tile for tile in wanted if tile in stamps and tile not in whole]
-            batches = [unread[first : first + STATUS_BATCH] for first in range(0, len(unread), STATUS_BATCH)]
-            with ThreadPoolExecutor(threads) as pool:
-                checked = pool.map(lambda batch: [*map(self._checked, batch)], batches)
-                for batch, results in zip(batches, checked, strict=True):
-                    for tile, result in zip(batch, results, strict=True):
-                        if isinstance(result, DamagedTile):
-                            status.damaged[tile] = str(result)
-                        elif not isinstance(result, Exception):  # removed in the meantime
-                            read[tile] = result
-            whole |= read.keys()
+            (stamps, packed), wanted, read = self._packed(part), list(group), dict[int, str]()
+            unread = [tile for tile in wanted if tile in stamps and tile not in packed]
+            with ThreadPoolExecutor(4) as pool:
+                # Threads that read small files take turns, at up to four times the processor time.
+                each = map if self.tiling.size_of(0) < MIN_COMPRESSED_POINTS else pool.map
+                for tile, result in zip(unread, each(self._checked, unread), strict=True):
+                    if isinstance(result, DamagedTile):
+                        status.damaged[tile] = str(result)
+                    elif not isinstance(result, Exception):  # removed in the meantime
+                        read[tile] = json.dumps(result)
+            packed |= read
             if len(read) >= MIN_PACK:
-                before = json.loads(packed)
-                sidecars = {tile: read.get(tile) or before[str(tile)] for tile in sorted(whole)}
-                head = json.dumps([self.key, [[tile, stamps[tile]] for tile in sidecars]])
-                content = f"{head}\n{json.dumps(sidecars)}".encode()
-                digest = hashlib.sha256(content).hexdigest().encode()
+                content = json.dumps([[tile, stamps[tile], sidecar] for tile, sidecar in packed.items()])
+                pack = f"{self._pack_hash(content.encode())}\n{content}".encode()
                 with suppress(OSError):
-                    self.storage.write(self._pack_name(part), digest + b"\n" + content, durable=False)
-            status.done += [tile for tile in wanted if tile in whole]
-            status.missing += [tile for tile in wanted if tile not in whole and tile not in status.damaged]
+                    self.storage.write(self._pack_name(part), pack, durable=False)
+            status.done += [tile for tile in wanted if tile in packed]
+            status.missing += [tile for tile in wanted if tile not in packed and tile not in status.damaged]
         return status
 
     def sidecars(self) -> Iterator[dict[str, Any]]:
         """Readable sidecars of all tiles that are written."""
         for part in self._parts():
-            stamps, whole, packed = self._packed(part)
-            sidecars = json.loads(packed)
+            stamps, packed = self._packed(part)
             for tile in stamps:
                 with suppress(FileNotFoundError, DamagedTile):
-                    yield sidecars[str(tile)] if tile in whole else self._sidecar(tile)
+                    yield json.loads(packed[tile]) if tile in packed else self._sidecar(tile)
 
     def _parts(self) -> range:
         """Numbers of the folders of tiles."""
         return range(-(-self.tiling.count // self.per_folder))
 
+    def _tiles_of(self, part: int) -> range:
+        """Tiles of a folder."""
+        return range(part * self.per_folder, min((part + 1) * self.per_folder, self.tiling.count))
+
     def _folder(self, part: int) -> str:
         """Where the files of a folder are."""
         return self.name(part * self.per_folder, "")[:-8]
 
-    def _stamps(self, part: int) -> dict[int, list[Stamp | None]]:
-        """Stamps of the files of each tile of a folder that is written."""
+    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, str]]:
+        """Stamps of the files of each written tile of a folder; the sidecars, as JSON, of those that its pack has with these stamps."""
         files = self.storage.stamps(self._folder(part))
-        return {
-            int(name[:8]): [stamp, files.get(f"{name[:8]}.nc")]
-            for name, stamp in files.items()
-            if name.endswith(".json") and name[:8].isdigit()
+        stamps = {
+            tile: [files[f"{tile:08d}.json"], files.get(f"{tile:08d}.nc")] for tile in sorted(_written(files))
         }
-
-    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], set[int], bytes]:
-        """Stamps of the written tiles of a folder; those of them that are in its pack; the sidecars in this, as JSON."""
-        stamps = self._stamps(part)
         with suppress(OSError, ValueError):
             digest, _, content = self.storage.read(self._pack_name(part), MAX_OBJECT_BYTES).partition(b"\n")
-            if hashlib.sha256(content).hexdigest().encode() == digest:
-                head, _, sidecars = content.partition(b"\n")
-                key, tiles = json.loads(head)
-                if key == self.key:
-                    return stamps, {tile for tile, stamp in tiles if stamps.get(tile) == stamp}, sidecars
-        return stamps, set(), b"{}"
+            if self._pack_hash(content).encode() == digest:
+                return stamps, {
+                    tile: sidecar for tile, stamp, sidecar in json.loads(content) if stamps.get(tile) == stamp
+                }
+        return stamps, {}
+
+    def _pack_hash(self, content: bytes) -> str:
+        """Hash of a pack together with its run."""
+        return hashlib.sha256(self.key.encode() + content).hexdigest()
 
     def _pack_name(self, part: int) -> str:
         """Name of the pack of a folder."""
@@ -476,27 +461,39 @@ class TileFiles:
         return sidecar
 
 
+def _written(names: Iterable[str]) -> set[int]:
+    """Tiles whose sidecars are among the names in a folder."""
+    return {int(name[:8]) for name in names if name.endswith(".json") and name[:8].isdigit()}
+
+
+@lru_cache(maxsize=8)
+def _layout(types: tuple[tuple[str, str], ...], shape: tuple[int, ...]) -> np.dtype[Any]:
+    """Values of variables as a classic NetCDF file has them: big-endian, each from a whole number of 4 bytes on."""
+    kinds = [np.dtype((np.dtype(kind).newbyteorder(">"), shape)) for _, kind in types]
+    *offsets, end = accumulate([-(-kind.itemsize // 4) * 4 for kind in kinds], initial=0)
+    names = [name for name, _ in types]
+    return np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": end})
+
+
+@dataclass(eq=False)
 class TileShards(TileFiles):
     """The tiles of a run in a Zarr store: of each an object of every variable, then a sidecar."""
 
-    def __init__(
-        self, root: Storage, key: str, dims: tuple[str, ...], types: Mapping[str, str], tiling: Tiling
-    ):
-        super().__init__(root.inside(zarr_store.RUN).inside("tiles"), key, dims, types, tiling)
-        self.root = root
-        self.layout = tiling.shape, tiling.chunk, tiling.tile  # for `zarr_store`
+    root: Storage = field(kw_only=True)  # the whole store
+
+    @property
+    def layout(self) -> zarr_store.Layout:
+        """Lengths of the grid, of its chunks and of its tiles."""
+        return self.tiling.shape, self.tiling.chunk, self.tiling.tile
 
     def _objects(self, tile: int, names: Iterable[str]) -> dict[str, tuple[Storage, str]]:
         place = "/".join(map(str, np.unravel_index(tile, self.tiling.counts)))
         return {name: (self.root, f"{name}/c/{place}") for name in {*names, *self._flags}}
 
-    def _write(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
-        box, contents = self.tiling.slices(tile), dict[str, bytes]()
-        for name, (storage, place) in self._objects(tile, self.types).items():
+    def _encoded(self, tile: int, columns: Mapping[str, np.ndarray], computed: int) -> dict[str, bytes]:
+        contents, box = dict[str, bytes](), self.tiling.slices(tile)
+        for name in self.types:
             (contents[name],) = zarr_store.encode(name, columns[name], box, self.layout).values()
-            storage.write(place, contents[name])
-            if storage.read(place, MAX_OBJECT_BYTES) != contents[name]:
-                raise OSError(errno.EIO, "read back otherwise than it was written", place)
         return contents
 
     def _decoded(

@@ -105,6 +105,19 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["joined.nc", "one.nc", "run"]
 
 
+def test_tiles_of_unequal_lengths_are_joined(scene, whole, tmp_path, monkeypatch):
+    """Their boxes in the file begin and end within tiles, or hold many of them."""
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 5)
+    atlas.run(scene, f"{tmp_path}/run/", progress=False)
+    run = RunFolder.open(tmp_path / "run")
+    assert {run.tiling.shape_of(tile) for tile in range(run.tiling.count)} == {(1, 4), (1, 3)}
+    for points in (2, 30):
+        monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", points)
+        run.join(tmp_path / f"{points}.nc")
+        with atlas.open_atlas(tmp_path / f"{points}.nc") as joined:
+            assert_same_bytes(whole, joined)
+
+
 def test_tiles_of_two_runs_have_the_same_bytes(scene, tmp_path, small_tiles):
     for name, threads in (("one", 1), ("two", 2)):
         atlas.run(scene, f"{tmp_path}/{name}/", threads=threads, progress=False)

@@ -28,7 +28,6 @@ from .levels import MAX_VALUES, MEASURED, Part
 from .plan import ScenePlan
 from .tiles import Tiling
 
-COMPUTED_SHARE = "atlas_computed_share"
 # Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
@@ -75,7 +74,7 @@ def refined(
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
     attributes = {
-        COMPUTED_SHARE: fine.n_integrated / fine.n_existing,
+        "atlas_computed_share": fine.n_integrated / fine.n_existing,
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }

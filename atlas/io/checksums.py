@@ -55,6 +55,7 @@ def add(path: Path) -> None:
                     room = max(room // count, 1)
             else:
                 block = [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
+                variable.set_var_chunk_cache(size=16 * math.prod(chunks))  # two chunks instead of 64 MB
             blocks[name] = block
         crc = [
             _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
@@ -178,6 +179,8 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         variable = super().open_store_variable(name, var)
         if self.checksums is None:
             return variable
+        if isinstance(chunks := var.chunking(), list):
+            var.set_var_chunk_cache(size=16 * math.prod(chunks))
         array = _CheckedArray(NetCDF4ArrayWrapper(name, self), str(self._filename), *self.checksums[name])
         return xr.Variable(
             variable.dims, indexing.LazilyIndexedArray(array), variable.attrs, variable.encoding

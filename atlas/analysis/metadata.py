@@ -215,8 +215,8 @@ def chunks(
     counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]
     points_per_count = step ** len(dims) * math.prod(n for dim, n in sizes.items() if dim not in dims)
     tiling = Tiling.of(tuple(counts), MAX_POINTS // points_per_count)
-    for tile in range(tiling.count):
+    for box in tiling:
         yield {
             dim: slice(step * part.start, step * part.stop + (cell_side > 0))
-            for dim, part in zip(dims, tiling.slices(tile), strict=True)
+            for dim, part in zip(dims, box, strict=True)
         }

@@ -54,6 +54,7 @@ def add(path: Path) -> None:
                     room = max(room // count, 1)
             else:
                 block = [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
+                variable.set_var_chunk_cache(size=16 * math.prod(chunks))  # two chunks instead of 64 MB
             blocks[name] = block
         crc = [
             _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
@@ -177,6 +178,8 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         variable = super().open_store_variable(name, var)
         if name not in self.checksums:
             return variable
+        if isinstance(chunks := var.chunking(), list):
+            var.set_var_chunk_cache(size=16 * math.prod(chunks))
         return variable.copy(deep=False, data=indexing.LazilyIndexedArray(_CheckedArray(name, self)))
 
 

@@ -25,7 +25,7 @@ from ..measure.observables import std_tolerances
 from ..scene import grid
 from ..scene.model import About, Scene, Settings
 from ..systems.base import System
-from ..variables import variables
+from ..variables import COMPUTED, data_variables
 from . import checksums, zarr_store
 from .checksums import NETCDF_LOCK
 from .storage import Folder
@@ -53,7 +53,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
                 columns[name].reshape(scene.shape),
                 variable_attributes(system, name, scene.outputs),
             )
-            for name in scene.outputs
+            for name in (*scene.outputs, *({COMPUTED.name} & columns.keys()))
         }
     )
     coordinates: dict[str, tuple[Any, Any, dict[str, str]]] = {}
@@ -75,7 +75,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
     """Attributes of a data variable in a dataset with some variables; labels name what qualifies them."""
-    attributes = variables(system)[name].attributes()
+    attributes = data_variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
         attributes |= {"ancillary_variables": " ".join(ancillary)} if ancillary else {}
@@ -177,6 +177,8 @@ def write_blocks(
 ) -> None:
     """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
+    # Read without the lock, which they may need.
+    small = {name: array.values for name, array in ds.variables.items() if array.chunks is None}
     with _checked(path) as temporary:
         with NETCDF_LOCK:
             file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
@@ -198,8 +200,8 @@ def write_blocks(
                     if dimensions:
                         size = 2 * math.prod(variable.chunking()) * array.dtype.itemsize
                         variable.set_var_chunk_cache(size=size)
-                    if array.chunks is None:
-                        variable[...] = array.values
+                    if name in small:
+                        variable[...] = small[name]
             for name, array in ds.variables.items():  # parameters too large for memory
                 if array.chunks is not None and name not in names:
                     array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")

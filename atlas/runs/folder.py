@@ -23,12 +23,12 @@ import re
 import time
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -81,6 +81,7 @@ MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "pro
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run folder
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
+Blocks: TypeAlias = Callable[[tuple[int, ...]], Iterator[Block]]  # gives all points in boxes of these lengths
 
 
 class RunFolder:
@@ -423,23 +424,25 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        # A file cannot be read while another one is written.
-        ds = self.tiled_dataset() if self.scene.refine is None else self.dataset().load()
+        self.write(out, self.tiled_dataset(), self._blocks)
+
+    def write(self, out: Path, ds: xr.Dataset, blocks: Blocks) -> None:
+        """Write an atlas as a NetCDF file or .zarr store; see `join` for what is raised."""
         try:
             if zarr_store.is_store(out):
                 zarr_store.zarr_package()
                 with atomic_folder(out) as temporary:
-                    self.write_store(Folder(temporary), ds)
+                    self.write_store(Folder(temporary), ds, blocks)
             else:
                 names = (*map(str, ds.data_vars), *self.scene.solve)
                 # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
                 lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
                 chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
-                netcdf.write_blocks(ds, chunk, names, self._blocks(lengths, ds), out)
+                netcdf.write_blocks(ds, chunk, names, blocks(lengths), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
-    def write_store(self, root: Storage, ds: xr.Dataset) -> None:
+    def write_store(self, root: Storage, ds: xr.Dataset, blocks: Blocks) -> None:
         """Write the atlas as a Zarr store, tile by tile."""
         names = (*map(str, ds.data_vars), *self.scene.solve)
         tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
@@ -448,13 +451,13 @@ class RunFolder:
         shards = TileShards(places[1], self.key, netcdf.dims(self.scene), types, tiling, root=root)
         for storage in places:
             storage.make()
-        for tile, (_, values) in enumerate(self._blocks(tiling.tile, ds)):
+        for tile, (_, values) in enumerate(blocks(tiling.tile)):
             computed = next(iter(computed_counts(values)), tiling.size_of(tile))
             shards.write(tile, values, computed=computed, seconds=0.0, by="atlas join")
         shards.seal(ds)
 
-    def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
-        """All points in boxes of these lengths, with the values of the tiles, or of the dataset of a refined run."""
+    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
+        """All points in boxes of these lengths, with the values of the tiles."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
         parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
         points = 0  # in the parts

@@ -15,9 +15,12 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -26,11 +29,11 @@ from ..errors import BadInput
 from ..files import check_types, one_line, sealed, unsealed
 from ..io import netcdf, zarr_store
 from ..io.netcdf import Block
-from ..io.zarr_store import MAX_OBJECT_BYTES
-from ..variables import POINT, variables
+from ..io.zarr_store import MAX_OBJECT_BYTES, Box
+from ..variables import COMPUTED, POINT, variables
 from .backend import open_atlas
 from .folder import MANIFEST, RunFolder, hash_of
-from .tiles import MIN_POINTS_PER_TILE, TileFiles, Tiling
+from .tiles import MIN_POINTS_PER_TILE, DamagedTile, TileFiles, Tiling, tile_types
 
 LEVELS, POINTS, RESULT_FILE = "levels", "points.bin", "atlas.nc"
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
@@ -40,6 +43,8 @@ MEASURED = (
 )  # fmt: skip
 MAX_VALUES = 32  # of those that have no flags
 TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
+# Flat indices of some points in the finest grid, in order, and their variables.
+Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 
 
 def level_name(number: int) -> str:
@@ -58,13 +63,32 @@ class RefinedFolder(RunFolder):
         """The file or store of the finished atlas."""
         return self.path / RESULT_FILE if isinstance(self.path, Path) and not self.is_store else self.path
 
-    def save_result(self, ds: xr.Dataset) -> None:
-        """Write the finished atlas."""
+    def save_result(
+        self, attributes: dict[str, Any], values: Callable[[Box], Any], levels: Sequence[Level]
+    ) -> None:
+        """Write the finished atlas, box by box, from `values` in a box of the grid and the numbers that levels have."""
+        import dask.array as da
+
         self.check_kept()
+        shape, tile, types = self.scene.shape, self.tiling.tile, tile_types(self.scene)
+        types[COMPUTED.name] = COMPUTED.dtype
+        zeros = {name: da.zeros(shape, dtype=dtype, chunks=tile) for name, dtype in types.items()}
+        ds = netcdf.dataset(self.scene, zeros, tile).assign_attrs(self.provenance()[0] | attributes)
+
+        def blocks(lengths: tuple[int, ...]) -> Iterator[Block]:
+            for tile, box in enumerate(boxes := Tiling(shape, lengths)):
+                columns, indices = values(box), boxes.indices(tile)
+                numbers = types.keys() - columns
+                columns |= {name: np.full(boxes.shape_of(tile), np.nan) for name in numbers}
+                for points, measured in chain.from_iterable(level.read(indices) for level in levels):
+                    for name in numbers:
+                        columns[name].flat[points - indices[0]] = measured[name]
+                yield box, {name: columns[name] for name in types}
+
         if self.is_store:
-            self.write_store(self.root, ds)
+            self.write_store(self.root, ds, blocks)
         else:
-            netcdf.write(ds, Path(self.result))
+            self.write(Path(self.result), ds, blocks)
 
     def levels(self) -> list[Level]:
         """The levels that have begun; the next run writes damaged ones, which are logged, anew."""
@@ -97,10 +121,14 @@ class RefinedFolder(RunFolder):
             )
         return open_atlas(self.result)
 
-    def _blocks(self, lengths: tuple[int, ...], ds: xr.Dataset) -> Iterator[Block]:
-        boxes = Tiling(self.scene.shape, lengths)
-        for box in map(boxes.slices, range(boxes.count)):
-            yield box, {name: ds[name].values[box] for name in (*map(str, ds.data_vars), *self.scene.solve)}
+    def tiled_dataset(self) -> xr.Dataset:
+        return self.dataset().chunk(dict(zip(netcdf.dims(self.scene), self.tiling.tile, strict=True)))
+
+    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
+        ds = self.dataset()
+        for box in Tiling(self.scene.shape, lengths):
+            names = (*map(str, ds.data_vars), *self.scene.solve)
+            yield box, {name: ds[name].variable[box].values for name in names}
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""
@@ -120,6 +148,7 @@ class Level:
         self.tiling = Tiling.of((points.size,), most)
         self.key = self.key_with(run.manifest["identity"])
         self.tiles = self.tiles_with(self.key)
+        self.read_tile = lru_cache(maxsize=1)(self.tiles.read)
 
     @classmethod
     def open(cls, run: RunFolder, number: int) -> Level:
@@ -146,29 +175,37 @@ class Level:
 
     def tiles_with(self, key: str) -> TileFiles:
         """The tiles of this level if it had this key."""
-        registry = variables(self.scene.system)
-        names = [
-            name for name in registry if name == "label" or name in {*self.scene.outputs} - {"growth_rate"}
-        ]
-        types = {n: registry[n].dtype for n in names if n in MEASURED or registry[n].flags is None}
+        outputs = {*self.scene.outputs, "label"} - {"growth_rate"}
+        measured = (v for v in variables(self.scene.system).values() if v.name in MEASURED or not v.flags)
+        types = {variable.name: variable.dtype for variable in measured if variable.name in outputs}
         return TileFiles(
             self.storage.inside("tiles"), key, (POINT,), types, self.tiling, is_flat=self.run.is_flat
         )
 
     def prepare(self) -> None:
         """Write the manifest of the level unless it is there; a damaged one is replaced."""
-        try:
+        with suppress(BadInput):
             if Level.open(self.run, self.number).key == self.key:
                 self.remove_leftovers()
                 return
-        except BadInput:
-            pass
         self.run.check_kept()
         for storage in self.storage, self.tiles.storage:  # not the run, which may have been removed
             storage.make()
         self.storage.write(POINTS, self.points.astype("<i8").tobytes())
         manifest: dict[str, Any] = {"key": self.key, "level": self.number, "before": self.before}
         self.storage.write(MANIFEST, sealed(manifest).encode())
+
+    def read(self, indices: np.ndarray) -> Iterator[Part]:
+        """The points between the first and the last of some flat indices, and their variables, tile by tile."""
+        start, end = np.searchsorted(self.points, (indices[0], indices[-1] + 1))
+        length = self.tiling.tile[0]
+        for tile in range(start // length, -(-end // length) if end > start else 0):
+            inside = slice(max(start - tile * length, 0), end - tile * length)
+            try:
+                values = self.read_tile(tile)
+            except DamagedTile as error:
+                raise OSError(f"{self.storage}: tile {tile}: {error}; run the scene again") from None
+            yield self.indices(tile)[inside], {name: column[inside] for name, column in values.items()}
 
     def indices(self, tile: int) -> np.ndarray:
         """Flat indices in the finest grid of the points of a tile."""

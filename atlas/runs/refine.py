@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import ClassVar, TypeAlias
+from itertools import repeat
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
-import xarray as xr
 
 from ..errors import BadInput, say
 from ..flags import Stability
-from ..io import netcdf
+from ..io.zarr_store import Box
 from ..label import theory
 from ..scene import grid
-from ..systems.base import Flags
+from ..scene.model import Scene
+from ..systems.base import Flags, Mask
 from ..validation import half_step
 from ..variables import COMPUTED, variables
-from .levels import MAX_VALUES, MEASURED
+from .levels import MAX_VALUES, MEASURED, Part
 from .plan import ScenePlan
+from .tiles import Tiling
 
-COMPUTED_SHARE = "atlas_computed_share"
 # Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
-Part: TypeAlias = tuple[slice, Mapping[str, np.ndarray]]
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
@@ -36,12 +39,18 @@ EXPECTED_MISSES = 0.05
 SEED = 0
 # Points of the grid on which the cost of a refined scene is estimated.
 MAX_PREDICTED = 2**18
+# Measured flag -> the prediction in its place in that estimate, whose boundaries are the expected ones.
+PREDICTIONS = {
+    "label": "predicted", "label_inertial": "predicted_inertial", "geometry": "family", "status": "stable",
+}  # fmt: skip
+# Points of a box of a grid in which boundaries are sought: memory does not grow with the grid.
+MAX_BOX_POINTS = 2**20
 
 
 def refined(
-    integrate: Integrate, plan: ScenePlan, *, threads: int | None = None, progress: bool = True
-) -> xr.Dataset:
-    """Compute the atlas of a scene that has [refine], on its finest grid; its attributes are those stated here.
+    integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
+) -> tuple[FineGrid, dict[str, Any]]:
+    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder.
 
     The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of
     two points with different flags are integrated, until every boundary runs between integrated points. On
@@ -56,15 +65,7 @@ def refined(
     """
     scene = plan.scene
     assert scene.refine is not None
-    numbers = sum(variables(scene.system)[name].flags is None for name in scene.outputs) + len(scene.solve)
-    needed = scene.size * (8 * numbers + len(PREDICTED) + 5)
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if needed > memory:
-        raise BadInput(
-            f"refine: the finest grid of {scene.size} points needs {needed / 1e9:.3g} GB, this machine has"
-            f" {memory / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
-        )
-    fine = _FineGrid(plan, threads, integrate)
+    fine = FineGrid(plan, threads, integrate, folder)
     for level in range(scene.refine.levels + 1):
         fine.refine_to(level)
         if progress:
@@ -72,39 +73,43 @@ def refined(
             say(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
     fine.trace_predicted_boundary()
     probe_points, probe_missed = fine.probe(scene.refine.probe)
-    ds = fine.dataset()
     attributes = {
-        COMPUTED_SHARE: fine.n_integrated / fine.n_existing,
+        "atlas_computed_share": fine.n_integrated / fine.n_existing,
         "atlas_probe_points": probe_points,
         "atlas_probe_missed": probe_missed,
     }
-    return ds.assign_attrs(attributes | half_step.half_step_sample(scene, plan.points, threads=threads))
+    return fine, attributes | half_step.half_step_sample(scene, plan.points, threads=threads)
 
 
-class _FineGrid:
-    """The finest grid of a scene: predictions at every point, measurements where points are integrated.
+class FineGrid:
+    """The finest grid of a scene: predictions at every point, measured flags where points are integrated.
 
-    `flag_code` holds the measured flags of each point as one number: measured where `computed` is true
-    (integrated, or without motion), assumed elsewhere. A spacing is a number of fine points for each axis.
+    It holds of each point `flag_code`, the measured flags as one number (one byte, or two or four if they have many values):
+    measured where `computed` is true (integrated, or without motion), assumed elsewhere; `computed` and `slowly_unstable` (a byte
+    each); `predicted`, the predicted flags as one number; and growth rate and solved parameters (eight bytes each), if the scene
+    has them. With a folder these are in files there, which have no names and are read and written as memory, so that the system
+    keeps in memory what there is room for, and measured numbers are in the tiles of the run alone; without, they are held as well.
+    All else is derived for boxes of MAX_BOX_POINTS or from the indices of the points that are integrated, but for a probe of more
+    than 2 %, which NumPy draws from a list of eight bytes a point.
     """
 
-    def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate):
+    def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
         self.flag_counts = [len(self.registry[name].flags or range(MAX_VALUES)) for name in self.flags]
-        self.numbers = {
-            name: np.full(scene.size, np.nan)
-            for name in scene.outputs
-            if self.registry[name].flags is None and name not in ("growth_rate", *self.flags)
-        }
-        self.solved = {name: np.empty(scene.size) for name in scene.solve}
-        self.growth_rates = {
-            name: np.full(scene.size, np.nan) for name in ("growth_rate",) if name in scene.outputs
-        }
-        self.predicted = {name: np.zeros(scene.size, np.int8) for name in PREDICTED if name in self.registry}
-        self.slowly_unstable = np.zeros(scene.size, bool)
+        self.predicted_flags = [name for name in PREDICTED if name in self.registry]
+        self.predicted_counts = [len(self.registry[name].flags or ()) for name in self.predicted_flags]
+        numbers = {n for n in scene.outputs if self.registry[n].flags is None} - {*self.flags}
+        self.measured = set[str]() if folder else numbers - {"growth_rate"}
+        held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
+        codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
+        arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
+        self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
+        self.numbers = dict(zip(held, columns, strict=True))
+        for column in columns:
+            column.fill(np.nan)
         # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A nudge survives
         # if its component along the unstable motion is a smaller share of it than rate_tolerance / nudge * exp(-growth): the
         # share of such starts among all points, in regions narrower than the spacing. Without a nudge no point drifts.
@@ -112,140 +117,121 @@ class _FineGrid:
         if nudge > 0:
             missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
             self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
-        reason = np.empty(scene.size, np.int8)
-        for chunk in chunks(scene.size):
-            reason[chunk] = self._predict(np.arange(chunk.start, chunk.stop))
-        exists = reason == grid.Reason.NONE
-        self.n_existing, self.n_integrated = int(exists.sum()), 0
-        # Points without motion are computed: their flags are 0, not_computed, but for the status.
-        self.computed = ~exists.reshape(scene.shape)
-        initial = {name: np.zeros(scene.size, np.int8) for name in self.flags}
-        if "status" in initial:
-            initial["status"] = np.where(exists, 0, grid.status_of(reason))
-        self.flag_code = (
-            np.broadcast_to(_encode(initial, self.flag_counts), scene.size).reshape(scene.shape).copy()
-        )
+        self.n_existing, self.n_integrated, self.finest = 0, 0, (slice(None, None, 1),) * len(scene.shape)
+        for (chunk,) in Tiling.of((scene.size,), grid.MAX_POINTS_PER_TILE):
+            self._predict(chunk)
 
-    def _predict(self, indices: np.ndarray) -> np.ndarray:
-        """Evaluate theory at points of the grid; returns why they are not computed, values of grid.Reason."""
-        points = grid.points_at_indices(self.scene, indices)
-        for name, column in self.solved.items():
-            column[indices] = points.base[name]
-        existing = indices[points.exists]
+    def _predict(self, chunk: slice) -> None:
+        """Evaluate theory at points of the grid. Those without motion are computed: their flags are 0, but for the status."""
+        points = grid.points_at_indices(self.scene, np.arange(chunk.start, chunk.stop))
+        self.n_existing += int(points.exists.sum())
+        self.computed.reshape(-1)[chunk] = ~points.exists
+        status = np.where(points.exists, 0, grid.status_of(points.reason))
+        initial = {name: status * (name == "status") for name in self.flags}
+        self.flag_code.reshape(-1)[chunk] = _encode(initial, self.flag_counts)
+        for name in self.scene.solve:
+            self.numbers[name].reshape(-1)[chunk] = points.base[name]
+        existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
             # How long a motion about other axes lasts does not count here.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
-            for name, rates in self.growth_rates.items():
-                rates[existing] = prediction.variables[name]
-            for name, flags in self.predicted.items():
-                flags[existing] = prediction.variables[name]
-            unstable = prediction.variables["stable"] == Stability.UNSTABLE
-            self.slowly_unstable[existing] = unstable & (prediction.log_growth < self.growth_needed)
-        return points.reason
+            for name in self.numbers.keys() & {"growth_rate"}:
+                self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
+            flags = {name: prediction.variables[name] for name in self.predicted_flags}
+            self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
+            slow = prediction.log_growth < self.growth_needed
+            slow &= prediction.variables["stable"] == Stability.UNSTABLE
+            self.slowly_unstable.reshape(-1)[existing] = slow
 
     def refine_to(self, level: int) -> None:
         """Compute all of the grid at level 0; later, new points first assume the flags of a neighbour."""
         coarsening = self.scene.coarsening
-        spacing = [max(factor >> level, 1) for factor in coarsening]
-        subgrid = _subgrid(spacing)
+        subgrid, before = (
+            tuple(slice(None, None, max(k * n >> level, 1)) for n in coarsening) for k in (1, 2)
+        )
         if level == 0:
-            self._integrate(np.flatnonzero(~self.computed[subgrid]), spacing)
+            self._integrate(self._not_computed(subgrid, repeat(True)))
             return
-        spacing_before = [min(2 * n, factor) for n, factor in zip(spacing, coarsening, strict=True)]
-        assumed = self.flag_code[_subgrid(spacing_before)]
-        for axis, factor in enumerate(coarsening):
-            if factor > 1:
-                assumed = np.repeat(assumed, 2, axis).take(range(2 * assumed.shape[axis] - 1), axis)
-        self.flag_code[subgrid] = np.where(self.computed[subgrid], self.flag_code[subgrid], assumed)
-        self.trace_boundary(spacing)
+        code, computed, coarse = self.flag_code[subgrid], self.computed[subgrid], self.flag_code[before]
+        for box in Tiling.of(code.shape, MAX_BOX_POINTS):
+            ranges = zip(box, subgrid, before, strict=True)
+            neighbours = [np.arange(a.start, a.stop) // (wide.step // fine.step) for a, fine, wide in ranges]
+            np.copyto(code[box], coarse[np.ix_(*neighbours)], where=~computed[box])
+        self.trace_boundary(subgrid)
 
-    def trace_boundary(self, spacing: Sequence[int]) -> None:
-        """Integrate near boundaries, on the grid of this spacing, until they run between computed points."""
-        subgrid = _subgrid(spacing)
-        while (
-            indices := np.flatnonzero(self._near_boundary(self.flag_code[subgrid]) & ~self.computed[subgrid])
-        ).size:
-            self._integrate(indices, spacing)
+    def trace_boundary(self, subgrid: Box) -> None:
+        """Integrate near boundaries, on this part of the grid, until they run between computed points."""
+        while self._integrate(self._not_computed(subgrid, self._near_boundary(self.flag_code[subgrid]))):
+            pass
 
     def trace_predicted_boundary(self) -> None:
         """Integrate near boundaries of the predictions and at slowly unstable points, then trace boundaries."""
-        code = _encode(self.predicted, [len(self.registry[name].flags or ()) for name in self.predicted])
-        code = np.broadcast_to(code, self.scene.size)  # one number if the system has no theory
-        near_boundary = self._near_boundary(code.reshape(self.scene.shape))
-        chosen = near_boundary | self.slowly_unstable.reshape(self.scene.shape)
-        finest = [1] * len(self.scene.shape)
-        self._integrate(np.flatnonzero(chosen & ~self.computed), finest)
-        self.trace_boundary(finest)
+        slow = (self.slowly_unstable[box] for box in Tiling.of(self.scene.shape, MAX_BOX_POINTS))
+        chosen = map(np.logical_or, self._near_boundary(self.predicted), slow)
+        self._integrate(self._not_computed(self.finest, chosen))
+        self.trace_boundary(self.finest)
 
     def probe(self, share: float) -> tuple[int, int]:
         """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
-        not_computed = np.flatnonzero(~self.computed)
-        count = math.ceil(share * not_computed.size)
-        chosen = np.random.default_rng(SEED).choice(not_computed, count, replace=False)
-        chosen.sort()
-        assumed = self.flag_code.flat[chosen]
-        finest = [1] * len(self.scene.shape)
-        self._integrate(chosen, finest)
-        missed = int((self.flag_code.flat[chosen] != assumed).sum())
-        self.trace_boundary(finest)
+        count, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
+        places = np.random.default_rng(SEED).choice(count, math.ceil(share * count), replace=False)
+        places.sort()
+        for indices in self._not_computed(self.finest, repeat(True)):
+            inside = slice(*np.searchsorted(places, (first, first + indices.size)))
+            probed.append(indices[places[inside] - first])
+            first += indices.size
+        chosen = np.concatenate(probed)
+        assumed = self.flag_code.reshape(-1)[chosen]
+        self._integrate([chosen])
+        missed = int((self.flag_code.reshape(-1)[chosen] != assumed).sum())
+        self.trace_boundary(self.finest)
         return chosen.size, missed
 
-    def _near_boundary(self, code: np.ndarray) -> np.ndarray:
-        """Mask of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
-        window = [1 + 2 * BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
-        return grid.near_change(code, window)
+    def _near_boundary(self, code: np.ndarray) -> Iterator[Mask]:
+        """Masks, box by box, of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
+        reach = [BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
+        for box in Tiling.of(code.shape, MAX_BOX_POINTS):
+            around = tuple(slice(max(a.start - n, 0), a.stop + n) for a, n in zip(box, reach, strict=True))
+            inside = tuple(
+                slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, around, strict=True)
+            )
+            yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
-    def _integrate(self, subgrid_indices: np.ndarray, spacing: Sequence[int]) -> None:
-        """Integrate points given by their flat indices in the grid of this spacing."""
-        subgrid_shape = self.computed[_subgrid(spacing)].shape
-        along_axes = np.unravel_index(subgrid_indices, subgrid_shape)
-        fine_indices = [index * step for index, step in zip(along_axes, spacing, strict=True)]
-        indices = np.ravel_multi_index(fine_indices, self.scene.shape)
-        for chunk, values in self.integrate(indices):
+    def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
+        """Flat indices, box by box, of the points of a part of the grid that are in the masks and not computed."""
+        computed = self.computed[subgrid]
+        for box, mask in zip(Tiling.of(computed.shape, MAX_BOX_POINTS), masks, strict=False):
+            along_axes = zip(np.nonzero(mask & ~computed[box]), box, subgrid, strict=True)
+            indices = [(part.start + index) * fine.step for index, part, fine in along_axes]
+            yield np.ravel_multi_index(indices, self.scene.shape)
+
+    def _integrate(self, parts: Iterable[np.ndarray]) -> int:
+        """Integrate points given by their flat indices; their number."""
+        indices = np.concatenate([*parts])
+        if not indices.size:
+            return 0
+        for some, values in self.integrate(indices):
             flags = {name: values[name] - self.registry[name].missing for name in self.flags}
-            self.flag_code.flat[indices[chunk]] = _encode(flags, self.flag_counts)
-            for name, column in self.numbers.items():
-                column[indices[chunk]] = values[name]
-        self.computed.flat[indices] = True
+            self.flag_code.reshape(-1)[some] = _encode(flags, self.flag_counts)
+            for name in self.measured:
+                self.numbers[name].reshape(-1)[some] = values[name]
+        self.computed.reshape(-1)[indices] = True
         self.n_integrated += indices.size
+        return indices.size
 
-    def dataset(self) -> xr.Dataset:
-        """The atlas without provenance."""
-        columns = dict[str, np.ndarray](self.numbers) | self.growth_rates | self.predicted | self.solved
-        for name, values in zip(self.flags, _decode(self.flag_code.ravel(), self.flag_counts), strict=True):
+    def values(self, part: tuple[Any, ...]) -> dict[str, np.ndarray]:
+        """Variables and solved parameters at indices along the axes; without the measured numbers that it does not hold."""
+        columns = {name: column[part] for name, column in self.numbers.items()}
+        predictions = _decode(self.predicted[part], self.predicted_counts)
+        columns |= zip(self.predicted_flags, predictions, strict=True)
+        flags = _decode(self.flag_code[part], self.flag_counts)
+        for name, values in zip(self.flags, flags, strict=True):
             variable = self.registry[name]
             columns[name] = (values + variable.missing).astype(variable.dtype)
-        if "predicted" in self.predicted:
-            columns["agreement"] = theory.agreement(columns["label"], self.predicted["predicted"])
-        ds = netcdf.dataset(self.scene, columns)
-        ds["computed"] = netcdf.dims(self.scene), self.computed.astype(np.int8), COMPUTED.attributes()
-        return ds
-
-
-class _PredictedGrid(_FineGrid):
-    """A finest grid with predictions in place of all measurements, so that no point is integrated."""
-
-    # Measured flag -> the prediction in its place, whose boundaries are the expected ones.
-    PREDICTIONS: ClassVar = {
-        "label": "predicted",
-        "label_inertial": "predicted_inertial",
-        "geometry": "family",
-        "status": "stable",
-    }
-
-    def __init__(self, plan: ScenePlan):
-        scene = replace(plan.scene, outputs=tuple(n for n in plan.scene.outputs if n in MEASURED))
-        super().__init__(replace(plan, scene=scene), 1, self._predictions)
-
-    def _predictions(self, indices: np.ndarray) -> Iterator[Part]:
-        """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
-        zero = np.zeros(indices.size, np.int8)
-        predictions = {name: self.predicted.get(self.PREDICTIONS.get(name, "")) for name in self.flags}
-        yield (
-            slice(None),
-            {name: zero if flags is None else flags[indices] for name, flags in predictions.items()},
-        )
+        if "predicted" in columns:
+            columns["agreement"] = theory.agreement(columns["label"], columns["predicted"])
+        return columns | {COMPUTED.name: self.computed[part].astype(np.int8)}
 
 
 def expected_points(plan: ScenePlan) -> float:
@@ -268,12 +254,21 @@ def expected_points(plan: ScenePlan) -> float:
         for name, axis in scene.axes.items()
     }
     coarser = replace(scene.refine, levels=max(levels - finer, 0))
-    predicted = _PredictedGrid(replace(plan, scene=replace(scene, axes=axes, refine=coarser)))
+    outputs = tuple(name for name in scene.outputs if name in MEASURED)
+
+    def predictions(indices: np.ndarray) -> Iterator[Part]:
+        """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
+        values = predicted.values(np.unravel_index(indices, predicted.scene.shape))
+        zero = np.zeros(indices.size, np.int8)
+        yield indices, {name: values.get(PREDICTIONS.get(name, ""), zero) for name in predicted.flags}
+
+    simulated = replace(scene, axes=axes, refine=coarser, outputs=outputs)
+    predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
     for level in range(max(levels - finer, 0) + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()
     # Points of the finest grid near a boundary of the flags.
-    near = int((predicted._near_boundary(predicted.flag_code) & predicted.computed).sum())
+    near = sum(map(np.count_nonzero, predicted._near_boundary(predicted.flag_code)))
     slow = int(predicted.slowly_unstable.sum())
     existing_share = predicted.n_existing / predicted.scene.size
     expected = float(predicted.n_integrated)
@@ -289,15 +284,26 @@ def expected_points(plan: ScenePlan) -> float:
     return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
 
 
-def _subgrid(spacing: Sequence[int]) -> tuple[slice, ...]:
-    """Slices of the points of the finest grid with this spacing."""
-    return tuple(slice(None, None, step) for step in spacing)
-
-
-def chunks(size: int) -> Iterator[slice]:
-    """Slices that cut a range of indices into pieces of at most grid.MAX_POINTS_PER_TILE."""
-    for first in range(0, size, grid.MAX_POINTS_PER_TILE):
-        yield slice(first, min(first + grid.MAX_POINTS_PER_TILE, size))
+def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[np.ndarray]:
+    """Arrays of zeros in memory, or in files without names in a folder; BadInput if there is no room for them."""
+    bytes_per_point = sum(np.dtype(kind).itemsize for kind in types)
+    bytes_per_point += 0 if folder else len(scene.outputs)  # of flags in the atlas
+    place, room = "this machine has", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if folder:
+        place, room = f"free on the disk of {folder} are", shutil.disk_usage(folder).free
+    if scene.size * bytes_per_point > room:
+        raise BadInput(
+            f"refine: the finest grid of {scene.size} points needs {scene.size * bytes_per_point / 1e9:.3g} GB, {place}"
+            f" {room / 1e9:.3g} GB; take fewer levels or fewer [outputs]"
+        )
+    for kind in types:
+        if folder is None:
+            yield np.zeros(scene.shape, kind)
+            continue
+        with tempfile.TemporaryFile(dir=folder) as file:
+            if hasattr(os, "posix_fallocate"):  # else a disk that fills up later ends the process
+                os.posix_fallocate(file.fileno(), 0, scene.size * np.dtype(kind).itemsize)
+            yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 
 
 def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
@@ -311,8 +317,5 @@ def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
 
 def _decode(code: np.ndarray, counts: Sequence[int]) -> list[Flags]:
     """Inverse of `_encode`."""
-    flags: list[Flags] = []
-    for count in reversed(counts):
-        flags.insert(0, (code % count).astype(np.int8))
-        code = code // count
-    return flags
+    steps = [math.prod(counts[i + 1 :]) for i in range(len(counts))]
+    return [(code // n % count).astype(np.int8) for n, count in zip(steps, counts, strict=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import random
 import socket
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -49,9 +50,9 @@ from .folder import (
     remove_empty,
     result_hash,
 )
-from .levels import Level, RefinedFolder
+from .levels import Level, Part, RefinedFolder
 from .plan import ScenePlan, differences, identity
-from .tiles import DamagedTile, tile_types
+from .tiles import Tiling, tile_types
 
 MAX_DAMAGE_WARNINGS = 5
 # Seconds between two checks whether tiles that other processes compute are done; between the first CLAIM_POLL.
@@ -291,21 +292,18 @@ def _compute_levels(folder: RefinedFolder, bar: Progress, execution: _Execution)
         bar.add(plan.scene.size, done=plan.scene.size)
         return
 
-    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
-        if not indices.size:
-            return
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
         level = Level(folder, len(levels), levels[-1].key if levels else "", indices)
         levels.append(level)
         level.prepare()
         _Job(level, execution).compute(bar)
-        for tile in range(level.tiling.count):
-            try:
-                yield level.tiling.slices(tile)[0], level.tiles.read(tile)
-            except DamagedTile as error:
-                raise OSError(f"{level.storage}: tile {tile}: {error}; run the scene again") from None
+        yield from level.read(indices)
 
-    ds = refine.refined(integrate, plan, threads=execution.threads, progress=execution.progress)
-    folder.save_result(ds.assign_attrs(folder.provenance()[0] | ds.attrs))
+    path = folder.storage.path if isinstance(folder.storage, Folder) else Path(tempfile.gettempdir())
+    fine, attributes = refine.refined(
+        integrate, plan, path, threads=execution.threads, progress=execution.progress
+    )
+    folder.save_result(attributes, fine.values, levels)
 
 
 def _run_to_file(path: Path, warnings: list[str], execution: _Execution) -> xr.Dataset:
@@ -373,19 +371,22 @@ def _run_in_memory(warnings: list[str], execution: _Execution) -> xr.Dataset:
     plan, threads, earlier = execution.plan, execution.threads, execution.earlier
     scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
 
-    def integrate(indices: np.ndarray) -> Iterator[refine.Part]:
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
         nonlocal points
-        for chunk in refine.chunks(indices.size):
+        for (chunk,) in Tiling.of(indices.shape, grid.MAX_POINTS_PER_TILE):
             values, computed, taken = evaluate_at(
                 plan.points, scene, indices[chunk], earlier, threads=threads
             )
             points += computed
             reused.update(taken)
-            yield chunk, values
+            yield indices[chunk], values
 
     if scene.refine is not None:
         with announced(execution.progress):
-            ds = refine.refined(integrate, plan, threads=threads, progress=execution.progress)
+            fine, attributes = refine.refined(
+                integrate, plan, None, threads=threads, progress=execution.progress
+            )
+        ds = netcdf.dataset(scene, fine.values(())).assign_attrs(attributes)
     else:
         with closing(Progress(scene.size, show=execution.progress)) as bar:
             columns, reused = columns_of(plan, bar, threads, earlier)

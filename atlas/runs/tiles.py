@@ -586,6 +586,9 @@ class Tiling:
         """Number of tiles."""
         return math.prod(self.counts)
 
+    def __iter__(self) -> Iterator[tuple[slice, ...]]:
+        return map(self.slices, range(self.count))
+
     def slices(self, tile: int) -> tuple[slice, ...]:
         """Slices of the grid that a tile covers."""
         first = [int(i) * n for i, n in zip(np.unravel_index(tile, self.counts), self.tile, strict=True)]

@@ -45,7 +45,7 @@ MAX_TIE_CHARACTERS = 10_000  # of all ties together
 MAX_AXES = 32
 MAX_AXIS_COUNT = 10**7
 MAX_POINTS = 10**11
-# Points of the fine grid of a refined scene, which is held in memory when it runs.
+# Points of the fine grid of a refined scene, at all of which theory is evaluated.
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")

@@ -1,6 +1,9 @@
 """Refined atlases: equal to the full grid at a share of its points, and open about what is not computed."""
 
+import os
 import re
+import tracemalloc
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -234,6 +237,68 @@ def test_a_grid_that_does_not_fit_into_memory_is_refused(scene_text, monkeypatch
     monkeypatch.setattr(refine.os, "sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 10}.get)
     with pytest.raises(BadInput, match=r"points needs .* GB, this machine has 4.1e-05 GB"):
         atlas.run(refined_scene(scene_text), progress=False)
+
+
+def test_a_grid_that_does_not_fit_onto_the_disk_is_refused(scene_text, tmp_path, monkeypatch):
+    """Of each point a run into a folder holds two codes of two bytes, two masks, the growth rate and k3: 22 bytes."""
+    scene = refined_scene(scene_text)
+
+    def leave(free):
+        usage = SimpleNamespace(free=free)
+        monkeypatch.setattr(refine.shutil, "disk_usage", lambda folder: usage)
+
+    leave(22 * scene.size)
+    refine.FineGrid(ScenePlan.of(scene), 1, None, tmp_path)
+    leave(22 * scene.size - 1)
+    message = rf"3185 points needs 7.01e-05 GB, free on the disk of {tmp_path}/night are 7.01e-05 GB"
+    with pytest.raises(BadInput, match=message):
+        atlas.run(scene, f"{tmp_path}/night/", progress=False)
+
+
+def test_boxes_of_any_size_give_the_same_atlas(scene_text, both, monkeypatch):
+    monkeypatch.setattr(refine, "MAX_BOX_POINTS", 60)
+    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 100)
+    xr.testing.assert_identical(
+        *(ds.drop_attrs(deep=False) for ds in (both[0], atlas.run(refined_scene(scene_text), progress=False)))
+    )
+
+
+def test_memory_does_not_grow_with_the_grid(tmp_path, monkeypatch):
+    """What the grid holds is in a folder; of the memory that Python allocates, points near the boundary take a little."""
+    monkeypatch.setattr(refine, "MAX_BOX_POINTS", 4096)
+
+    def inside(x, y):
+        return x + y < 0.7
+
+    def peak(count):
+        def integrate(indices):
+            x, y = (
+                axis.values[i]
+                for axis, i in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True)
+            )
+            yield indices, {"label": labels_of_region(inside, x, y)}
+
+        scene = plane(count, 3, 0.0)
+        plan = ScenePlan.of(scene)
+        tracemalloc.start()
+        fine = refine.FineGrid(plan, 1, integrate, tmp_path)
+        tracemalloc.reset_peak()  # theory is evaluated tile by tile
+        for level in range(4):
+            fine.refine_to(level)
+        fine.trace_predicted_boundary()
+        fine.probe(0.001)
+        bytes_used = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        box = np.s_[: scene.shape[0] // 3]
+        x, y = np.meshgrid(*(axis.values for axis in scene.axes.values()), indexing="ij")
+        np.testing.assert_array_equal(fine.values(box)["label"], labels_of_region(inside, x, y)[box])
+        assert not os.listdir(tmp_path)
+        return bytes_used, scene.size
+
+    peak(9)  # imports the filters of SciPy
+    (few, some), (more, many) = peak(17), peak(65)
+    assert many > 15 * some
+    assert more - few < 0.5 * (many - some)
 
 
 def test_a_nudge_along_a_family_is_predicted_as_on_the_full_grid():

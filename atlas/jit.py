@@ -35,6 +35,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 from numba.extending import intrinsic
 from numba.np import arrayobj
@@ -196,8 +197,18 @@ def load(source: str) -> ModuleType:
         name = f"atlas_kernel_{digest(source)}"
         if name not in sys.modules:
             module = ModuleType(name)
-            exec(compile(source, f"<{name}>", "exec"), module.__dict__)
-            compiles = isinstance(module.integrate, Dispatcher)  # not under NUMBA_DISABLE_JIT
+
+            def define(functions: bool) -> None:
+                """Run the functions that `integrate` calls, whose decorators take a tenth of a second, or the rest."""
+                body = [
+                    node
+                    for function, node, _ in _statements(source)
+                    if functions == (isinstance(node, ast.FunctionDef) and function != "integrate")
+                ]
+                exec(compile(ast.Module(body, []), f"<{name}>", "exec"), module.__dict__)
+
+            define(functions=False)
+            compiles = isinstance(module.integrate, Dispatcher)
             if compiles:
                 cache = module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
                 compiler = module.integrate._compiler
@@ -210,6 +221,7 @@ def load(source: str) -> ModuleType:
                     gc.disable()
                     try:
                         with compilation():
+                            define(functions=True)
                             cache.modules = _share_functions(source, module)
                             return compile_function(*arguments)
                     finally:
@@ -217,6 +229,8 @@ def load(source: str) -> ModuleType:
                             gc.enable()
 
                 compiler.compile = reported
+            else:  # under NUMBA_DISABLE_JIT
+                define(functions=True)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
 
@@ -276,7 +290,8 @@ class _MachineCode(NullCache):
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """The compiled function, or None if it has to be compiled."""
-        target_context.refresh()
+        # Finished code needs the allocator alone. To refresh the compiler as well, as Numba's own cache does, takes 0.5 s.
+        rtsys.initialize(target_context)
         path, key = self._place(signature, target_context.codegen())
         try:
             if _warned_of_foreign(path.parent):

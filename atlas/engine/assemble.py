@@ -46,7 +46,7 @@ def _parsed(module: ModuleType) -> dict[str, ast.FunctionDef]:
 
 def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]) -> ast.FunctionDef:
     """A function of a module as `functions` gives it."""
-    node = _Without(absent).visit(_EnumNumbers(vars(module)).visit(node))
+    node = _Stripped(vars(module), absent).visit(node)
     node.decorator_list = []
     if ast.get_docstring(node) is not None:
         node.body = node.body[1:] or [ast.Pass()]
@@ -84,32 +84,29 @@ def _reachable(
     return objects, sources, numbers
 
 
-class _EnumNumbers(ast.NodeTransformer):
-    """Members and sizes of the enumerations of a module as plain numbers, which the compiler needs not look up."""
+class _Stripped(ast.NodeTransformer):
+    """Members and sizes of the enumerations of a module as plain numbers, which the compiler needs not look up; leaves
+    out what is done only if one of some absent names is true.
+    """
 
-    def __init__(self, namespace: Mapping[str, Any]):
+    def __init__(self, namespace: Mapping[str, Any], absent: Collection[str]):
         enums = {name: value for name, value in namespace.items() if isinstance(value, type)}
         self.enums = {name: value for name, value in enums.items() if issubclass(value, IntEnum)}
+        self.absent = absent
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
-        members = getattr(self.enums.get(ast.unparse(node.value)), "__members__", {})
-        if node.attr in members:
-            return ast.Constant(int(members[node.attr]))
+        match node.value:
+            case ast.Name(name) if node.attr in getattr(self.enums.get(name), "__members__", {}):
+                return ast.Constant(int(self.enums[name][node.attr]))
         self.generic_visit(node)
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
-        if ast.unparse(node.func) == "len" and (name := ast.unparse(node.args[0])) in self.enums:
-            return ast.Constant(len(self.enums[name]))
+        match node:
+            case ast.Call(ast.Name("len"), [ast.Name(name)]) if name in self.enums:
+                return ast.Constant(len(self.enums[name]))
         self.generic_visit(node)
         return node
-
-
-class _Without(ast.NodeTransformer):
-    """Leaves out what is done only if one of some names is true."""
-
-    def __init__(self, absent: Collection[str]):
-        self.absent = absent
 
     def visit_If(self, node: ast.If) -> ast.If | None:
         if isinstance(node.test, ast.Name) and node.test.id in self.absent:

@@ -99,7 +99,6 @@ class FixedPoint(Gyrostat):
     equations = equations
     parameters = initial.PARAMETERS
     rate_states = ("p", "q", "r")
-    equal_parameters = (("A", "B"),)
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)

@@ -134,7 +134,7 @@ def source(
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
-    objects, sources, numbers = _reachable(of, plugs, absent)
+    _, sources, numbers = _reachable(of, plugs, absent)
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
@@ -147,9 +147,7 @@ def source(
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
     texts = generated_functions | sources
-    decorators = {name: jit.CALLED for name in objects if hasattr(objects[name], "called_seldom")}
-    decorators["integrate"] = jit.KERNEL
-    parts = [f"{decorators.get(name, jit.INLINE)}\n{text}" for name, text in texts.items()]
+    parts = [f"{jit.KERNEL if name == 'integrate' else jit.INLINE}\n{text}" for name, text in texts.items()]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]

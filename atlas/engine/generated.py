@@ -28,12 +28,6 @@ HAS_AXIS = False  # does the system have `axis_in_frame`?
 PLUGGED, PLUGGED_GIVEN = 0, 0
 
 
-def called_seldom(function):
-    """Marks a long function that is called seldom: inlined it would only fill the instruction cache."""
-    function.called_seldom = True
-    return function
-
-
 def aligned_empty(shape):
     """Uninitialised array of float64, aligned to cache lines where it is compiled."""
     return np.empty(shape)

@@ -1,8 +1,8 @@
 """The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
 
 Ordinary Python, of which `assemble` makes a module for the compiler or for the interpreter. The compiler
-turns every loop over `l`, the lanes, into vector instructions, and inlines every function into `integrate`
-but the rare `trapezoid_error_of_pole`. What depends on the system and the method stands in `generated`.
+turns every loop over `l`, the lanes, into vector instructions, and inlines every function into `integrate`.
+What depends on the system and the method stands in `generated`.
 
 Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and
 most coefficients are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
@@ -11,7 +11,7 @@ A node is an instant, every steps_per_sample steps, at which the motion is evalu
 i is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated
 from four nodes. The statistics are sums over the nodes and, near both ends of a run, over interpolated
 samples (`sampling`). Passages near the vertical wait in a queue, so that the errors that they cause (`poles`)
-are computed for many of them side by side.
+are computed for QUEUE of them side by side, and so do turning points of theta.
 """
 
 import numpy as np
@@ -63,7 +63,6 @@ from .poles import (
     place_of_turn,
     pole_terms,
     sum_errors,
-    trapezoid_error_of_pole,
     turning_point,
     turns_near_vertical,
 )
@@ -76,8 +75,8 @@ MOTION = 6
 NODES_PER_DRIFT = 4
 # Nodes from one at which the energy is compared with levels to the next.
 NODES_PER_LEVEL = 8
-# Turning points and passages that are computed side by side.
-QUEUE = 96
+# Turning points and passages that are computed side by side; their queues have room for WIDTH more.
+QUEUE = 32
 # sin^2 theta below which both ends of a run are searched for passages.
 NEAR_END = 0.2
 
@@ -150,10 +149,11 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     stats, nodes = aligned_empty((len(Row), WIDTH)), aligned_empty((4, 2 * MOTION, WIDTH))
     slopes = aligned_empty((STATES, WIDTH))
-    turning, near, instant = aligned_empty((WIDTH,)), aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
-    turns, extremes, turn_lanes = empty_queue(TURN_ROWS), aligned_empty((2, QUEUE)), np.zeros(QUEUE, np.int64)
+    turning, near = aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
+    turns, extremes = empty_queue(TURN_ROWS), aligned_empty((2, QUEUE))
     passages, terms = empty_queue(PASSAGE_ROWS), aligned_empty((2, len(Term), QUEUE))
-    lanes, first_nodes = np.zeros(QUEUE, np.int64), np.zeros(QUEUE, np.int64)
+    numbers = np.zeros((3, QUEUE + WIDTH), np.int64)
+    turn_lanes, lanes, first_nodes = numbers[0], numbers[1], numbers[2]
     if PLUGGED:
         given, plugged = aligned_empty((PLUGGED_GIVEN, WIDTH)), aligned_empty((PLUGGED, WIDTH))
     for block in range(first_block, last_block):
@@ -181,21 +181,21 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
                     position = rule_position(interval, intervals)
                     first, stop = first_sample[rule, position], first_sample[rule, position + 1]
                     add_samples(stats, nodes, slots, spacing, samples, first, stop, cylinder_squared)
-                    mark(turning, near, instant, stats, nodes, spacing, interval, intervals)
+                    mark(turning, near, stats, nodes, spacing, interval, intervals)
                     turn_count = queue_turns(
                         turns, turn_lanes, turn_count, turning, nodes, slots, spacing, i - 3, interval
                     )
                     passage_count = queue_passages(
-                        passages, lanes, first_nodes, passage_count, near, instant, stats, nodes, slots, spacing,
-                        stride, dt, i - 3, interval,
+                        passages, lanes, first_nodes, passage_count, near, stats, nodes, slots, spacing, stride, dt,
+                        i - 3, interval, intervals,
                     )  # fmt: skip
-                    if turn_count > QUEUE - WIDTH or last:
-                        extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
-                        turn_count = np.int64(0)
-                    if passage_count > QUEUE - WIDTH or last:
-                        correct(stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
-                                cylinder_squared)  # fmt: skip
-                        passage_count = np.int64(0)
+                    while turn_count >= QUEUE or (last and turn_count > 0):
+                        turn_count = extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
+                    while passage_count >= QUEUE or (last and passage_count > 0):
+                        passage_count = correct(
+                            stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
+                            cylinder_squared,
+                        )  # fmt: skip
             if PLUGGED:
                 add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants)
             if HAS_AXIS:
@@ -215,9 +215,19 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 def empty_queue(rows):
     """Queue of zeros: the columns that are not in use are computed as the others are."""
-    queue = aligned_empty((rows, QUEUE))
+    queue = aligned_empty((rows, QUEUE + WIDTH))
     queue[:] = 0.0
     return queue
+
+
+def move_up(queue, lanes, first_nodes, count):
+    """Move what follows the first QUEUE of `count` columns to the front of a queue; returns how many columns that are."""
+    rest = max(count - QUEUE, 0)
+    for e in range(rest):
+        lanes[e], first_nodes[e] = lanes[QUEUE + e], first_nodes[QUEUE + e]
+        for row in range(queue.shape[0]):
+            queue[row, e] = queue[row, QUEUE + e]
+    return rest
 
 
 def load_step_sizes(points, block, step_size, dt, inverse_unit):
@@ -248,7 +258,8 @@ def evaluate_node(nodes, slot, slopes, state, constants, inverse_unit):
 def add_node(stats, nodes, slot, weight, cylinder_squared):
     for l in range(WIDTH):
         motion = motion_at(nodes, slot, l)
-        accumulate(stats, l, motion, weight, cylinder_squared)
+        if weight > 0.0:  # near the ends of a run the samples lie between the nodes
+            accumulate(stats, l, motion, weight, cylinder_squared)
         extend(stats, l, motion[5], motion[3] * motion[3] + motion[4] * motion[4])
 
 
@@ -275,15 +286,15 @@ def end_runs(stats, nodes, slot):
         end(stats, l, motion_at(nodes, slot, l))
 
 
-def mark(turning, near, instant, stats, nodes, spacing, interval, intervals):
+def mark(turning, near, stats, nodes, spacing, interval, intervals):
     """Mark, by 1.0, lanes that may turn beyond their extremes in an interval in `turning`, lanes that may
-    pass near the vertical, at `instant`, in `near`.
+    pass near the vertical in `near`.
     """
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
         turning[l] = may_extend(stats, l, nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1)
-        near[l], instant[l] = near_vertical(nodes, first, second, l, spacing, interval, intervals)
+        near[l], _ = near_vertical(nodes, first, second, l, spacing, interval, intervals)
 
 
 def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node, interval):
@@ -300,13 +311,15 @@ def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node,
 
 
 def queue_passages(
-    passages, lanes, first_nodes, count, near, instant, stats, nodes, slots, spacing, stride, dt, first_node, interval
+    passages, lanes, first_nodes, count, near, stats, nodes, slots, spacing, stride, dt, first_node, interval, intervals
 ):  # fmt: skip
     """Append the passages of the marked lanes to the queue; returns its length."""
+    first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         if near[l] > 0.0:
             lanes[count], first_nodes[count] = l, first_node
-            time = interval - first_node + instant[l]
+            _, instant = near_vertical(nodes, first, second, l, spacing, interval, intervals)
+            time = interval - first_node + instant
             store_passage(passages, count, nodes, slots, l, spacing, stride * dt[l], time, stats)
             count += 1
     return count
@@ -360,38 +373,40 @@ def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, 
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):
-    """Extend the extremes of the lanes of `count` turning points to these."""
-    if count > 0:
+    """Extend the extremes of the lanes of the first QUEUE of `count` turning points to these; returns how many remain."""
+    for e in range(QUEUE):
+        difference(turns, Turn.G1, e)
+        difference(turns, Turn.G2, e)
+        difference(turns, Turn.G3, e)
+    for _ in range(TURN_STEPS):
         for e in range(QUEUE):
-            difference(turns, Turn.G1, e)
-            difference(turns, Turn.G2, e)
-            difference(turns, Turn.G3, e)
-        for _ in range(TURN_STEPS):
-            for e in range(QUEUE):
-                extremes[0, e], extremes[1, e] = turning_point(turns, e)
-    for e in range(count):
+            extremes[0, e], extremes[1, e] = turning_point(turns, e)
+    for e in range(min(count, QUEUE)):
         extend(stats, lanes[e], extremes[0, e], extremes[1, e])
+    return move_up(turns, lanes, lanes, count)
 
 
 def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared):
-    """Add the quadrature errors of `count` passages to the sums of their lanes."""
-    if count == 0:
-        return
+    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; returns how many remain."""
+    nearer = np.int64(0)
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
         difference(passages, Passage.G2, e)
         difference(passages, Passage.U3, e)
-    for farther in range(2):
+        approximate_zero(passages, e, nearer)
+    for _ in range(NEWTON_STEPS):
         for e in range(QUEUE):
-            approximate_zero(passages, e, farther == 1)
-        for _ in range(NEWTON_STEPS):
-            for e in range(QUEUE):
-                improve_zero(passages, e)
-        for e in range(QUEUE):
-            pole_terms(passages, e, terms, farther)
-    for e in range(count):
-        for farther in range(2):
-            l = lanes[e]
+            improve_zero(passages, e)
+    for e in range(QUEUE):
+        pole_terms(passages, e, terms, nearer)
+    for e in range(min(count, QUEUE)):
+        l = lanes[e]
+        for farther in range(2 if passages[Passage.FARTHER, e] > 0.0 else 1):
+            if farther == 1:
+                approximate_zero(passages, e, farther)
+                for _ in range(NEWTON_STEPS):
+                    improve_zero(passages, e)
+                pole_terms(passages, e, terms, farther)
             z = complex(terms[farther, Term.Z_REAL, e] + first_nodes[e], terms[farther, Term.Z_IMAG, e])
             if counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
                 stats[Row.ZERO_2_REAL, l], stats[Row.ZERO_2_IMAG, l] = (
@@ -399,19 +414,15 @@ def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, inter
                     stats[Row.ZERO_1_IMAG, l],
                 )
                 stats[Row.ZERO_1_REAL, l], stats[Row.ZERO_1_IMAG, l] = z.real, z.imag
-                slope = complex(1.0, 0.0)
                 if min(z.real, intervals - z.real) < END:
-                    z, slope = stretched(z, intervals - z)
-                simple, double = trapezoid_error_of_pole(z - np.floor(z.real), slope)
-                theta_squared, psi, psi_squared, phi, phi_squared = sum_errors(
-                    terms, farther, e, simple, double, passages[Passage.VERTICAL, e]
-                )
+                    tau, slope = stretched(z, intervals - z)
+                    sum_errors(terms, farther, e, tau, slope, passages[Passage.VERTICAL, e])
                 per_time = 1.0 / (stride * dt[l])
-                stats[Row.THETA_DOT_SQUARED_ERROR, l] += theta_squared * per_time * per_time
-                stats[Row.PSI_DOT_ERROR, l] += psi * per_time
-                stats[Row.PSI_DOT_SQUARED_ERROR, l] += psi_squared * per_time * per_time
-                stats[Row.PHI_DOT_ERROR, l] += phi * per_time
-                stats[Row.PHI_DOT_SQUARED_ERROR, l] += phi_squared * per_time * per_time
+                for k in range(5):  # of squares, where k is even
+                    unit = per_time if k % 2 else per_time * per_time
+                    error = terms[farther, Term.THETA_DOT_SQUARED_ERROR + k, e]
+                    stats[Row.THETA_DOT_SQUARED_ERROR + k, l] += error * unit
+    return move_up(passages, lanes, first_nodes, count)
 
 
 def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):

@@ -17,12 +17,10 @@ from enum import IntEnum
 
 import numpy as np
 
-from .generated import called_seldom
-
 # Beyond this distance from the real axis a pole does no harm: exp(-8 pi).
 REACH = 4.0
-# Steps of Newton's method for its position.
-NEWTON_STEPS = 4
+# Steps of Newton's method for its position before the last, in `pole_terms`.
+NEWTON_STEPS = 3
 
 
 class Passage(IntEnum):
@@ -40,7 +38,7 @@ class Passage(IntEnum):
     TIME = 24  # real instant near which zeros are sought, counted from the first of the four nodes
     Z_REAL = 25  # a zero or its approximation, counted likewise
     Z_IMAG = 26
-    CHANGE = 27  # square of its last change by Newton's method
+    FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
     VERTICAL = 28  # the sign of g3
     PSI_DOT_REFERENCE = 29  # what psi' and phi' are counted from in the sums
     PHI_DOT_REFERENCE = 30
@@ -54,7 +52,7 @@ class Term(IntEnum):
 
     Z_REAL = 0  # counted from the first of the four nodes
     Z_IMAG = 1
-    CHANGE = 2  # square of the last change of the zero by Newton's method
+    CHANGE = 2  # square of the last change of the zero
     SIN2_THETA = 3  # at the real part of the zero
     THETA_REAL = 4
     THETA_IMAG = 5
@@ -62,6 +60,12 @@ class Term(IntEnum):
     PSI_IMAG = 7
     PHI_REAL = 8
     PHI_IMAG = 9
+    # Excess of the sums over their integrals, see `sum_errors`.
+    THETA_DOT_SQUARED_ERROR = 10
+    PSI_DOT_ERROR = 11
+    PSI_DOT_SQUARED_ERROR = 12
+    PHI_DOT_ERROR = 13
+    PHI_DOT_SQUARED_ERROR = 14
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
@@ -72,10 +76,9 @@ def turns_near_vertical(sin2_theta, slope_0, slope_1):
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
     curvature = slope_1 - slope_0
-    inverse = 1.0 / (curvature if turns > 0.0 else 1.0)
-    instant = -slope_0 * inverse
-    near = turns if sin2_theta * inverse - instant * instant < REACH * REACH else 0.0
-    return near, instant
+    reach = REACH * curvature
+    near = turns if sin2_theta * curvature - slope_0 * slope_0 < reach * reach else 0.0
+    return near, -slope_0 / (curvature if turns > 0.0 else 1.0)
 
 
 def difference(table, row, e):
@@ -83,10 +86,7 @@ def difference(table, row, e):
     (
         table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
         table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
-    ) = divided_differences(
-        table[row, e], table[row + 1, e], table[row + 2, e], table[row + 3, e],
-        table[row + 4, e], table[row + 5, e], table[row + 6, e], table[row + 7, e],
-    )  # fmt: skip
+    ) = divided_differences(*differences_of(table, row, e))  # fmt: skip
 
 
 def differences_of(table, row, e):
@@ -117,8 +117,11 @@ def approximate_zero(passages, e, farther):
     root = square_root(slope * slope - 4.0 * (curvature * value))
     along = slope.real * root.real + slope.imag * root.imag
     half = -0.5 * (slope + (1.0 if along >= 0.0 else -1.0) * root)
-    z = half * complex_inverse(curvature) if farther else value * complex_inverse(half)
+    far = half * complex_inverse(curvature)
+    z = far if farther else value * complex_inverse(half)
     passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e] = x + z.real, z.imag
+    x, y = abs(x + far.real - 1.5), abs(far.imag)
+    passages[Passage.FARTHER, e] = 1.0 if y < REACH - 1.0 and x < REACH + 0.5 * y else 0.0
 
 
 def improve_zero(passages, e):
@@ -128,14 +131,19 @@ def improve_zero(passages, e):
     change = value * complex_inverse(slope)
     z = z - change
     passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e] = z.real, z.imag
-    passages[Passage.CHANGE, e] = change.real * change.real + change.imag * change.imag
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero and Laurent coefficients of the differenced passage e into column e of terms[farther]."""
+    """Write zero, Laurent coefficients and errors of the differenced passage e into column e of terms[farther].
+
+    The last step for the zero is one of Halley's method, which needs no more than the coefficients do.
+    """
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
-    _, slope, curvature = polynomial(zeta, z)
+    value, slope, curvature = polynomial(zeta, z)
+    change = value * complex_inverse(slope)
+    change = value * complex_inverse(slope - curvature * change)
+    z, slope = z - change, slope - 2.0 * (curvature * change)
     mirror_value, mirror_slope, _ = polynomial(zeta, z.conjugate())
     # conj(zeta(conj t)) and its derivative at z: |zeta|^2 is the product of zeta and that function.
     conjugate, conjugate_slope = mirror_value.conjugate(), mirror_slope.conjugate()
@@ -151,40 +159,57 @@ def pole_terms(passages, e, terms, farther):
     psi = -1j * vertical * (a_psi - passages[Passage.PSI_DOT_REFERENCE, e])
     phi = 1j * (a - passages[Passage.PHI_DOT_REFERENCE, e])
     terms[farther, Term.Z_REAL, e], terms[farther, Term.Z_IMAG, e] = z.real, z.imag
-    terms[farther, Term.CHANGE, e] = passages[Passage.CHANGE, e]
+    terms[farther, Term.CHANGE, e] = change.real * change.real + change.imag * change.imag
     beside, _, _ = polynomial(zeta, z.real)
     terms[farther, Term.SIN2_THETA, e] = beside.real * beside.real + beside.imag * beside.imag
     terms[farther, Term.THETA_REAL, e], terms[farther, Term.THETA_IMAG, e] = theta.real, theta.imag
     terms[farther, Term.PSI_REAL, e], terms[farther, Term.PSI_IMAG, e] = psi.real, psi.imag
     terms[farther, Term.PHI_REAL, e], terms[farther, Term.PHI_IMAG, e] = phi.real, phi.imag
+    sum_errors(terms, farther, e, z, complex(1.0, 0.0), vertical)
 
 
-def sum_errors(terms, farther, e, simple, double, vertical):
-    """Excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero.
+def sum_errors(terms, farther, e, tau, slope, vertical):
+    """Write the excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero.
 
-    `simple` and `double` come from `trapezoid_error_of_pole`; `vertical` is the sign of g3.
+    `tau` and `slope` as for `trapezoid_error_of_pole`; `vertical` is the sign of g3.
     """
+    simple, double = trapezoid_error_of_pole(tau, slope)
     theta = (
         simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
     )
     psi = simple.real * terms[farther, Term.PSI_REAL, e] - simple.imag * terms[farther, Term.PSI_IMAG, e]
     phi = simple.real * terms[farther, Term.PHI_REAL, e] - simple.imag * terms[farther, Term.PHI_IMAG, e]
     square = -0.5 * double.real
-    return 2.0 * theta, vertical * simple.imag, square + 2.0 * psi, -simple.imag, square + 2.0 * phi
+    terms[farther, Term.THETA_DOT_SQUARED_ERROR, e] = 2.0 * theta
+    terms[farther, Term.PSI_DOT_ERROR, e] = vertical * simple.imag
+    terms[farther, Term.PSI_DOT_SQUARED_ERROR, e] = square + 2.0 * psi
+    terms[farther, Term.PHI_DOT_ERROR, e] = -simple.imag
+    terms[farther, Term.PHI_DOT_SQUARED_ERROR, e] = square + 2.0 * phi
 
 
-@called_seldom
 def trapezoid_error_of_pole(tau, slope):
     """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
 
     `tau`, in which the samples are uniform, and its derivative are values at z; see `sampling.stretched`.
     """
-    above = tau.imag > 0.0
-    q = np.exp(2j * np.pi * (tau if above else tau.conjugate()))
-    inverse = complex_inverse(1.0 - q)
-    simple = 2j * np.pi * q * inverse
-    double = 2j * np.pi * simple * inverse * (slope if above else slope.conjugate())
-    return (simple if above else simple.conjugate()), (double if above else double.conjugate())
+    side, turns = (1.0 if tau.imag > 0.0 else -1.0), tau.real - np.floor(tau.real + 0.5)
+    q_less_1 = exponential_less_1(complex(-2.0 * np.pi * min(abs(tau.imag), 8.0), 2.0 * np.pi * turns))
+    inverse = complex_inverse(-q_less_1)
+    simple = 2j * np.pi * (1.0 + q_less_1) * inverse
+    double = 2j * np.pi * simple * inverse * complex(slope.real, side * slope.imag)
+    return complex(simple.real, side * simple.imag), complex(double.real, side * double.imag)
+
+
+def exponential_less_1(z):
+    """exp(z) - 1 for |z| up to 50, from exp(z / 128) - 1: arithmetic of which the compiler makes vector instructions."""
+    w = z * (1 / 128)
+    value = 1.0 + w * (1 / 9)
+    for k in range(8, 1, -1):
+        value = 1.0 + w * value * (1.0 / k)
+    value = w * value
+    for _ in range(7):
+        value = value * (value + 2.0)
+    return value
 
 
 def complex_inverse(z):

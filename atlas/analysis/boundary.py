@@ -27,7 +27,7 @@ from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from . import plane as planes
 from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
-from .plane import SAMPLES, Plane
+from .plane import IN_SPACE, SAMPLES, Plane
 from .select import plane_of
 
 Lines = dict[str, list[np.ndarray]]
@@ -88,6 +88,8 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     for dim in dims:
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
+        if any(axes_of(scene)[dim].name in getattr(tie, "drawn", ()) for tie in scene.ties.values()):
+            raise BadInput(f"{dim}: its values number random draws, between which theory has no lines")
     derived = scene.system.derived.get(variable)
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
@@ -96,8 +98,10 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
         return _traced(
             lambda: count_borders(whole, counts, derived), whole, variable, counts.values.tobytes(), *values
         )
-    inertial = variable.endswith("_inertial")
-    borders = _traced(lambda: theory_borders(whole, inertial=inertial), whole, inertial)
+    borders = _traced(lambda: theory_borders(whole), whole)
+    frame = IN_SPACE if variable.endswith("_inertial") else ""
+    names = {kind: kind if kind in FRAMELESS else kind + frame for kind in KINDS}
+    borders = {kind: borders[name] for kind, name in names.items() if name in borders}
     if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
         nonlinear = variable in (NONLINEAR, *NORMAL_FORM)
         traced = _traced(lambda: resonance_lines(whole, nonlinear=nonlinear), whole, "resonances", nonlinear)
@@ -141,8 +145,8 @@ DIVISION, LEVELS = 3, 2
 # Seconds of the first samples, from which the whole takes more than two.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# Bisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
-BISECTIONS, LINE_BISECTIONS = 5, 17
+# Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
+TRISECTIONS, LINE_TRISECTIONS = 3, 11
 # Vertices of the stretches into which a line is first divided, and cells by which a straight one may differ from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
@@ -151,57 +155,64 @@ LABEL = "precession limit"
 EXISTENCE = "edge of existence"
 ZERO_RATES = {"n": "permanent rotation: psi' = 0", "m": "permanent rotation: phi' = 0"}
 KINDS = (STABILITY, LABEL, EXISTENCE, *ZERO_RATES.values())
+FRAMELESS = (STABILITY, EXISTENCE)
 
 # Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
 Classes = dict[str, Flags]
+Codes = NDArray[np.int64]  # one number for the classes of all kinds
 
 
-def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np.ndarray]]:
+def theory_borders(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Polylines, by KINDS, at which theory predicts a change in a plane, in the units of its axes.
+
+    The kinds that depend on the frame are also those in space, with IN_SPACE at the end.
 
     They separate linearly stable from unstable motions, regular precession from permanent rotation, and
     points with a motion from points without; and a regular precession has psi' = 0 or phi' = 0 on them, so
     that it is a permanent rotation on the line alone. Samples on COARSE_SAMPLES values along each axis are
     refined where a line crosses a cell, and around it as far as the line continues, so that a region wider
     than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed to its ends if one sample is inside
-    it. Vertices are then bisected.
+    it. Vertices are then trisected.
     """
 
     def classes(positions: Array) -> Classes:
         """Classes at positions (points, axes)."""
-        theory = plane.theory(plane.coordinates(positions), inertial=inertial)
-        regular = theory.exists & (theory.label == Label.REGULAR_PRECESSION)
-        # A nudged unstable motion has no label of its own, so that no line divides such points.
-        kept = regular & ((theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge))
-        permanent = theory.exists & (theory.label == Label.PERMANENT_ROTATION)
+        theory = plane.theory(plane.coordinates(positions))
         columns = {
             STABILITY: np.where(theory.exists, theory.stable, Stability.UNKNOWN),
-            LABEL: np.select([regular, permanent], [1, 2], 0),
             EXISTENCE: np.where(theory.exists, 1, 2),
         }
-        for name, kind in ZERO_RATES.items():
-            if name not in plane.extent:  # the zero of an axis needs no line
-                columns[kind] = np.where(kept, np.where(theory.rates[name] < 0, 1, 2), 0)
+        # A nudged unstable motion has no label of its own, so that no line divides such points.
+        lasts = (theory.stable != Stability.UNSTABLE) | (not plane.scene.nudge)
+        for frame, (label, rates) in theory.frames.items():
+            regular = theory.exists & (label == Label.REGULAR_PRECESSION)
+            permanent = theory.exists & (label == Label.PERMANENT_ROTATION)
+            columns[LABEL + frame] = np.select([regular, permanent], [1, 2], 0)
+            for name, kind in ZERO_RATES.items():
+                if name not in plane.extent:  # the zero of an axis needs no line
+                    columns[kind + frame] = np.where(regular & lasts, np.where(rates[name] < 0, 1, 2), 0)
         return {kind: column.astype(np.int8) for kind, column in columns.items()}
 
     if len(plane.extent) == 1:
-        samples, bisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_BISECTIONS
+        samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
     else:
-        samples, bisections = _refined_samples(classes), BISECTIONS
+        samples, trisections = _refined_samples(classes), TRISECTIONS
     result = {}
     for kind, column in samples.items():
+        if not ((column == 1).any() and (column == 2).any()):
+            continue
         cells = len(column) - 1
 
         def is_above(positions: Array, kind: str = kind, cells: int = cells) -> Mask:
             return np.asarray(classes(positions / cells)[kind] > 1)
 
-        lines, edges = _bisected_lines(np.where(column > 0, column, np.nan), 1.5, is_above, bisections)
-        if kind in ZERO_RATES.values():
-            (rate,) = (name for name, zero_kind in ZERO_RATES.items() if zero_kind == kind)
+        lines, edges = _narrowed_lines(np.where(column > 0, column, np.nan), 1.5, is_above, trisections)
+        rate = next((name for name, zero_kind in ZERO_RATES.items() if kind.startswith(zero_kind)), None)
+        if rate is not None:
 
-            def size(positions: Array, rate: str = rate, cells: int = cells) -> Array:
-                coordinates = plane.coordinates(positions / cells)
-                return np.abs(plane.theory(coordinates, inertial=inertial).rates[rate])
+            def size(positions: Array, kind: str = kind, rate: str = rate, cells: int = cells) -> Array:
+                frames = plane.theory(plane.coordinates(positions / cells)).frames
+                return np.abs(frames[kind.removeprefix(ZERO_RATES[rate])][1][rate])
 
             lines = _without_poles(size, edges, lines)
         if lines:
@@ -209,10 +220,10 @@ def theory_borders(plane: Plane, *, inertial: bool = False) -> dict[str, list[np
     return result
 
 
-def _bisected_lines(
-    values: Array, level: float, is_above: Callable[[Array], Mask], bisections: int
+def _narrowed_lines(
+    values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, bisected, and the samples on either side; all as indices (vertices, axes).
+    """Lines between samples on both sides of a level, trisected, and the samples on either side; all as indices (vertices, axes).
 
     Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
     """
@@ -228,7 +239,7 @@ def _bisected_lines(
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
     while new.size:
-        vertices[new] = _bisected(is_above, at_low[new], low[new], high[new], bisections)
+        vertices[new] = _narrowed(is_above, at_low[new], low[new], high[new], trisections)
         long = last - first > 1
         first, last = first[long], last[long]
         if first.size:
@@ -247,49 +258,65 @@ def _bisected_lines(
     return np.split(vertices[kept], ends), list(edges)
 
 
-def _bisected(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
+def _narrowed(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
     """Positions between low and high (vertices, axes), up to which a level is exceeded as it is at low."""
     for _ in range(count):
-        middle = 0.5 * (low + high)
-        is_low = (is_above(middle) == at_low)[:, np.newaxis]
-        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+        third = (high - low) / 3
+        inner = np.concatenate([low + third, low + 2 * third])
+        is_low = is_above(inner).reshape(2, -1) == at_low
+        low = low + third * np.logical_and.accumulate(is_low).sum(0)[:, np.newaxis]
+        high = low + third
     return 0.5 * (low + high)
 
 
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
-    """Classes on a fine grid over two axes, evaluated only where they change, (samples, samples)."""
-    from scipy import ndimage  # here, because every command imports this module
-
-    count, steps = COARSE_SAMPLES, np.linspace(0, 1, COARSE_SAMPLES)
+    """Classes on a fine grid over two axes, (samples, samples), evaluated only where they change."""
+    steps = np.linspace(0, 1, COARSE_SAMPLES)
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     began = time.process_time()
-    samples = {kind: column.reshape(count, count) for kind, column in classes(positions).items()}
+    columns = classes(positions)
     if time.process_time() - began > ANNOUNCED:
         compiling.say(TRACING)
-    evaluated = np.ones((count, count), bool)
+    digits = 3 ** np.arange(len(columns))
+
+    def codes(positions: Array) -> Codes:
+        return np.asarray(digits @ np.array(list(classes(positions).values())))
+
+    samples = (digits @ np.array(list(columns.values()))).reshape(steps.size, steps.size)
+    evaluated = np.ones(samples.shape, bool)
     for _ in range(LEVELS):
-        # Each fine sample begins with the class of the coarse one next to it, which holds unless a line is near.
-        count = DIVISION * (count - 1) + 1
-        nearest = np.rint(np.arange(count) / DIVISION).astype(int)
-        samples = {kind: column[np.ix_(nearest, nearest)] for kind, column in samples.items()}
-        coarse, evaluated = evaluated, np.zeros((count, count), bool)
-        evaluated[::DIVISION, ::DIVISION] = coarse
-        while True:
-            # Coarse cells of which two samples have different classes, edges included, and all their samples.
-            changed = np.zeros(2 * [(count - 1) // DIVISION], bool)
-            for column in samples.values():
-                if column.min() != column.max():
-                    window = 2 * [DIVISION + 1]
-                    cells = np.lib.stride_tricks.sliding_window_view(column, window)[::DIVISION, ::DIVISION]
-                    changed |= (cells != cells[..., :1, :1]).any((2, 3))
-            blocks = np.repeat(np.repeat(changed, DIVISION, 0), DIVISION, 1)
-            missing = ndimage.maximum_filter(np.pad(blocks, (0, 1)), 2) & ~evaluated
-            if not missing.any():
-                break
-            for kind, column in classes(np.argwhere(missing) / (count - 1)).items():
-                samples[kind][missing] = column
-            evaluated |= missing
-    return samples
+        samples, evaluated = _divided(codes, samples, evaluated)
+    of_code = (np.arange(3**digits.size)[:, np.newaxis] // digits % 3).astype(np.int8)
+    return {kind: of_code[:, i][samples] for i, kind in enumerate(columns)}
+
+
+def _divided(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
+    """Samples of the cells divided into DIVISION x DIVISION, and where they were evaluated; elsewhere they are the nearest's.
+
+    All samples of cells with a change are evaluated, and of those beside them as far as a line continues.
+    """
+    count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
+    nearest = np.rint(np.arange(count) / DIVISION).astype(int)
+    fine, known = samples[np.ix_(nearest, nearest)].ravel(), np.zeros(count**2, bool)
+    known.reshape(count, count)[::DIVISION, ::DIVISION] = evaluated
+
+    def places(cells: Mask) -> NDArray[np.int64]:
+        """Flat indices of the samples of cells, (cells, DIVISION + 1, DIVISION + 1)."""
+        i, j = DIVISION * np.argwhere(cells).T[:, :, np.newaxis, np.newaxis]
+        return (i + along[:, np.newaxis]) * count + j + along
+
+    corners = np.lib.stride_tricks.sliding_window_view(samples, (2, 2))
+    divided = pending = (corners != corners[..., :1, :1]).any((2, 3))
+    while pending.any():
+        new = places(pending)
+        new = np.unique(new[~known[new]])
+        fine[new], known[new] = codes(np.stack(np.divmod(new, count), -1) / (count - 1)), True
+        near = np.pad(pending, 1)
+        pending = (near[2:, 1:-1] | near[:-2, 1:-1] | near[1:-1, 2:] | near[1:-1, :-2]) & ~divided
+        cells = fine[places(pending)]
+        pending[pending] = (cells != cells[:, :1, :1]).any((1, 2))
+        divided = divided | pending
+    return fine.reshape(count, count), known.reshape(count, count)
 
 
 def _without_poles(
@@ -310,7 +337,7 @@ def _parts(line: Array, shown: Mask) -> list[Array]:
 
 
 CHANGE = "change of the number"
-COUNT_BISECTIONS = 6  # of the distance between two neighbouring points of the atlas
+COUNT_TRISECTIONS = 4  # of the distance between two neighbouring points of the atlas
 # Counts that change only where equilibria merge.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
 MANY_COUNTS = 300  # vertices, which take more than a second
@@ -343,8 +370,8 @@ def count_borders(plane: Plane, counts: xr.DataArray, derived: DerivedVariable) 
         points = plane.points(dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True)))
         return np.asarray(derived.values(points.base, points.duration, lambda: None) > level)
 
-    classes = [(level, partial(is_above, level=level), COUNT_BISECTIONS) for level in levels]
-    lines = [_interpolated(line, axes) for each in classes for line in _bisected_lines(values, *each)[0]]
+    classes = [(level, partial(is_above, level=level), COUNT_TRISECTIONS) for level in levels]
+    lines = [_interpolated(line, axes) for each in classes for line in _narrowed_lines(values, *each)[0]]
     return {CHANGE: lines} if lines else {}
 
 
@@ -482,8 +509,8 @@ def resonance_lines(plane: Plane, *, nonlinear: bool = False) -> dict[str, list[
             columns = dict(zip(plane.extent, _interpolated(positions, axes).T, strict=True))
             return derived(columns, NORMAL_FORM[-1:])[NORMAL_FORM[-1]]
 
-        lines, edges = _bisected_lines(
-            values[NORMAL_FORM[-1]], 0.0, lambda positions: determinant(positions) > 0, BISECTIONS
+        lines, edges = _narrowed_lines(
+            values[NORMAL_FORM[-1]], 0.0, lambda positions: determinant(positions) > 0, TRISECTIONS
         )
         if lines := _without_poles(lambda positions: np.abs(determinant(positions)), edges, lines):
             result[DEGENERATE] = [_interpolated(line, axes) for line in lines if len(line) > 1]

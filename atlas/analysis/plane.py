@@ -20,6 +20,7 @@ from .select import cell_edges
 SAMPLES = 300
 # Rates of at most this, in rad per time unit, are zero but for rounding.
 ZERO_RATE = 1e-9
+IN_SPACE = " in space"
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,9 @@ class Theory:
 
     exists: Mask  # whether the scene has a motion there
     stable: np.ndarray  # linear stability, values of Stability
-    label: np.ndarray  # label of the exact motion, values of Label
-    rates: Mapping[str, Array]  # psi' and phi' of the motion by the names "n" and "m", rad per time unit
+    # By frame, "" or IN_SPACE: label of the exact motion, values of Label, and psi' and phi' by the names "n" and "m", rad per
+    # time unit
+    frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class Plane:
 
         It reaches half a cell beyond the outermost points, except on sides where the scene has no points.
         """
-        extent = {dim: (float(ds[dim].min()), float(ds[dim].max())) for dim in dims}
+        # An xarray scalar would import dask.
+        extent = {dim: (float(ds[dim].values.min()), float(ds[dim].values.max())) for dim in dims}
         fixed = {}
         for dim in axes_of(scene):
             if dim not in extent:
@@ -108,16 +111,17 @@ class Plane:
         scene = replace(self.scene, duration=Duration(1.0))
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
-    def theory(self, coordinates: Mapping[str, Array], *, inertial: bool = False) -> Theory:
+    def theory(self, coordinates: Mapping[str, Array]) -> Theory:
         """Predictions for exact motions in the plane; without a motion only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
             predicted = predict(system, points.base, ZERO_RATE, False)
             _, n, m = system.steady_rates(points.base)
-        label = predicted["predicted"]
-        if inertial and system.frame_rate is not None:
-            label, n = predicted["predicted_inertial"], n + system.frame_rate(points.base)
-        return Theory(points.exists, predicted["stable"], label, {"n": n, "m": m})
+        frames = {"": (predicted["predicted"], {"n": n, "m": m})}
+        if system.frame_rate is not None:
+            in_space = {"n": n + system.frame_rate(points.base), "m": m}
+            frames[IN_SPACE] = predicted["predicted_inertial"], in_space
+        return Theory(points.exists, predicted["stable"], frames)
 
 
 # Number of values from which a family's formula is solved, and most ends of its curve that are resampled.

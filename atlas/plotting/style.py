@@ -240,7 +240,7 @@ def caption(ds: xr.Dataset) -> str:
     if scene is not None:
         dims = axes_of(scene)
         axes = [
-            f"{dim} from {float(ds[dim].min()):.6g} to {float(ds[dim].max()):.6g} ({ds.sizes[dim]} values)"
+            f"{dim} from {float(ds[dim].values.min()):.6g} to {float(ds[dim].values.max()):.6g} ({ds.sizes[dim]} values)"
             for dim in dims
             if dim in ds.dims
         ]

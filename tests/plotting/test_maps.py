@@ -782,7 +782,7 @@ def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys
     assert "tracing the lines of theory" in capsys.readouterr().err
     (kept,) = (tmp_path / "lines").iterdir()
 
-    def trace(plane, inertial):
+    def trace(plane):
         traced.append(plane)
         return {boundary.STABILITY: []}
 
@@ -800,11 +800,12 @@ def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys
 def test_straight_lines_have_few_vertices_and_bent_ones_as_many_as_they_need():
     """Stable inside a circle, and beyond a straight line."""
 
-    def theory(places, inertial=False):
+    def theory(places):
         x, y = places["x"], places["y"]
         stable = (np.hypot(x - 0.3, y - 0.6) < 0.2) | (x + 0.3 * y > 0.9)
         ones = np.ones(x.shape)
-        return planes.Theory(ones.astype(bool), np.where(stable, 1, 2), 2 * ones, {"n": ones, "m": ones})
+        frames = {"": (2 * ones, {"n": ones, "m": ones})}
+        return planes.Theory(ones.astype(bool), np.where(stable, 1, 2), frames)
 
     line, circle = sorted(boundary.theory_borders(drawn_plane(theory, "xy"))[boundary.STABILITY], key=len)
     np.testing.assert_allclose(line @ [1, 0.3], 0.9, atol=2e-5)
@@ -837,13 +838,12 @@ def drawn_plane(theory, dims):
 def test_a_strip_narrower_than_the_samples_is_followed_to_its_end():
     """Unstable between y = x / 2 and a little above, ending in a point at x = 1."""
 
-    def theory(places, inertial=False):
+    def theory(places):
         x, y = places["x"], places["y"]
         inside = (y > 0.5 * x) & (y < 0.5 * x + 0.02 * (1 - x))
         ones = np.ones(x.shape)
-        return planes.Theory(
-            ones.astype(bool), np.where(inside, 2, 1), np.full(x.shape, 2), {"n": ones, "m": ones}
-        )
+        frames = {"": (np.full(x.shape, 2), {"n": ones, "m": ones})}
+        return planes.Theory(ones.astype(bool), np.where(inside, 2, 1), frames)
 
     strip = drawn_plane(theory, "xy")
     line = max(boundary.theory_borders(strip)[boundary.STABILITY], key=len)
@@ -855,14 +855,15 @@ def test_a_strip_narrower_than_the_samples_is_followed_to_its_end():
 def test_only_precessions_and_rotations_have_a_limit_between_them():
     """Fifths of an axis: precessions, unstable ones, starts that drift, rotations, precessions; m is 0 in the second."""
 
-    def theory(places, inertial=False):
+    def theory(places):
         x = places["x"]
         fifth = np.minimum((5 * x).astype(int), 4)
         labels = [Label.REGULAR_PRECESSION] * 2 + [
             Label.DRIFTING, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION
         ]  # fmt: skip
         rates = {"n": x - 0.11, "m": x - 0.31}
-        return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), np.array(labels)[fifth], rates)
+        frames = {"": (np.array(labels)[fifth], rates)}
+        return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), frames)
 
     lines = boundary.theory_borders(drawn_plane(theory, "x"))
     positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}
@@ -1009,3 +1010,11 @@ def test_the_caption_contains_what_was_computed(small):
     assert " ".join(printed.split()) == caption
     points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
     assert "step 0.1" in style.caption(points)
+
+
+def test_an_axis_of_random_draws_has_no_lines_of_theory():
+    scene = load_scene(QUICKSTART.with_name("gravity_gradient_uncertain.toml"))
+    coords = {axis.dim: axis.values for axis in scene.axes.values()}
+    view = xr.Dataset(coords=coords | {"K3": -0.5})
+    with pytest.raises(BadInput, match="draw: its values number random draws"):
+        boundary.theory_lines(scene, view, ["K1", "draw"], "label")

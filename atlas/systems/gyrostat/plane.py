@@ -224,10 +224,11 @@ class PlaneMotions(NamedTuple):
         result = np.full((5, f.size), np.nan)
         for count, rotates in product(np.unique(pairs[pairs <= _MAX_PAIRS]).astype(int), (False, True)):
             members = np.flatnonzero((pairs == count) & (self.rotates == rotates))
-            parts = [np.zeros((n * count * (1 if rotates else 2), 3, 4, 4, LANES)) for n in (1, 2)]
+            width = min(members.size, LANES)
+            parts = [np.zeros((n * count * (1 if rotates else 2), 3, 4, 4, width)) for n in (1, 2)]
             for first in range(0, members.size, LANES):
                 some = members[first : first + LANES]
-                lanes = self.subset(np.resize(some, LANES))
+                lanes = self.subset(np.resize(some, width))
                 mean = lanes.mean
                 coarse, fine = (lanes._sums(n * count, rotates, mean, parts[n - 1]) for n in (1, 2))
                 coarse[:2] *= np.exp((coarse[2] - fine[2]) * np.array([[1.0], [2.0]]))
@@ -237,7 +238,7 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, count: int, rotates: bool, mean: Mean, parts: Array) -> Array:
-        """The same by so many steps of a quarter of the period, of LANES points; parts: space for `of_steps`, 0 elsewhere."""
+        """The same by so many steps of a quarter of the period, LANES times in all; parts: space for `of_steps`, 0 elsewhere."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         nodes = np.arange(count) + 0.5 + GAUSS * np.array([-1, 0, 1])[:, None]
         sn, cn, dn = mean.functions(nodes[..., None] / (4 * count))
@@ -261,7 +262,8 @@ class PlaneMotions(NamedTuple):
             for row, part in enumerate(between_nodes(*value)):
                 for i, j, factor in places:
                     np.multiply(part, factor, out=parts[:, row, i, j])
-        H, log_scale = of_steps(parts)
+        # The order of the sums below may depend on the number of points.
+        H, log_scale = (np.resize(each, (LANES, *each.shape[1:])) for each in of_steps(parts))
         matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
         trace = np.trace(matrix, axis1=1, axis2=2)
         return np.array([trace, 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)), 2 * log_scale])

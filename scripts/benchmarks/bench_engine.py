@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -38,7 +39,7 @@ import atlas
 from atlas import jit
 from atlas.engine import blocks
 from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import Specialization, kernel, tangent_kernel
+from atlas.engine.specialization import Specialization, kernel, source, tangent_kernel
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tangent import METHOD
 from atlas.measure import chaos
@@ -105,7 +106,8 @@ class Case:
         per_sample = int(typical.steps_per_sample[0])
         self.sampling = f"a sample every {per_sample} steps" if per_sample > 1 else "a sample every step"
         absent = {parameter for parameter, values in points.items() if not np.nan_to_num(values).any()}
-        self.kernel = kernel(system, method, Specialization.of(system, absent, frozenset()))
+        kind = system, method, Specialization.of(system, absent, frozenset())
+        self.kernel, self.source = kernel(*kind), source(*kind)
         self.point_steps = count * steps
         self.first_call = seconds(partial(self.run, 1))
 
@@ -115,12 +117,12 @@ class Case:
 
     def assembly(self) -> str:
         """Assembly of the kernel, compiled again because Numba does not show what came from its cache."""
-        shipped = self.kernel.integrate
+        namespace: dict[str, Any] = {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fresh = njit(**shipped.targetoptions)(shipped.py_func)
-            fresh.compile(shipped.signatures[0])
-        return next(iter(fresh.inspect_asm().values()))
+            exec(self.source, namespace)
+            namespace["integrate"].compile(self.kernel.integrate.signatures[0])
+        return str(next(iter(namespace["integrate"].inspect_asm().values())))
 
 
 def step_instructions(assembly: str) -> Instructions | None:

@@ -54,7 +54,7 @@ def add(path: Path) -> None:
                     room = max(room // count, 1)
             else:
                 block = [min(length, count) for length, count in zip(chunks, variable.shape, strict=True)]
-                variable.set_var_chunk_cache(size=16 * math.prod(chunks))  # two chunks instead of 64 MB
+                limit_cache(variable)
             blocks[name] = block
         crc = [
             _crc(np.asarray(variable[_slices(index, blocks[name]) or ...]))
@@ -66,6 +66,12 @@ def add(path: Path) -> None:
         group.createVariable("crc32", np.uint32, ["block"], fill_value=False)[:] = np.array(crc, np.uint32)
         group.setncattr("block_shapes", json.dumps(blocks))
         group.setncattr("metadata_sha256", _metadata_hash(file))
+
+
+def limit_cache(variable: netCDF4.Variable[Any]) -> None:
+    """Cache two chunks of a variable: each is used once, and the library would keep up to 64 MB of every variable."""
+    if isinstance(chunks := variable.chunking(), list):
+        variable.set_var_chunk_cache(size=16 * math.prod(chunks))
 
 
 def are_in(path: Path) -> bool:
@@ -178,8 +184,7 @@ class CheckedStore(xr.backends.NetCDF4DataStore):
         variable = super().open_store_variable(name, var)
         if name not in self.checksums:
             return variable
-        if isinstance(chunks := var.chunking(), list):
-            var.set_var_chunk_cache(size=16 * math.prod(chunks))
+        limit_cache(var)
         return variable.copy(deep=False, data=indexing.LazilyIndexedArray(_CheckedArray(name, self)))
 
 

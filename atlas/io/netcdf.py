@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import platform
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -198,8 +197,7 @@ def write_blocks(
                     variable.set_auto_maskandscale(False)
                     variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
                     if dimensions:
-                        size = 2 * math.prod(variable.chunking()) * array.dtype.itemsize
-                        variable.set_var_chunk_cache(size=size)
+                        checksums.limit_cache(variable)
                     if name in small:
                         variable[...] = small[name]
             for name, array in ds.variables.items():  # parameters too large for memory

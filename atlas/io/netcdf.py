@@ -174,7 +174,10 @@ def _checked(path: Path) -> Iterator[Path]:
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
 ) -> None:
-    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`."""
+    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`.
+
+    The attributes of the dataset are written last, because the blocks may set them.
+    """
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     # Read without the lock, which they may need.
     small = {name: array.values for name, array in ds.variables.items() if array.chunks is None}
@@ -183,7 +186,6 @@ def write_blocks(
             file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
         try:
             with NETCDF_LOCK:
-                file.setncatts(ds.attrs)
                 for dim, length in ds.sizes.items():
                     file.createDimension(str(dim), length)
                 for name, array in ds.variables.items():
@@ -207,6 +209,8 @@ def write_blocks(
                 with NETCDF_LOCK:
                     for name, part in values.items():
                         file[name][box] = part
+            with NETCDF_LOCK:
+                file.setncatts(ds.attrs)
         finally:
             with NETCDF_LOCK:
                 file.close()

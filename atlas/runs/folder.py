@@ -22,10 +22,10 @@ import os
 import re
 import time
 import tomllib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -57,10 +57,10 @@ from .plan import ScenePlan, differences, identity
 from .tiles import (
     SHARD_CHUNKS,
     DamagedTile,
-    Tally,
     TileFiles,
     TileShards,
     Tiling,
+    Totals,
     computed_counts,
     tile_types,
 )
@@ -340,15 +340,17 @@ class RunFolder:
 
     def dataset(self) -> xr.Dataset:
         """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan. A sealed store as it is."""
-        if not (self.is_store and self.is_complete):
-            return self.tiled_dataset()
-        ds = zarr_store.open_store(self.path)
-        if (tally := self.provenance()[1]) is not None:
-            ds.encoding[TALLY] = tally
+        totals = self.totals()
+        if self.is_store and self.is_complete:
+            ds = zarr_store.open_store(self.path)
+        else:
+            ds = self.chunked().assign_attrs(self.attributes(totals))
+        if totals.tallied == self.scene.size:
+            ds.encoding[TALLY] = totals.tally
         return ds
 
-    def tiled_dataset(self) -> xr.Dataset:
-        """The atlas so far, with a dask chunk for each tile."""
+    def chunked(self) -> xr.Dataset:
+        """The atlas so far without provenance, with a dask chunk for each tile."""
         import dask.array as da
 
         chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
@@ -358,37 +360,30 @@ class RunFolder:
             )
             for name, dtype in tile_types(self.scene).items()
         }
-        ds = netcdf.dataset(self.scene, arrays, self.tiling.tile)
-        provenance, tally = self.provenance()
-        if tally is not None:
-            ds.encoding[TALLY] = tally
-        return ds.assign_attrs(provenance | self.final_attributes())
+        return netcdf.dataset(self.scene, arrays, self.tiling.tile)
 
-    def provenance(self) -> tuple[dict[str, Any], Tally | None]:
-        """Provenance of the written tiles, summed over processes, and the tally if all are written."""
-        points, tallied, seconds, tiles_by, reused = 0, 0, 0.0, Counter[str](), Counter[str]()
-        tally, sets = Tally(), self.tile_sets().values()
-        for sidecar in chain.from_iterable(tiles.sidecars() for tiles in sets):
-            points, seconds = points + sidecar["points"], seconds + sidecar["seconds"]
-            tiles_by[sidecar["by"]] += 1
-            reused.update(sidecar["reused"])
-            # A sidecar of an older version has none.
-            with suppress(LookupError, TypeError, ValueError, AttributeError):
-                tally.add(**sidecar["tally"])
-                tallied += sidecar["points"]
+    def totals(self) -> Totals:
+        """Sums over the tiles that are written."""
+        totals = Totals()
+        for sidecar in chain.from_iterable(tiles.sidecars() for tiles in self.tile_sets().values()):
+            totals.add(sidecar)
+        return totals
+
+    def attributes(self, totals: Totals) -> dict[str, Any]:
+        """Attributes of the atlas whose tiles have these sums."""
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
         attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
-        attributes["atlas_seconds"] = seconds
-        computed = points - reused.total()
+        attributes["atlas_seconds"] = seconds = totals.seconds
+        computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
-        attributes |= history_text(reused)
-        count = sum(tiles.tiling.count for tiles in sets)
-        attributes["atlas_run"] = f"{tiles_by.total()} of {count} tiles" + "".join(
-            f"; {count} by {by}" for by, count in sorted(tiles_by.items())
+        attributes |= history_text(totals.reused)
+        count = sum(tiles.tiling.count for tiles in self.tile_sets().values())
+        attributes["atlas_run"] = f"{totals.tiles_by.total()} of {count} tiles" + "".join(
+            f"; {count} by {by}" for by, count in sorted(totals.tiles_by.items())
         )
-        return attributes, tally if tallied == self.scene.size else None
+        return attributes | self.final_attributes()
 
     def save_final_attributes(self, attributes: dict[str, Any]) -> None:
         """Save attributes that only the finished run has; `dataset` then has them."""
@@ -396,7 +391,7 @@ class RunFolder:
         self.storage.write(FINAL_ATTRIBUTES, sealed({"key": self.key, "attributes": attributes}).encode())
         if self.is_store:
             assert isinstance(self.tiles, TileShards)
-            self.tiles.seal(self.tiled_dataset())
+            self.tiles.seal(self.chunked().assign_attrs(self.attributes(self.totals())))
 
     def final_attributes(self) -> dict[str, Any]:
         """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
@@ -424,7 +419,8 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        self.write(out, self.tiled_dataset(), self._blocks)
+        ds = self.chunked()
+        self.write(out, ds, partial(self._blocks, ds))
 
     def write(self, out: Path, ds: xr.Dataset, blocks: Blocks) -> None:
         """Write an atlas as a NetCDF file or .zarr store; see `join` for what is raised."""
@@ -456,19 +452,23 @@ class RunFolder:
             shards.write(tile, values, computed=computed, seconds=0.0, by="atlas join")
         shards.seal(ds)
 
-    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
-        """All points in boxes of these lengths, with the values of the tiles."""
+    def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
+        """All points in boxes of these lengths, with the values of the tiles; then the dataset gets its attributes."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
+        totals = Totals()
         parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
         points = 0  # in the parts
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
             while points < size:
-                parts.append(next(tiles))
-                points += next(iter(parts[-1].values())).size
+                sidecar, values = next(tiles)
+                totals.add(sidecar)
+                parts.append(values)
+                points += sidecar["points"]
             flat = {name: np.concatenate([values[name].ravel() for values in parts]) for name in types}
             yield boxes.slices(box), {name: values[:size].reshape(shape) for name, values in flat.items()}
             parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
+        ds.attrs |= self.attributes(totals)
 
     def remove(self) -> None:
         """Remove the run, and its folder if nothing else is in it; the manifest last.

@@ -73,7 +73,8 @@ class RefinedFolder(RunFolder):
         shape, tile, types = self.scene.shape, self.tiling.tile, tile_types(self.scene)
         types[COMPUTED.name] = COMPUTED.dtype
         zeros = {name: da.zeros(shape, dtype=dtype, chunks=tile) for name, dtype in types.items()}
-        ds = netcdf.dataset(self.scene, zeros, tile).assign_attrs(self.provenance()[0] | attributes)
+        ds = netcdf.dataset(self.scene, zeros, tile)
+        ds.attrs = self.attributes(self.totals()) | attributes
 
         def blocks(lengths: tuple[int, ...]) -> Iterator[Block]:
             for tile, box in enumerate(boxes := Tiling(shape, lengths)):
@@ -121,11 +122,11 @@ class RefinedFolder(RunFolder):
             )
         return open_atlas(self.result)
 
-    def tiled_dataset(self) -> xr.Dataset:
+    def chunked(self) -> xr.Dataset:
         return self.dataset().chunk(dict(zip(netcdf.dims(self.scene), self.tiling.tile, strict=True)))
 
-    def _blocks(self, lengths: tuple[int, ...]) -> Iterator[Block]:
-        ds = self.dataset()
+    def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
+        ds = self.dataset()  # whose chunks need not be read whole
         for box in Tiling(self.scene.shape, lengths):
             names = (*map(str, ds.data_vars), *self.scene.solve)
             yield box, {name: ds[name].variable[box].values for name in names}

@@ -8,7 +8,7 @@ import json
 import math
 import socket
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -89,7 +89,7 @@ class Tally:
 
     def __init__(self) -> None:
         # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group.
-        self.counts, self.largest = dict[str, Counter[str]](), dict[str, float]()
+        self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
@@ -115,9 +115,33 @@ class Tally:
     def add(self, counts: Mapping[str, Mapping[str, int]], largest: Mapping[str, float]) -> None:
         """Add the entries of the tally of other points."""
         for name, number in counts.items():
-            self.counts.setdefault(name, Counter()).update({flag: int(n) for flag, n in number.items()})
+            total = self.counts[name]
+            for flag, n in number.items():
+                total[flag] += int(n)
         for name, value in largest.items():
             self.largest[name] = max(self.largest.get(name, float(value)), float(value))
+
+
+@dataclass
+class Totals:
+    """Sums over the tiles whose sidecars are added."""
+
+    points: int = 0
+    tallied: int = 0  # points in the tally, which sidecars of an older version do not have
+    seconds: float = 0.0
+    tiles_by: Counter[str] = field(default_factory=Counter)  # by the processes that computed them
+    reused: Counter[str] = field(default_factory=Counter)  # points by the earlier atlas
+    tally: Tally = field(default_factory=Tally)
+
+    def add(self, sidecar: Mapping[str, Any]) -> None:
+        """Add a tile."""
+        self.points += sidecar["points"]
+        self.seconds += sidecar["seconds"]
+        self.tiles_by[sidecar["by"]] += 1
+        self.reused.update(sidecar["reused"])
+        with suppress(LookupError, TypeError, ValueError, AttributeError):
+            self.tally.add(**sidecar["tally"])
+            self.tallied += sidecar["points"]
 
 
 @dataclass(eq=False)
@@ -280,13 +304,15 @@ class TileFiles:
                 self.storage.remove(self._pack_name(tile // self.per_folder))
             raise
 
-    def read_all(self) -> Iterator[dict[str, np.ndarray]]:
-        """Variables of one tile after the other, by sidecars in packs where there are some; DamagedTile if one is not as written."""
+    def read_all(self) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
+        """Sidecar, of a pack where there is one, and variables of one tile after the other; DamagedTile if one is not as written."""
         for part in self._parts():
-            packed = self._packed(part)[1]
+            # Whatever the stamps are: the files must have the hashes.
+            packed = {tile: sidecar for tile, _, sidecar in self._pack(part)}
             for tile in self._tiles_of(part):
                 try:
-                    yield self.read(tile, sidecar=json.loads(packed.get(tile, "null")))
+                    sidecar = packed.get(tile) or self._sidecar(tile)
+                    yield sidecar, self.read(tile, sidecar=sidecar)
                 except (FileNotFoundError, DamagedTile) as error:
                     raise DamagedTile(f"tile {tile}: {error}") from None
 
@@ -314,7 +340,7 @@ class TileFiles:
 
     def _hash(self, tile: int, content: bytes, computed: int) -> str:
         """SHA-256 of a file together with its run, its place in the grid and the number of computed points."""
-        digest = hashlib.sha256(json.dumps([self.key, tile, computed]).encode())
+        digest = hashlib.sha256(f'["{self.key}", {tile}, {computed}]'.encode())
         digest.update(content)
         return digest.hexdigest()
 
@@ -373,7 +399,7 @@ class TileFiles:
         status = TileStatus()
         chosen = range(self.tiling.count) if tiles is None else tiles
         for part, group in groupby(chosen, lambda tile: tile // self.per_folder):
-            (stamps, packed), wanted, read = self._packed(part), list(group), dict[int, str]()
+            (stamps, packed), wanted, read = self._packed(part), list(group), dict[int, Any]()
             unread = [tile for tile in wanted if tile in stamps and tile not in packed]
             with ThreadPoolExecutor(4) as pool:
                 # Threads that read small files take turns, at up to four times the processor time.
@@ -382,7 +408,7 @@ class TileFiles:
                     if isinstance(result, DamagedTile):
                         status.damaged[tile] = str(result)
                     elif not isinstance(result, Exception):  # removed in the meantime
-                        read[tile] = json.dumps(result)
+                        read[tile] = result
             packed |= read
             if len(read) >= MIN_PACK:
                 content = json.dumps([[tile, stamps[tile], sidecar] for tile, sidecar in packed.items()])
@@ -399,7 +425,7 @@ class TileFiles:
             stamps, packed = self._packed(part)
             for tile in stamps:
                 with suppress(FileNotFoundError, DamagedTile):
-                    yield json.loads(packed[tile]) if tile in packed else self._sidecar(tile)
+                    yield packed.get(tile) or self._sidecar(tile)
 
     def _parts(self) -> range:
         """Numbers of the folders of tiles."""
@@ -413,23 +439,27 @@ class TileFiles:
         """Where the files of a folder are."""
         return self.name(part * self.per_folder, "")[:-8]
 
-    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, str]]:
-        """Stamps of the files of each written tile of a folder; the sidecars, as JSON, of those that its pack has with these stamps."""
+    def _packed(self, part: int) -> tuple[dict[int, list[Stamp | None]], dict[int, dict[str, Any]]]:
+        """Stamps of the files of each written tile of a folder; the sidecars of those that its pack has with these stamps."""
         files = self.storage.stamps(self._folder(part))
         stamps = {
             tile: [files[f"{tile:08d}.json"], files.get(f"{tile:08d}.nc")] for tile in sorted(_written(files))
         }
+        return stamps, {
+            tile: sidecar for tile, stamp, sidecar in self._pack(part) if stamps.get(tile) == stamp
+        }
+
+    def _pack(self, part: int) -> list[tuple[int, list[Stamp | None], dict[str, Any]]]:
+        """Of each tile in the pack of a folder: its number, the stamps of its files, and its sidecar."""
         with suppress(OSError, ValueError):
             digest, _, content = self.storage.read(self._pack_name(part), MAX_OBJECT_BYTES).partition(b"\n")
             if self._pack_hash(content).encode() == digest:
-                return stamps, {
-                    tile: sidecar for tile, stamp, sidecar in json.loads(content) if stamps.get(tile) == stamp
-                }
-        return stamps, {}
+                return list(json.loads(content))
+        return []
 
     def _pack_hash(self, content: bytes) -> str:
-        """Hash of a pack together with its run."""
-        return hashlib.sha256(self.key.encode() + content).hexdigest()
+        """Hash of a pack together with its run; packs of older versions, of another form, do not have it."""
+        return hashlib.sha256(f"sidecars of {self.key}".encode() + content).hexdigest()
 
     def _pack_name(self, part: int) -> str:
         """Name of the pack of a folder."""

@@ -18,6 +18,8 @@ from atlas.plotting.attitude import Attitude, attitudes
 from atlas.runs.folder import RunFolder
 from atlas.scene import grid
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SCENE = """
 schema = 1
 title = "Ends"
@@ -41,6 +43,12 @@ count = 17
 from = -2.0
 to = 2.0
 count = 9
+[ties]  # so that no kernel leaves these terms out, in any process
+mu1 = "0 * A"
+mu2 = "0 * A"
+mu3 = "0 * A"
+h1 = "0 * A"
+h3 = "0 * A"
 [integration]
 duration = 60.0
 tolerance = 1e-6

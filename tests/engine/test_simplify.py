@@ -128,7 +128,7 @@ def test_the_units_of_the_kernels_change_no_motion(system_name, h):
 
 @pytest.mark.parametrize("system_name", SYSTEMS)
 def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system_name):
-    """With the kernels of the small scene and of the quickstart, which other tests compile as well."""
+    """With the kernels of the small scene, which other tests compile as well, and of the quickstart."""
     system = SYSTEMS[system_name]
     zero, symmetric = CASES[system_name][-1]
     points = random_points(system, 64, np.random.default_rng(2), zero, symmetric)

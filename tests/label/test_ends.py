@@ -16,6 +16,8 @@ from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import jacobi, rhs
 from atlas.systems.satellite.initial import constants, initial_state
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SETS = json.loads((Path(__file__).parents[1] / "reference" / "basins_cases.json").read_text())["sets"]
 ANGLES, RATES = ("theta0", "psi0", "phi0"), ("n", "m", "theta_dot0")
 VARIABLES = [
@@ -25,10 +27,9 @@ SKEW = {"A": 1.0, "B": 1.3, "C": 1.6, "k1": 0.05, "k2": 0.1, "k3": 0.3, "damping
 
 
 def ends(points, duration=400.0, **options):
-    """The variables of ends, of every kernel with the same terms."""
-    rest = {"k1": 0.0, "k2": 0.0, "k3": 0.0} | dict.fromkeys((*ANGLES, *RATES), 0.0)
+    """The variables of ends."""
     options = {"method": "rk8", "tolerance": 1e-7, "variables": VARIABLES, "threads": 1} | options
-    return atlas.label_points("satellite", rest | points, duration=duration, **options)
+    return atlas.label_points("satellite", points, duration=duration, **options)
 
 
 def random_starts(rng, count):

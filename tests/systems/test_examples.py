@@ -220,7 +220,10 @@ def test_labels_of_the_heavy_top_are_those_of_the_package():
     momentum = points["A"] * points["n"] * cosine - points["Mg"] * points["z0"] / points["n"]
     steady = momentum / points["C"] - points["n"] * cosine
     points["m"] = np.where(np.arange(size) % 2 == 0, steady, points["m"])
-    options = {"duration": 20.0, "tolerance": 1e-8, "progress": False}
+    compared = ("theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std")
+    # Motions about any axis as well: both kernels are those of `tests/label/test_any_axis.py`.
+    names = ["label", "status", "label_any_axis", *compared]
+    options = {"duration": 20.0, "tolerance": 1e-8, "variables": names, "progress": False}
     euler = atlas.label_points("heavy_top_euler", points, **options)
     own = atlas.label_points("fixed_point", {**points, "B": points["A"]}, **options)
     assert set(own["label"].values) == {1, 3}
@@ -228,8 +231,9 @@ def test_labels_of_the_heavy_top_are_those_of_the_package():
     resolved = euler["status"].values == Status.OK
     assert resolved.sum() >= size - 3
     euler, own = euler.isel(point=resolved), own.isel(point=resolved)
-    np.testing.assert_array_equal(euler["label"], own["label"])
-    for name in ("theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"):
+    for name in ("label", "label_any_axis"):
+        np.testing.assert_array_equal(euler[name], own[name])
+    for name in compared:
         np.testing.assert_allclose(euler[name], own[name], atol=1e-6)
 
 
@@ -281,7 +285,8 @@ def test_two_field_top_is_stable_where_it_spins_fast():
     assert (flags == 2).all()
     np.testing.assert_array_equal(stable == Stability.STABLE, discriminant > 0)
     np.testing.assert_allclose(growth, np.sqrt(np.maximum(-discriminant, 0)) / 2, atol=1e-12)
-    names = ["label", "predicted", "agreement", "status"]
+    # The last one for the kernel that measures motions about the resultant as well.
+    names = ["label", "predicted", "agreement", "status", "label_any_axis"]
     nudged = columns | {"theta0": columns["theta0"] + 1e-4}
     ds = atlas.label_points(
         "two_field_top", nudged, duration=30.0, rate_tolerance=1e-2, variables=names, progress=False

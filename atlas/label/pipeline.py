@@ -17,7 +17,7 @@ from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
 from ..measure.observables import whole_periods
 from ..scene.grid import Grid, status_of
-from ..systems.base import Array, Flags, Mask, derived_values
+from ..systems.base import Array, Flags, Mask, SharedValues, derived_values
 from ..variables import variables
 from .plan import Plan
 from .theory import Theory, agreement, departure_changes, predict_any_axis
@@ -159,7 +159,8 @@ def _prepare(
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
-    ensemble, method = Ensemble.of(system, tile.points, plan.plugs), METHODS[settings.method]
+    points = SharedValues(tile.points)
+    ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
     periods, duration = whole_periods(system, ensemble.constants, tile.duration)
     tile = replace(tile, duration=duration)
     bound, settled = numeric_bound.along_runs(
@@ -171,7 +172,8 @@ def _prepare(
         step_sizes = step_sizes.in_periods(periods, method)
         if halved:
             step_sizes = step_sizes.halved(method)
-        theory = Theory.of(plan, tile, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)
+        starts = replace(tile, points=points)
+        theory = Theory.of(plan, starts, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)
         tangent = None
         if plan.has_chaos:
             tangent = TangentRuns.of(

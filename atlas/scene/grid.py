@@ -88,8 +88,12 @@ def status_of(reason: Flags) -> Flags:
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
     parameters = scene.system.parameters
-    values: dict[str, Array] = {name: np.full(indices.shape, p.default) for name, p in parameters.items()}
-    values |= {name: np.full(indices.shape, value) for name, value in scene.fixed.items()}
+    constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
+    # One number in memory for all points, except for ties: NumPy rounds some powers with such an exponent otherwise.
+    values: dict[str, Array] = {
+        name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
+    }
+    values |= {name: values[name].copy() for tie in scene.ties.values() for name in tie.names & values.keys()}
     for axis, index in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True):
         if not axis.offset_from_family:
             values[axis.name] = axis.values[index]
@@ -108,6 +112,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     Raises BadInput for ties out of range, and for starts or fields given incompletely or twice.
     """
     base, reason, duration = _before_nudge(scene, indices)
+    base = {name: np.ascontiguousarray(values) for name, values in base.items()}
     with np.errstate(all="ignore"):
         start = scene.system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
@@ -303,7 +308,7 @@ def system_warnings(system: System, points: Points) -> list[str]:
 
 def _evenly_spaced(size: int, count: int) -> np.ndarray:
     """At most `count` of the indices 0 .. size - 1."""
-    return np.unique(np.linspace(0, size - 1, min(size, count)).round().astype(np.int64))
+    return np.linspace(0, size - 1, min(size, count)).round().astype(np.int64)
 
 
 def _solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:

@@ -694,7 +694,7 @@ class SharedValues(dict[str, Array]):
 
     def __init__(self, points: Points):
         super().__init__(points)
-        self._values: dict[Callable[[Points], Any], Any] = {}
+        self._values: dict[Callable[[Points], Any], Any] = getattr(points, "_values", {})
 
     def of(self, function: Callable[[Points], _T]) -> _T:
         """The value of a function of the points, computed when it is first asked for; its arrays cannot be changed."""

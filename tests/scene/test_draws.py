@@ -55,6 +55,15 @@ def test_draws_are_distributed_and_independent(spacing):
         assert abs(correlation - expected) < 4 / draw.size**0.5
 
 
+@pytest.mark.parametrize("exponent", [2.0, 0.5, -1.0, 3.0])
+def test_a_tie_has_the_bits_of_arrays_where_a_parameter_is_its_exponent(exponent, scene_text):
+    """NumPy rounds powers otherwise where a single number in memory is the exponent of all points."""
+    scene = load_scene(scene_text({"fixed.m": exponent, "ties.C": "sigma ** m"}))
+    values = grid.parameter_values(scene, np.arange(scene.size))
+    expected = np.power(values["sigma"], np.full(scene.size, exponent))
+    assert values["C"].tobytes() == expected.tobytes()
+
+
 def test_numbers_depend_on_the_seed_the_tie_and_the_values_alone(scene_text):
     changes = {
         "ties.C": "sigma + 0.01 * normal(draw)",

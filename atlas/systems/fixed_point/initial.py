@@ -91,6 +91,8 @@ def constants(points: Points) -> Array:
 def vertical(points: Points) -> Array:
     """gamma in body axes at the start, shape (3, points)."""
     angles = directions(points)[1]
+    if np.isnan(points["gamma10"]).all():
+        return angles
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     size = length(vector)
     # A vector of length 1 to rounding is not divided: that would only change its last bits.
@@ -128,6 +130,8 @@ def initial_state(points: Points) -> Array:
 def as_euler_angles(points: Points) -> dict[str, Array]:
     """The same starts with theta0 .. m in place of p0 .. gamma30; on the vertical theta' is hypot(p0, q0)."""
     given = ~np.isnan(points["p0"])
+    if not given.any():
+        return dict(points)
     gamma = vertical(points)
     theta_dot, n, m = rates(points)
     sine = np.hypot(gamma[0], gamma[1])

@@ -103,7 +103,9 @@ class Gyrostat(System):
         growth from the start to the end of the run, where that is larger than changes of the amplitude.
         """
         result = growth_rate * duration
-        w, _, gamma = self.start(points)
+        state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
+        vectors = self.rate_states, self.equations.FRAME_VECTORS[-1]
+        w, gamma = (np.stack([state[name] for name in names], -1) for names in vectors)
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
         where = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & short)

@@ -10,6 +10,8 @@ python=${PYTHON:-python3}
 if [ ! -x .venv/bin/python ]; then
     if "$python" -c 'import ensurepip' 2>/dev/null; then
         "$python" -m venv .venv
+        # The pip that Python comes with takes twice as long to choose versions.
+        .venv/bin/python -m pip install --quiet --no-compile --upgrade pip || true
     else  # Debian without python3-venv
         "$python" -m venv --without-pip .venv
     fi

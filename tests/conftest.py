@@ -11,6 +11,8 @@ import pytest
 import tomli_w
 from hypothesis import settings
 
+# Before NumPy is loaded: with a test process on each processor more threads of its linear algebra wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("ATLAS_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
 settings.register_profile("atlas", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("atlas")

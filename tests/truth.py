@@ -197,15 +197,20 @@ def fundamental_matrix(rhs, motion, constants, duration, step=0.01):
     """
     count = int(np.ceil(duration / step))
     h = duration / count
-    matrices = jacobian_matrices(rhs, motion(np.arange(2 * count + 1) * (h / 2)), constants[:, None])
-    begin, middle, end = matrices[:-1:2], matrices[1::2], matrices[2::2]
-    identity = np.eye(len(matrices[0]))
-    second = middle @ (identity + h / 2 * begin)
-    third = middle @ (identity + h / 2 * second)
-    fourth = end @ (identity + h * third)
-    monodromy, log_scale = identity, 0.0
-    for propagator in identity + h / 6 * (begin + 2 * second + 2 * third + fourth):
-        monodromy = propagator @ monodromy
+    identity = monodromy = np.eye(len(motion(np.zeros(1))))
+    log_scale = 0.0
+    for first in range(0, count, 256):  # steps at once, few enough for the cache of the processor
+        instants = np.arange(2 * first, 2 * min(first + 256, count) + 1) * (h / 2)
+        matrices = jacobian_matrices(rhs, motion(instants), constants[:, None])
+        begin, middle, end = matrices[:-1:2], matrices[1::2], matrices[2::2]
+        second = middle @ (identity + h / 2 * begin)
+        third = middle @ (identity + h / 2 * second)
+        fourth = end @ (identity + h * third)
+        products = identity + h / 6 * (begin + 2 * second + 2 * third + fourth)
+        while half := len(products) // 2:  # of neighbours, the later on the left
+            pairs = products[1::2] @ products[: 2 * half : 2]
+            products = np.concatenate([pairs, products[2 * half :]])
+        monodromy = products[0] @ monodromy
         size = np.abs(monodromy).max()
         monodromy, log_scale = monodromy / size, log_scale + np.log(size)
     return monodromy, log_scale

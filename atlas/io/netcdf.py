@@ -143,10 +143,12 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
         return axes, evaluate([np.arange(count) for count in shape])
     import dask.array as da
 
-    def chunk(block_info: Any = None) -> np.ndarray:
-        return evaluate([np.arange(*ends) for ends in block_info[None]["array-location"]])
-
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
+    edges = [np.cumsum([0, *along]) for along in lengths]
+
+    def chunk(block_id: Any = None) -> np.ndarray:  # block_info would be made of all blocks at once
+        return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
+
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 

@@ -1,5 +1,8 @@
 """Reference solutions, and the statistics of the kernels compared with them where psi' has peaks."""
 
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import pytest
 from strategies import default_points, evaluate
@@ -75,13 +78,12 @@ def test_a_point_that_fails_does_not_fail_its_group(monkeypatch):
 # Statistics of the kernels where the third axis passes near the vertical and psi' has a narrow peak.
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_statistics_of_passages_near_the_vertical(name, method):
-    """Peaks of psi' a hundred times as high as elsewhere, and narrower than the distance of two samples.
+PASSAGES = Settings(tolerance=1e-9, cylinder_tolerance=1e-7)
 
-    Without the correction of the sums the largest errors are 0.2 (satellite, rk4) to 6 (fixed_point).
-    """
+
+@cache
+def passages_near_the_vertical(name):
+    """Points, durations and the statistics of the reference, which are those of both methods."""
     system, rng = SYSTEMS[name], np.random.default_rng(4)
     given = {
         "satellite": {"mu1": 0.2, "h3": 0.4, "k3": 0.3},
@@ -93,9 +95,19 @@ def test_statistics_of_passages_near_the_vertical(name, method):
         "n": rng.uniform(-0.02, 0.02, 24),
         "phi0": rng.uniform(0, 6, 24),
     }
-    duration, settings = np.full(24, 8.0), Settings(tolerance=1e-9, cylinder_tolerance=1e-7, method=method)
-    expected = reference.reference(system, points, duration, settings).statistics
-    measured = evaluate(system, points, points, duration, settings)
+    duration = np.full(24, 8.0)
+    return points, duration, reference.reference(system, points, duration, PASSAGES).statistics
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_statistics_of_passages_near_the_vertical(name, method):
+    """Peaks of psi' a hundred times as high as elsewhere, and narrower than the distance of two samples.
+
+    Without the correction of the sums the largest errors are 0.2 (satellite, rk4) to 6 (fixed_point).
+    """
+    points, duration, expected = passages_near_the_vertical(name)
+    measured = evaluate(SYSTEMS[name], points, points, duration, replace(PASSAGES, method=method))
     assert expected["theta_min"].min() < 0.01
     assert expected["psi_dot_std"].max() > 5.0
     for rate in RATES:
@@ -104,10 +116,9 @@ def test_statistics_of_passages_near_the_vertical(name, method):
         assert np.median(error) < 2e-6, rate
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("at", ["beginning", "end"])
-def test_statistics_of_passages_at_an_end_of_the_run(at, method):
-    """In the first and last few samples, and just before and after them, where the weights are not 1."""
+@cache
+def passages_at_an_end(at):
+    """As `passages_near_the_vertical`, in the first and last few samples and just before and after them."""
     rng, count = np.random.default_rng(4), 48
     points = default_points("satellite", count, A=1.0, B=1.2, C=0.8, theta_dot0=-1.0, mu1=0.2, h3=0.4, k3=0.3)
     points |= {
@@ -119,8 +130,15 @@ def test_statistics_of_passages_at_an_end_of_the_run(at, method):
         points["theta0"], duration = np.linspace(-0.1, 0.2, count), np.full(count, 4.0)
     else:
         points["theta0"], duration = np.full(count, 0.7), np.linspace(0.5, 0.95, count)
-    settings = Settings(tolerance=1e-8, cylinder_tolerance=1e-7, method=method)
-    expected = reference.reference(SATELLITE, points, duration, settings).statistics
+    return points, duration, reference.reference(SATELLITE, points, duration, PASSAGES).statistics
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("at", ["beginning", "end"])
+def test_statistics_of_passages_at_an_end_of_the_run(at, method):
+    """Where the weights of the samples are not 1."""
+    points, duration, expected = passages_at_an_end(at)
+    settings = replace(PASSAGES, tolerance=1e-8, method=method)
     measured = evaluate(SATELLITE, points, points, duration, settings)
     error = np.max([np.abs(measured[name] - expected[name]) for name in RATES], axis=0)
     assert expected["psi_dot_std"].max() > 5.0

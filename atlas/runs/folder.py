@@ -419,7 +419,7 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        ds = self.chunked()
+        ds = self.chunked().assign_attrs(self.final_attributes())  # damaged ones end it before it begins
         self.write(out, ds, partial(self._blocks, ds))
 
     def write(self, out: Path, ds: xr.Dataset, blocks: Blocks) -> None:

@@ -176,13 +176,17 @@ def _checked(path: Path) -> Iterator[Path]:
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
 ) -> None:
-    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`.
+    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`, whatever the dataset has.
 
     The attributes of the dataset are written last, because the blocks may set them.
     """
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     # Read without the lock, which they may need.
-    small = {name: array.values for name, array in ds.variables.items() if array.chunks is None}
+    small = {
+        name: array.values
+        for name, array in ds.variables.items()
+        if name not in names and array.chunks is None
+    }
     with _checked(path) as temporary:
         with NETCDF_LOCK:
             file = netCDF4.Dataset(temporary, "w", format="NETCDF4")

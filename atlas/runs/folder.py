@@ -344,23 +344,36 @@ class RunFolder:
         if self.is_store and self.is_complete:
             ds = zarr_store.open_store(self.path)
         else:
-            ds = self.chunked().assign_attrs(self.attributes(totals))
+            import dask.array as da
+
+            chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
+            arrays = {
+                name: da.map_blocks(
+                    _read_chunk,
+                    self,
+                    name,
+                    chunks=chunks,
+                    dtype=kind,
+                    meta=np.empty((0,) * len(chunks), kind),
+                )
+                for name, kind in self.types.items()
+            }
+            ds = netcdf.dataset(self.scene, arrays, self.tiling.tile).assign_attrs(self.attributes(totals))
         if totals.tallied == self.scene.size:
             ds.encoding[TALLY] = totals.tally
         return ds
 
-    def chunked(self) -> xr.Dataset:
-        """The atlas so far without provenance, with a dask chunk for each tile."""
-        import dask.array as da
+    @property
+    def types(self) -> dict[str, str]:
+        """Names and types of the variables of the atlas."""
+        return tile_types(self.scene)
 
-        chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
-        arrays = {
-            name: da.map_blocks(
-                _read_chunk, self, name, chunks=chunks, dtype=dtype, meta=np.empty((0,) * len(chunks), dtype)
-            )
-            for name, dtype in tile_types(self.scene).items()
+    def template(self) -> xr.Dataset:
+        """The atlas with zeros, which take no memory, in place of its values."""
+        zeros = {
+            name: np.broadcast_to(np.zeros((), kind), self.scene.shape) for name, kind in self.types.items()
         }
-        return netcdf.dataset(self.scene, arrays, self.tiling.tile)
+        return netcdf.dataset(self.scene, zeros, self.tiling.tile)
 
     def totals(self) -> Totals:
         """Sums over the tiles that are written."""
@@ -391,7 +404,7 @@ class RunFolder:
         self.storage.write(FINAL_ATTRIBUTES, sealed({"key": self.key, "attributes": attributes}).encode())
         if self.is_store:
             assert isinstance(self.tiles, TileShards)
-            self.tiles.seal(self.chunked().assign_attrs(self.attributes(self.totals())))
+            self.tiles.seal(self.template().assign_attrs(self.attributes(self.totals())))
 
     def final_attributes(self) -> dict[str, Any]:
         """Attributes saved by `save_final_attributes`, or none; BadInput if their file is damaged."""
@@ -419,7 +432,7 @@ class RunFolder:
         """
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        ds = self.chunked().assign_attrs(self.final_attributes())  # damaged ones end it before it begins
+        ds = self.template().assign_attrs(self.final_attributes())  # damaged ones end it before it begins
         self.write(out, ds, partial(self._blocks, ds))
 
     def write(self, out: Path, ds: xr.Dataset, blocks: Blocks) -> None:
@@ -430,21 +443,18 @@ class RunFolder:
                 with atomic_folder(out) as temporary:
                     self.write_store(Folder(temporary), ds, blocks)
             else:
-                names = (*map(str, ds.data_vars), *self.scene.solve)
                 # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
                 lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
                 chunk = dict(zip(netcdf.dims(self.scene), lengths, strict=True))
-                netcdf.write_blocks(ds, chunk, names, blocks(lengths), out)
+                netcdf.write_blocks(ds, chunk, self.types, blocks(lengths), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 
     def write_store(self, root: Storage, ds: xr.Dataset, blocks: Blocks) -> None:
         """Write the atlas as a Zarr store, tile by tile."""
-        names = (*map(str, ds.data_vars), *self.scene.solve)
         tiling = Tiling.of(self.scene.shape, SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE).of_whole_chunks()
-        types = {name: str(ds[name].dtype) for name in names}
         places = root.inside(zarr_store.RUN), root.inside(zarr_store.RUN).inside("tiles")
-        shards = TileShards(places[1], self.key, netcdf.dims(self.scene), types, tiling, root=root)
+        shards = TileShards(places[1], self.key, netcdf.dims(self.scene), self.types, tiling, root=root)
         for storage in places:
             storage.make()
         for tile, (_, values) in enumerate(blocks(tiling.tile)):
@@ -454,7 +464,7 @@ class RunFolder:
 
     def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
         """All points in boxes of these lengths, with the values of the tiles; then the dataset gets its attributes."""
-        boxes, types, tiles = Tiling(self.scene.shape, lengths), tile_types(self.scene), self.tiles.read_all()
+        boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, self.tiles.read_all()
         totals = Totals()
         parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
         points = 0  # in the parts

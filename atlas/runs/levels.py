@@ -27,13 +27,13 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..files import check_types, one_line, sealed, unsealed
-from ..io import netcdf, zarr_store
+from ..io import zarr_store
 from ..io.netcdf import Block
 from ..io.zarr_store import MAX_OBJECT_BYTES, Box
 from ..variables import COMPUTED, POINT, variables
 from .backend import open_atlas
 from .folder import MANIFEST, RunFolder, hash_of
-from .tiles import MIN_POINTS_PER_TILE, DamagedTile, TileFiles, Tiling, tile_types
+from .tiles import MIN_POINTS_PER_TILE, DamagedTile, TileFiles, Tiling
 
 LEVELS, POINTS, RESULT_FILE = "levels", "points.bin", "atlas.nc"
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
@@ -59,6 +59,10 @@ class RefinedFolder(RunFolder):
     more = " of the levels that have begun, and more levels may follow"
 
     @property
+    def types(self) -> dict[str, str]:
+        return super().types | {COMPUTED.name: COMPUTED.dtype}
+
+    @property
     def result(self) -> Path | str:
         """The file or store of the finished atlas."""
         return self.path / RESULT_FILE if isinstance(self.path, Path) and not self.is_store else self.path
@@ -67,13 +71,8 @@ class RefinedFolder(RunFolder):
         self, attributes: dict[str, Any], values: Callable[[Box], Any], levels: Sequence[Level]
     ) -> None:
         """Write the finished atlas, box by box, from `values` in a box of the grid and the numbers that levels have."""
-        import dask.array as da
-
         self.check_kept()
-        shape, tile, types = self.scene.shape, self.tiling.tile, tile_types(self.scene)
-        types[COMPUTED.name] = COMPUTED.dtype
-        zeros = {name: da.zeros(shape, dtype=dtype, chunks=tile) for name, dtype in types.items()}
-        ds = netcdf.dataset(self.scene, zeros, tile)
+        ds, shape, types = self.template(), self.scene.shape, self.types
         ds.attrs = self.attributes(self.totals()) | attributes
 
         def blocks(lengths: tuple[int, ...]) -> Iterator[Block]:
@@ -122,14 +121,11 @@ class RefinedFolder(RunFolder):
             )
         return open_atlas(self.result)
 
-    def chunked(self) -> xr.Dataset:
-        return self.dataset().chunk(dict(zip(netcdf.dims(self.scene), self.tiling.tile, strict=True)))
-
     def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
-        ds = self.dataset()  # whose chunks need not be read whole
+        result = self.dataset()
         for box in Tiling(self.scene.shape, lengths):
-            names = (*map(str, ds.data_vars), *self.scene.solve)
-            yield box, {name: ds[name].variable[box].values for name in names}
+            yield box, {name: result[name].variable[box].values for name in self.types}
+        ds.attrs = result.attrs
 
     def remove(self) -> None:
         """Remove the run, the manifest last."""

@@ -347,15 +347,9 @@ class RunFolder:
             import dask.array as da
 
             chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
+            nothing = (0,) * len(chunks)
             arrays = {
-                name: da.map_blocks(
-                    _read_chunk,
-                    self,
-                    name,
-                    chunks=chunks,
-                    dtype=kind,
-                    meta=np.empty((0,) * len(chunks), kind),
-                )
+                name: da.map_blocks(_read_chunk, self, name, chunks=chunks, meta=np.empty(nothing, kind))
                 for name, kind in self.types.items()
             }
             ds = netcdf.dataset(self.scene, arrays, self.tiling.tile).assign_attrs(self.attributes(totals))
@@ -370,9 +364,8 @@ class RunFolder:
 
     def template(self) -> xr.Dataset:
         """The atlas with zeros, which take no memory, in place of its values."""
-        zeros = {
-            name: np.broadcast_to(np.zeros((), kind), self.scene.shape) for name, kind in self.types.items()
-        }
+        shape, types = self.scene.shape, self.types.items()
+        zeros = {name: np.broadcast_to(np.zeros((), kind), shape) for name, kind in types}
         return netcdf.dataset(self.scene, zeros, self.tiling.tile)
 
     def totals(self) -> Totals:

@@ -317,10 +317,10 @@ def test_solver_finds_the_extreme_directions():
     assert np.isin(exists.sum(0)[isolated], (2, 4, 6)).all()
     directions = np.random.default_rng(0).normal(size=(3, 400))
     directions /= np.linalg.norm(directions, axis=0)
-    found = (0.5 * d[:, None] * g**2 + b[:, None] * g).sum(0)[:, ~everywhere]
+    listed = (0.5 * d[:, None] * g**2 + b[:, None] * g).sum(0)[:, ~everywhere]
     others = (0.5 * directions.T**2 @ d + directions.T @ b)[:, ~everywhere]
-    assert (np.nanmax(found, 0) >= others.max(0) - 1e-12).all()
-    assert (np.nanmin(found, 0) <= others.min(0) + 1e-12).all()
+    assert (np.nanmax(listed, 0) >= others.max(0) - 1e-12).all()
+    assert (np.nanmin(listed, 0) <= others.min(0) + 1e-12).all()
 
 
 def test_degenerate_bodies_have_circles_of_solutions():

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..systems.base import Array, Mask, Points, SharedValues, System
+from ..systems.base import Array, Mask, Points, System
 from . import blocks
 from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
@@ -79,7 +79,6 @@ class Ensemble:
     @classmethod
     def of(cls, system: System, points: Points, plugs: Sequence[Plug] = ()) -> Ensemble:
         """The ensemble of points of a system. Parameters that overflow make numbers that are not finite."""
-        points = SharedValues(points)
         with np.errstate(all="ignore"):
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))

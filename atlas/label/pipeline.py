@@ -172,7 +172,7 @@ def _prepare(
         step_sizes = step_sizes.in_periods(periods, method)
         if halved:
             step_sizes = step_sizes.halved(method)
-        starts = replace(tile, points=points)
+        starts = replace(tile, points=points)  # not kept, so that what they share does not stay in memory
         theory = Theory.of(plan, starts, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)
         tangent = None
         if plan.has_chaos:

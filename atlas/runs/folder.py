@@ -537,7 +537,7 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
         pass
     except DamagedTile as error:
         logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, error)
-    dtype = np.dtype(tile_types(run.scene)[name])
+    dtype = np.dtype(run.types[name])
     missing = variables(run.scene.system)[name].missing if dtype.kind == "i" else np.nan
     return np.full(run.tiling.shape_of(tile), missing, dtype)
 

@@ -91,8 +91,6 @@ def constants(points: Points) -> Array:
 def vertical(points: Points) -> Array:
     """gamma in body axes at the start, shape (3, points)."""
     angles = directions(points)[1]
-    if np.isnan(points["gamma10"]).all():
-        return angles
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     size = length(vector)
     # A vector of length 1 to rounding is not divided: that would only change its last bits.

@@ -59,14 +59,14 @@ class Gyrostat(System):
 
     def vectors(self, states: Array) -> tuple[Array, Array, Array]:
         """w, alpha and gamma of states (states, points), each (points, 3); alpha is any across gamma if the frame has none."""
+        w, *others, gamma = self._triples(states)
+        return w, others[0] if others else across(gamma)[..., 0, :], gamma
+
+    def _triples(self, states: Array) -> list[Array]:
+        """The angular velocity and the directions at rest in the frame of states (states, points), each (points, 3)."""
         state = dict(zip(self.equations.STATE, states, strict=True))
-        *others, gamma = (
-            np.stack([state[name] for name in names], -1)
-            for names in (self.rate_states, *self.equations.FRAME_VECTORS)
-        )
-        if len(others) == 2:
-            return others[0], others[1], gamma
-        return others[0], across(gamma)[..., 0, :], gamma
+        names = self.rate_states, *self.equations.FRAME_VECTORS
+        return [np.stack([state[name] for name in triple], -1) for triple in names]
 
     def oscillation_families(self, points: Points) -> Flags:
         """Families of the motions of which the frequencies and the stability by the energy are given."""
@@ -103,9 +103,7 @@ class Gyrostat(System):
         growth from the start to the end of the run, where that is larger than changes of the amplitude.
         """
         result = growth_rate * duration
-        state = dict(zip(self.equations.STATE, self.initial_state(points), strict=True))
-        vectors = self.rate_states, self.equations.FRAME_VECTORS[-1]
-        w, gamma = (np.stack([state[name] for name in names], -1) for names in vectors)
+        w, *_, gamma = self._triples(self.initial_state(points))
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
         where = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & short)

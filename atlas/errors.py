@@ -39,11 +39,14 @@ def _shortened(text: str, limit: int) -> str:
 
 
 def say(*lines: str, file: TextIO | None = None) -> None:
-    """Print each argument as one line, whatever it contains; the commands print by no other function."""
+    """Print each argument as one line, whatever it contains; the commands print by no other function.
+
+    At once, because a process that ends ignores signals and could wait for its reader for ever.
+    """
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream)
+    print(text.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
 
 
 def attribute_text(

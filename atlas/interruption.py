@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM: the command ends within GRACE_PERIOD, with its files whole."""
+"""SIGINT (Ctrl-C) and SIGTERM: the command ends within two seconds, with its files whole."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
@@ -21,12 +22,12 @@ from .errors import printable
 INTERRUPTED, TERMINATED = 130, 143
 STOPPED = 75  # of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds from a signal to the end of the process, also where it does not react to exceptions, as in a compiler.
-GRACE_PERIOD = 1.2
+# Seconds from a signal to the end of a process that does not react to exceptions, and for each half of its message.
+GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _received = signal.SIGINT  # the last signal
-_kept: Callable[[], str] | None = None
+_kept: Callable[[], object] = str  # what is kept, as text
 
 
 class Stopped(Exception):
@@ -36,25 +37,36 @@ class Stopped(Exception):
 def end_process(number: int | None = None, *_: object) -> None:
     """End the process at once with the exit code of an interruption. Files appear whole by a move, so none is harmed."""
     code, text = outcome(number)
-    os.write(2, f"{text}\n".encode())
+    _in_time(lambda: os.write(2, f"{text}\n".encode()))
     os._exit(code)
 
 
 def outcome(number: int | None = None) -> tuple[int, str]:
     """Exit code and message of a process that a signal ends; by default the last one that it got."""
     code = TERMINATED if (number or _received) == signal.SIGTERM else INTERRUPTED
-    kept = ""
-    if _kept is not None:
-        with suppress(Exception):  # such as a folder that has been removed
-            kept = _kept()
+    kept = _in_time(_kept)
     command = f"{called_as()} {shlex.join(sys.argv[1:])}"
     return code, printable(f"atlas: interrupted; {f'{kept}; `{command}` continues' if kept else MESSAGE}")
+
+
+def _in_time(function: Callable[[], object]) -> object:
+    """Result of a function; None where it fails, as for a removed folder, or takes long, as for a server that is silent."""
+    results: list[object] = [None]
+
+    def call() -> None:
+        with suppress(Exception):
+            results.append(function())
+
+    thread = threading.Thread(target=call, daemon=True)
+    thread.start()
+    thread.join(MESSAGE_PERIOD)
+    return results[-1]
 
 
 def explain_kept(kept: Callable[[], str] | None) -> None:
     """Make the message of an interruption state what `kept` returns: the work that would be continued."""
     global _kept
-    _kept = kept
+    _kept = kept or str
 
 
 def called_as() -> str:
@@ -81,6 +93,24 @@ def end_on_signal() -> None:
             signal.signal(number, end_process)
 
 
+def start_deadline() -> None:
+    """Let this process end GRACE_PERIOD after a signal, also while its main thread, in which handlers run, is in a library."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    os.register_at_fork(
+        after_in_child=lambda: signal.set_wakeup_fd(-1)
+    )  # or the signals of a child would count
+
+    def wait() -> None:
+        while (number := os.read(reading, 1)[0]) not in SIGNALS:
+            pass
+        time.sleep(GRACE_PERIOD)
+        end_process(number)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
 def exit_process(code: int) -> NoReturn:
     """Exit with the code of a command that has ended; later signals do not change it.
 
@@ -89,33 +119,28 @@ def exit_process(code: int) -> NoReturn:
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     if code in (INTERRUPTED, TERMINATED):
-        sys.stdout.flush()
-        sys.stderr.flush()
         os._exit(code)
     sys.exit(code)
 
 
 @contextmanager
 def signals_as_interrupt() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into KeyboardInterrupt; a second one, or GRACE_PERIOD, ends the process.
+    """Turn SIGINT and SIGTERM into KeyboardInterrupt; a second one ends the process.
 
     A signal that the process was started to ignore stays ignored. Does nothing outside the main thread.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    timers: list[threading.Timer] = []
+    received = False
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         global _received
+        nonlocal received
         _received = signal.Signals(number)
-        if timers:
+        if received:
             end_process()
-        else:
-            timer = threading.Timer(GRACE_PERIOD, end_process)
-            timer.daemon = True
-            timer.start()
-            timers.append(timer)
+        received = True
         raise KeyboardInterrupt
 
     previous = {number: signal.getsignal(number) for number in SIGNALS}
@@ -125,11 +150,9 @@ def signals_as_interrupt() -> Iterator[None]:
     try:
         yield
     except Exception:  # libraries turn a KeyboardInterrupt into errors of their own
-        if timers:
+        if received:
             raise KeyboardInterrupt from None
         raise
     finally:
         for number in replaced:
             signal.signal(number, previous[number])
-        for timer in timers:
-            timer.cancel()

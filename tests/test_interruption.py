@@ -1,14 +1,23 @@
 """Signals: commands end in order, soon, and with one exit code."""
 
+import hashlib
+import io
+import os
+import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 
+import atlas
 from atlas import interruption
+from atlas.errors import say
 from atlas.interruption import INTERRUPTED, MESSAGE, TERMINATED, signals_as_interrupt
+from atlas.io.storage import Folder
 
 EXIT_CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 
@@ -19,26 +28,127 @@ def test_a_signal_is_a_keyboard_interrupt_and_handlers_come_back(number):
     with pytest.raises(KeyboardInterrupt), signals_as_interrupt():
         signal.raise_signal(number)
     assert [signal.getsignal(s) for s in interruption.SIGNALS] == before
-    timers = [thread for thread in threading.enumerate() if isinstance(thread, threading.Timer)]
-    assert all(timer.finished.is_set() for timer in timers)  # cancelled
 
 
-def test_a_process_that_does_not_end_is_ended(monkeypatch):
-    """By the timer, or by a second signal."""
+def test_a_second_signal_ends_the_process(monkeypatch):
     ended = threading.Event()
     monkeypatch.setattr(interruption, "end_process", ended.set)
-    monkeypatch.setattr(interruption, "GRACE_PERIOD", 0.0)
-    with signals_as_interrupt():
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        assert ended.wait(60)
-    monkeypatch.setattr(interruption, "GRACE_PERIOD", 1e6)
-    ended.clear()
     with signals_as_interrupt():
         for expected in (False, True):
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGTERM)
             assert ended.is_set() == expected
+
+
+# A command in a function of a library, which no exception leaves, and what is kept: a text, or a question without answer.
+HANGING = """
+import dataclasses, hashlib, sys
+from atlas import cli, interruption
+
+def endless(*_):
+    print("at work", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+
+def command(options):
+    interruption.explain_kept({kept})
+    endless()
+
+cli.scenes.print_schema = dataclasses.replace(cli.scenes.print_schema, handler=command)
+sys.argv = ["atlas", "schema"]
+cli.command()
+"""
+
+
+def end_of(process, number):
+    """Seconds from a signal to the end of a process, its exit code, and what it printed on stderr."""
+    process.send_signal(number)
+    began = time.monotonic()
+    try:
+        _, errors = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    return time.monotonic() - began, process.returncode, errors
+
+
+@pytest.mark.parametrize(
+    ("number", "kept"), [(signal.SIGINT, "endless"), (signal.SIGTERM, "lambda: '2 tiles are kept'")]
+)
+def test_a_command_in_a_library_ends_within_two_seconds(number, kept):
+    """Under nohup, that is, where SIGINT is ignored, by SIGTERM alone."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HANGING.format(kept=kept)], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        preexec_fn=lambda: number == signal.SIGTERM and signal.signal(signal.SIGINT, signal.SIG_IGN),
+    )  # fmt: skip
+    assert process.stdout.readline() == "at work\n"
+    if number == signal.SIGTERM:
+        process.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(interruption.GRACE_PERIOD + interruption.MESSAGE_PERIOD + 0.3)
+    seconds, code, errors = end_of(process, number)
+    assert seconds < 2
+    assert code == EXIT_CODES[number]
+    text = MESSAGE if kept == "endless" else r"2 tiles are kept; `\S*atlas schema` continues"
+    assert re.fullmatch(f"atlas: interrupted; {text}\n", errors)
+
+
+@pytest.mark.parametrize("number", EXIT_CODES)
+def test_a_command_ends_while_a_server_is_silent(number):
+    pytest.importorskip("obstore")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"http://127.0.0.1:{server.getsockname()[1]}"
+        keys = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_REGION": "us-east-1"}
+        process = subprocess.Popen(
+            [sys.executable, "-m", "atlas", "status", "s3://bucket/night.zarr"], text=True, stderr=subprocess.PIPE,
+            env=os.environ | keys | {"AWS_ENDPOINT": address, "AWS_ALLOW_HTTP": "true"},
+        )  # fmt: skip
+        connection, _ = server.accept()
+        with connection:
+            connection.recv(1)
+            seconds, code, errors = end_of(process, number)
+    assert seconds < 2
+    assert (code, errors) == (EXIT_CODES[number], f"atlas: interrupted; {MESSAGE}\n")
+
+
+def test_a_run_in_another_program_raises_when_the_library_returns(small_scene, tmp_path, monkeypatch):
+    """Also where the library returns an error of its own."""
+
+    def slow(folder, name=""):
+        began = time.monotonic()
+        threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        while time.monotonic() < began + 0.2:
+            hashlib.pbkdf2_hmac("sha256", b"", b"", 1_000_000)
+        raise OSError("timeout")
+
+    monkeypatch.setattr(interruption, "end_process", lambda *_: pytest.fail("ended"))
+    monkeypatch.setattr(Folder, "names", slow)
+    with pytest.raises(KeyboardInterrupt):
+        atlas.run(small_scene, f"{tmp_path}/run/", progress=False)
+
+
+def test_a_signal_of_a_forked_child_is_none_of_its_parent():
+    code = (
+        "import os, signal, time\n"
+        "from atlas import interruption\n"
+        "interruption.GRACE_PERIOD = 0.0\n"
+        "signal.signal(signal.SIGTERM, lambda *_: os._exit(7))\n"
+        "interruption.start_deadline()\n"
+        "ready, say_ready = os.pipe()\n"
+        "child = os.fork()\n"
+        "if not child: os.write(say_ready, b'1'), time.sleep(60)\n"
+        "os.read(ready, 1)\n"
+        "os.kill(child, signal.SIGTERM)\n"
+        "time.sleep(0.3)\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "7\n", "")
+
+
+def test_what_a_command_prints_is_written_while_signals_still_end_it():
+    """A process that ends ignores signals; nobody might read what it has still to write."""
+    stream = io.TextIOWrapper(io.BytesIO(), line_buffering=False)
+    say("one", "two", file=stream)
+    assert stream.buffer.getvalue() == b"one\ntwo\n"
 
 
 @pytest.mark.parametrize("number", EXIT_CODES)

@@ -12,7 +12,15 @@ from typing import NoReturn
 from .._version import __version__
 from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
-from ..interruption import STOPPED, Stopped, exit_process, explain_kept, outcome, signals_as_interrupt
+from ..interruption import (
+    STOPPED,
+    Stopped,
+    exit_process,
+    explain_kept,
+    outcome,
+    signals_as_interrupt,
+    start_deadline,
+)
 from . import atlases, scenes, studies
 from .options import BAD_INPUT, DONE, FAILED, Parser
 
@@ -54,6 +62,7 @@ def command() -> NoReturn:
         import argcomplete  # the shell asks only where it is installed
 
         argcomplete.autocomplete(parser())
+    start_deadline()
     try:
         code = main()
     except SystemExit as end:  # raised by the parser of the options

@@ -15,6 +15,7 @@ import secrets
 import shutil
 import socket
 import stat
+import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -30,6 +31,7 @@ TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 # makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
+MAX_CHARACTERS = 6_000_000  # of the text of a scene
 # The name of a process is machine-boot-pid-start. On the same machine the name decides exactly whether the process runs, because a number
 # that is used again belongs to a process with another start, and a machine that was started again has no process of
 # before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
@@ -293,25 +295,28 @@ def check_folder(path: Path, *, replace: str | None = None) -> None:
 
 
 @contextmanager
-def open_text(path: Path, newline: str | None = None) -> Iterator[TextIO]:
-    """Open a file in UTF-8 for reading; BadInput if it cannot be read, also while it is. newline: as for `open`."""
+def open_text(path: Path | None) -> Iterator[TextIO]:
+    """Open a file in UTF-8, or standard input, for reading; BadInput if it cannot be read, also while it is."""
+    name = path or "standard input"
+    if path is None and sys.__stdin__ is None:  # its number may be that of another file now
+        raise BadInput(f"{name}: is closed")
     try:
-        with path.open(encoding="utf-8-sig", newline=newline) as file:
+        with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:
             yield file
     except FileNotFoundError:
-        raise BadInput(f"{path}: there is no such file") from None
+        raise BadInput(f"{name}: there is no such file") from None
     except IsADirectoryError:
-        raise BadInput(f"{path}: this is a folder") from None
+        raise BadInput(f"{name}: this is a folder") from None
     except UnicodeDecodeError:
-        raise BadInput(f"{path}: not a text file in UTF-8") from None
+        raise BadInput(f"{name}: not text in UTF-8") from None
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
+        raise BadInput(f"{name}: cannot be read: {error.strerror}") from None
 
 
-def read_text(path: Path) -> str:
-    """Text of a file in UTF-8; BadInput if it cannot be read."""
+def read_text(path: Path | None) -> str:
+    """Text in UTF-8, cut where it is longer than a scene may be, as of a device; BadInput if it cannot be read."""
     with open_text(path) as file:
-        return file.read()
+        return file.read(MAX_CHARACTERS + 1)
 
 
 def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:

@@ -1,6 +1,5 @@
 """The command line as a user meets it: real processes, exit codes, one-line errors, no file left half written."""
 
-import io
 import os
 import re
 import shutil
@@ -293,9 +292,15 @@ def test_options_take_several_values_or_are_repeated():
 
 def test_scenes_and_points_come_from_standard_input(folder, monkeypatch, capsys):
     def run_with_input(text, *arguments):
-        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
-        code = main(arguments)
-        return code, capsys.readouterr()
+        (folder / "input").write_text(text)
+        before = os.dup(0)
+        try:
+            with (folder / "input").open() as file:
+                os.dup2(file.fileno(), 0)
+            return main(arguments), capsys.readouterr()
+        finally:
+            os.dup2(before, 0)
+            os.close(before)
 
     monkeypatch.chdir(folder)
     scene = (folder / "small.toml").read_text()
@@ -312,6 +317,24 @@ def test_scenes_and_points_come_from_standard_input(folder, monkeypatch, capsys)
     code, printed = run_with_input("C,m\n0.8,\n", "points", "satellite", "-", "-o", "b.csv")
     assert code == 2
     assert "standard input, line 2: m is empty" in printed.err
+    for command, problem in (
+        ("check - <&-", "is closed"),
+        ("points satellite - -o c.csv <&-", "is closed"),
+        ("points satellite - -o c.csv </dev/zero", "more than 1000000 characters"),
+    ):
+        done = subprocess.run(
+            f"{sys.executable} -m atlas {command}", shell=True, cwd=folder, capture_output=True, text=True
+        )
+        assert done.returncode == 2
+        assert re.fullmatch(f"atlas: standard input(, line 1)?: {problem}\n", done.stderr)
+
+
+def test_a_scene_comes_from_a_pipe(folder):
+    """Which cannot be read a second time for the file of points that it names."""
+    os.mkfifo(folder / "pipe")
+    command = f"cat small.toml > pipe & exec {sys.executable} -m atlas run pipe -o a.nc --quiet"
+    done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ import atlas
 
 from .. import systems
 from ..errors import BadInput, attribute_text, say
-from ..files import without_suffix, writable
+from ..files import open_text, without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
 from .options import (
     ATLAS,
@@ -32,7 +31,6 @@ from .options import (
     input_files,
     option_with_default,
     out_options,
-    read_input,
     read_scene,
 )
 
@@ -79,7 +77,8 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
     if from_input:
-        columns = tables.read_csv(io.StringIO(read_input()), "standard input", numeric)
+        with open_text(None) as file:
+            columns = tables.read_csv(file, "standard input", numeric)
     else:
         columns = tables.read(options.points, numeric)
     from ..analysis.compare import summary

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
-from ..files import check_name, without_suffix
+from ..files import check_name, read_text, without_suffix
 
 if TYPE_CHECKING:
     from ..scene.model import Scene
@@ -151,15 +151,7 @@ def read_scene(name: str) -> Scene:
     """The scene of a file, or of standard input."""
     from ..scene.read import load_scene, parse_scene
 
-    return parse_scene(read_input(), folder=Path()) if name == STANDARD_INPUT else load_scene(name)
-
-
-def read_input() -> str:
-    """All text of standard input; BadInput if it is not in UTF-8."""
-    try:
-        return sys.stdin.buffer.read().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise BadInput("standard input: not text in UTF-8") from None
+    return parse_scene(read_text(None), folder=Path()) if name == STANDARD_INPUT else load_scene(name)
 
 
 def default_name(scene: str) -> str:

@@ -115,6 +115,8 @@ def read_points(
 
 def file_of(scene: Path) -> list[Path]:
     """The file of points that a scene file names, if any; it need not exist."""
+    if not scene.is_file():  # a pipe could not be read again
+        return []
     try:
         file = tomllib.loads(read_text(scene))["points"]["file"]
     except (BadInput, ValueError, RecursionError, KeyError, TypeError):

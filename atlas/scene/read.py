@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import systems
 from ..errors import BadInput, allowed_text, shown
-from ..files import read_text
+from ..files import MAX_CHARACTERS, read_text
 from ..systems.base import Array, System
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
@@ -37,7 +37,6 @@ from .points import SEED, read_points
 
 # With these limits any text is read and checked as a scene within a few seconds and 500 MB. They are checked before
 # anything of that size is allocated.
-MAX_CHARACTERS = 6_000_000  # of the text
 MAX_TABLES = 2000
 MAX_JOINED_NAMES = 16  # as in a.b.c
 MAX_NAMES = 200  # that get values
@@ -108,7 +107,7 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
     source = Source(path or name, text)
     # A text far longer than any scene, or with far more tables, would take long to parse.
     if len(text) > MAX_CHARACTERS:
-        raise BadInput(f"{source.path}: {len(text)} characters; allowed: at most {MAX_CHARACTERS}")
+        raise BadInput(f"{source.path}: too many characters; allowed: at most {MAX_CHARACTERS}")
     tables = text.count("{") + len(re.findall(r"^[ \t]*+\[", text, re.MULTILINE))
     if tables > MAX_TABLES:
         raise BadInput(f"{source.path}: {tables} tables; allowed: at most {MAX_TABLES}")

@@ -6,10 +6,10 @@ import array
 import csv
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -81,7 +81,8 @@ def read(
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
     try:
         if not path.is_file():
-            raise BadInput(f"{path}: " + ("this is a folder" if path.is_dir() else "there is no such file"))
+            kind = "a folder" if path.is_dir() else "no regular file"
+            raise BadInput(f"{path}: " + (f"this is {kind}" if path.exists() else "there is no such file"))
         size = path.stat().st_size
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
@@ -252,7 +253,8 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
 
 SEPARATORS = ("\t", ";", ",")  # the first one in the line of names
 INDEX = "index"  # name of a first column without name, as pandas writes it
-MAX_LINE = 1_000_000  # characters; a file that is no table may be one line
+# Characters of a line, because a file that is no table may be one line, and of all, because a pipe may have no end.
+MAX_LINE, MAX_TABLE = 1_000_000, 2**31
 
 
 class CsvColumns(dict[str, Any]):
@@ -268,19 +270,19 @@ class CsvColumns(dict[str, Any]):
         return f"{self.source}, line {self.lines[point]}"
 
 
-def read_csv(
-    lines: Iterable[str], source: str, numeric: Collection[str], max_fields: float = math.inf
-) -> CsvColumns:
+def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
-    number = 0  # of the last line read
+    number = size = 0  # of the last line read, and of all in characters
 
     def content_lines() -> Iterator[str]:
         """The lines without empty ones and comments."""
-        nonlocal number
-        for line in lines:
-            number += 1
+        nonlocal number, size
+        for line in iter(partial(file.readline, MAX_LINE + 1), ""):
+            number, size = number + 1, size + len(line)
             if len(line) > MAX_LINE:
                 raise BadInput(f"{source}, line {number}: more than {MAX_LINE} characters")
+            if size > MAX_TABLE:
+                raise BadInput(f"{source}: more than {MAX_TABLE} characters; give larger tables as .nc")
             if line.strip() and not line.lstrip().startswith("#"):
                 yield line
 

@@ -75,7 +75,7 @@ def test_a_scene_with_another_end_of_line_or_a_byte_order_mark(small_scene, tmp_
         assert load_scene(tmp_path / "a.toml").toml() == expected
         assert load_scene(content.decode()).toml() == expected
     (tmp_path / "a.toml").write_bytes(small_scene.encode("utf-16"))
-    with pytest.raises(BadInput, match=r"a.toml: not a text file in UTF-8"):
+    with pytest.raises(BadInput, match=r"a.toml: not text in UTF-8"):
         load_scene(tmp_path / "a.toml")
 
 

@@ -1,8 +1,11 @@
 """Scenes of strangers: names that clash, limits that hold before anything is made, and text that is safe to print."""
 
+import os
 import re
+import threading
 import tracemalloc
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -137,6 +140,43 @@ def test_two_axes_cannot_have_one_dimension(scene_text):
 )  # fmt: skip
 def test_limits_hold_before_anything_is_made(text, named):
     assert named in refused(text)
+
+
+@pytest.mark.parametrize("piece", ["\0", "# a comment\n", "a = 1\n"])
+def test_an_input_without_end_is_read_to_the_limit(tmp_path, piece):
+    def write():
+        with suppress(BrokenPipeError), (tmp_path / "pipe").open("w") as pipe:
+            while True:
+                pipe.write(piece * 10_000)
+
+    os.mkfifo(tmp_path / "pipe")
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert "pipe: too many characters; allowed: at most 6000000" in refused(tmp_path / "pipe")
+    writer.join()
+
+
+def test_a_table_without_end_is_read_to_the_limit(tmp_path, monkeypatch):
+    """A line of it, which a file with a hole may be, and all lines, as from a pipe."""
+    with (tmp_path / "hole.csv").open("wb") as file:
+        file.truncate(2**33)
+    (tmp_path / "device.csv").symlink_to("/dev/zero")
+    monkeypatch.setattr(tables, "MAX_TABLE", 1000)
+    (tmp_path / "long.csv").write_text("C\n" + "0.8\n" * 300)
+    scene = HEAD + "[points]\nfile = '{}'\n"
+    for name, problem in (
+        ("hole.csv", ", line 1: more than 1000000 characters"),
+        ("device.csv", ": this is no regular file"),
+        ("long.csv", ": more than 1000 characters; give larger tables as .nc"),
+    ):
+        tracemalloc.start()
+        with pytest.raises(BadInput, match=f"{name}{problem}"):
+            tables.read(tmp_path / name, ["C"])
+        assert tracemalloc.get_traced_memory()[1] < 2**24
+        tracemalloc.stop()
+        assert name in refused(
+            (tmp_path / "scene.toml").write_text(scene.format(name)) and tmp_path / "scene.toml"
+        )
 
 
 def test_the_page_lists_the_limits_in_force():

@@ -92,7 +92,8 @@ def from_lagrangian(
     ------
     BadInput
         If SymPy is not installed; if a symbol is neither coordinate, velocity nor parameter; if an expression is not
-        arithmetic; if the mass matrix is singular; if a coordinate to be omitted is not cyclic.
+        arithmetic; if the mass matrix is singular, or not positive definite where that prevents the solution; if a
+        coordinate to be omitted is not cyclic.
 
     References
     ----------
@@ -447,6 +448,11 @@ def _solved(
         f1, f2 = right_side
         return [p * f1 + q * f2, q * f1 + r * f2]
     n, zero = len(matrix), sympy.Integer(0)
+    if any(_is_singular([row[:k] for row in matrix[:k]]) for k in range(1, n)):
+        raise BadInput(
+            "from_lagrangian: the mass matrix has a principal minor that is 0: it must be positive definite where it"
+            " couples more than two velocities"
+        )
     K = [[zero] * n for _ in range(n)]
     D: list[Expression] = []
     for j in range(n):

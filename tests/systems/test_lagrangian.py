@@ -275,6 +275,8 @@ def test_written_file_is_the_text_and_is_replaced(tmp_path):
         ((U**2, [X], [U], []), {"omit": X}, "omit = x: must be a sequence"),
         ((U**2, [X], [U], []), {"forces": [X]}, "forces = .x.: must be a mapping"),
         ((0.3 * (U + 0.1 * V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "is singular"),
+        ((U * V + U * THETA_DOT + X * V * THETA_DOT - Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "positive definite"),
+        (((U + V) ** 2 + U * THETA_DOT - X * Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "positive definite"),
     ],
 )  # fmt: skip
 def test_bad_input_is_one_line(arguments, options, message):

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import ast
 import copy
+import io
 import tomllib
 import warnings
 from pathlib import Path
@@ -22,7 +24,7 @@ from atlas.io import netcdf
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.runs.plan import ScenePlan
-from atlas.scene import grid
+from atlas.scene import expressions, grid, tables
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
@@ -436,6 +438,70 @@ def try_points(rng: Random) -> str:
     except BaseException as error:
         error.add_note(f"label_points({system!r}, {columns!r}, **{options!r})")
         raise
+
+
+def try_csv(rng: Random) -> str:
+    """Read a table of odd fields, some of it changed; without a change its numbers are those of the fields."""
+    names = rng.sample([*SYSTEMS["satellite"].parameters, "index"], rng.randint(1, 5))
+    names[0] = rng.choice(NAMES) if rng.random() < 0.2 else names[0]
+    separator, count = rng.choice(",;\t"), rng.randint(0, 4)
+    rows = [[_field(rng) for _ in names] for _ in range(count)]
+    rows = [row for row in rows if separator.join(row).strip()]  # others are empty lines
+    lines = [separator.join(fields) for fields in (names, *rows)]
+    for _ in range(rng.choice([0, 0, 1, 3])):
+        lines.insert(rng.randint(0, len(lines)), rng.choice(["", "# a comment", "  ", "\t#"]))
+    text = whole = rng.choice(["\n", "\r\n", "\r"]).join(lines) + rng.choice(["", "\n"])
+    for _ in range(rng.choice([0, 0, 1, 3])):
+        i = rng.randrange(len(text) + 1)
+        text = (
+            text[:i]
+            + rng.choice(["", '"', ",", ";", "\0", "\n", "x", "\ufeff", "\ud7ff", '""'])
+            + text[i + 1 :]
+        )
+
+    def read() -> None:
+        system = SYSTEMS["satellite"]
+        columns = tables.read_csv(io.StringIO(text, None), "odd.csv", system.parameters)
+        if text == whole and not any("#" in name for name in names):
+            for i, name in enumerate(names):
+                if name in system.parameters:
+                    np.testing.assert_array_equal(
+                        columns[name], [float(row[i].strip() or "nan") for row in rows]
+                    )
+        tables.point_columns(system, columns)
+
+    return _outcome(read)
+
+
+def _field(rng: Random) -> str:
+    """A field of a table, a number in most cases."""
+    if rng.random() < 0.8:
+        return (
+            rng.choice([" ", "", "+"]) + str(rng.choice(USUAL)) if rng.random() < 0.9 else str(_number(rng))
+        )
+    return rng.choice(["", " ", "1,5", "1_0", "0x1", "nan", "-inf", "1e", "\u0661", "a b", "'1'", "1" * 5000])
+
+
+def try_tie(rng: Random) -> str:
+    """Evaluate random arithmetic; its value is that of Python's own evaluator with NumPy's numbers."""
+    system = SYSTEMS["satellite"]
+    text = _expression(rng, system, 4)
+
+    def evaluate() -> None:
+        tie = expressions.Expression("ties.u", text)
+        values = {name: np.array([rng.choice(USUAL), 0.3, -2.0]) for name in sorted(tie.names)}
+        tree = ast.parse(tie.text, mode="eval")
+        for i, node in enumerate([each for each in ast.walk(tree) if isinstance(each, ast.Constant)]):
+            name, number = f"number_{i}", node.value  # of NumPy, whose numbers can be divided by 0
+            values[name] = np.asarray(float(number) if number <= HUGE else np.inf)
+            node.__class__, node.id, node.ctx = ast.Name, name, ast.Load()
+        with np.errstate(all="ignore"):
+            expected = eval(
+                compile(tree, "tie", "eval"), expressions.FUNCTIONS | expressions.CONSTANTS | values
+            )
+        np.testing.assert_array_equal(np.broadcast_to(tie.value(values), 3), np.broadcast_to(expected, 3))
+
+    return _outcome(evaluate)
 
 
 def _check_columns(values: dict[str, np.ndarray], size: int) -> None:

@@ -69,8 +69,8 @@ class Ends(Instrument):
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
         assert isinstance(run.system, Gyrostat)
-        (wells, row), finite = wells_of(run.system, run.points), run.integration.finite
         with np.errstate(all="ignore"):
+            (wells, row), finite = wells_of(run.system, run.points), run.integration.finite
             error = (measured["integral_drift"] + ROUNDING) / run.ensemble.scales[0]
             w, alpha, gamma = run.system.vectors(np.where(finite, run.integration.final_state, 0.0))
             frames, rates = frames_of(alpha, gamma), w - wells.body.turn[row, None] * gamma

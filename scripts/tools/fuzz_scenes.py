@@ -40,6 +40,8 @@ def main() -> int:
         "check": (options.count, lambda rng: odd_scenes.try_scene(odd_scenes.scene_text(rng))),
         "run": (options.runs, lambda rng: odd_scenes.try_run(odd_scenes.scene_text(rng))),
         "points": (options.points, odd_scenes.try_points),
+        "table": (options.count, odd_scenes.try_csv),
+        "tie": (options.count, odd_scenes.try_tie),
     }
     with pytest.MonkeyPatch.context() as patched:
         odd_scenes.use_interpreted_kernels(patched)

@@ -174,3 +174,11 @@ def test_equal_potentials_are_ordered_by_attitude():
         for pair in range(0, size, 2):
             first, second = vectors_of(one, [pair, pair + 1]).round(6).tolist()
             assert first < second
+
+
+def test_bodies_near_the_largest_number_have_no_end():
+    huge = np.finfo(float).max
+    ds = ends(
+        {"A": huge, "B": huge, "C": huge / 2, "n": [1.5, 0.0]}, duration=1e-320, step=5e-324, max_steps=6
+    )
+    assert (ds.end_equilibrium == -1).all()

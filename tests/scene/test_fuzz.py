@@ -41,3 +41,9 @@ def test_odd_scenes_run_or_are_refused_in_one_line():
 def test_odd_points_are_labelled_or_refused_in_one_line():
     outcomes = [odd_scenes.try_points(rng) for rng in cases("points", 50)]
     assert outcomes.count("ok") > 0.1 * len(outcomes)
+
+
+def test_odd_tables_and_ties_have_the_values_of_their_text_or_are_refused_in_one_line():
+    for attempt, count in ((odd_scenes.try_csv, 800), (odd_scenes.try_tie, 800)):
+        outcomes = [attempt(rng) for rng in cases(attempt.__name__, count)]
+        assert 0.1 * len(outcomes) < outcomes.count("ok") < 0.9 * len(outcomes)

@@ -75,7 +75,7 @@ def off_family_labels(
     result = {name: np.full(duration.shape, Label.DRIFTING, np.int8) for name in frames}
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
-        start = _SteadyMotions.of(system, points)
+        start = _SteadyMotions.of(system, points, bound, tolerances.angle)
         near = np.flatnonzero(_near(start, bound, duration, tolerances, points.get("damping", 0.0)))
         for name in frames:
             result[name][near] = Label.NOT_COMPUTED
@@ -118,10 +118,13 @@ class _SteadyMotions:
     offset: Array  # of the angular velocity
 
     @classmethod
-    def of(cls, system: System, points: Points) -> _SteadyMotions:
+    def of(cls, system: System, points: Points, bound: Array, angle: float) -> _SteadyMotions:
+        """Inside the cylinder, where n and m are any with this w, rotations about the third axis if n is beyond the bound."""
         constants, state = system.constants(points), np.array(system.initial_state(points))
         _, n, m = (np.array(value, float) for value in system.steady_rates(points))
         u, g = np.split(np.array(system.equations.frame_motion(state, constants)), 2)
+        singular = (np.hypot(g[0], g[1]) < angle) & (np.abs(n) > bound)
+        n, m = np.where(singular, 0.0, n), np.where(singular, u[2], m)
         offset = u - n * g
         offset[2] -= m
         state[_indices(system, system.rate_states)] -= offset

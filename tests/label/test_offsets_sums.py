@@ -19,7 +19,8 @@ ANGLE = TOLERANCES.angle
 def sums_of(name, points, steps, duration, threads=1):
     """The sums, motions and frequency bounds of some points."""
     system = SYSTEMS[name]
-    motions, bound = offsets._SteadyMotions.of(system, points), system.frequency_bound(points)
+    bound = system.frequency_bound(points)
+    motions = offsets._SteadyMotions.of(system, points, bound, ANGLE)
     count = bound.size
     steps = np.broadcast_to(steps, count).astype(np.int64)
     with np.errstate(divide="ignore"):  # where the third axis is on the vertical

@@ -27,7 +27,7 @@ import numpy as np
 from ...flags import Stability
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
 from ..gyrostat import secular
-from ..gyrostat.motions import Equation, each, linear, motion_of
+from ..gyrostat.motions import Equation, each, linear, motion_of, start_residual
 from ..vectors import cross, length, principal, ratio
 from . import equations
 from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical
@@ -41,14 +41,9 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, n^2, m^2, and the torques of fields and rotor over the least moment.
-
-    n and m count because they may cancel in w0, near theta = pi, down to their rounding.
-    """
+    """Largest squared rate of the start: |w0|^2, and the torques of fields and rotor over the least moment."""
     inertia, rotor, weight, N = bodies(points)
-    _, n, m = rates(points)
-    turn = np.maximum((initial_state(points)[:3] ** 2).sum(0), np.maximum(n**2, m**2))
-    least = inertia.min(0)
+    turn, least = (initial_state(points)[:3] ** 2).sum(0), inertia.min(0)
     torque = np.maximum(length(weight), np.abs(N) * (inertia.max(0) - least))
     return np.maximum(turn, np.maximum(torque, length(rotor) * np.sqrt(turn)) / least)
 
@@ -59,12 +54,11 @@ def condition_residual(points: Points) -> Array:
     The larger of |w' less what theta' = 0 and constant n and m need| over the largest squared rate, and theta' over its root.
     """
     state = initial_state(points)
-    gamma = state[3:]
     theta_dot, n, m = rates(points)
-    rate = np.array(equations.rhs(state, constants(points))[:3])
-    rate -= n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])
+    slope = np.array(equations.rhs(state, constants(points))[:3])
     scale = squared_rate(points)
-    return np.maximum(ratio(length(rate), scale), ratio(np.abs(theta_dot), np.sqrt(scale)))
+    residual = start_residual(slope, state[3:], n, m, np.hypot(*state[:2]), scale)
+    return np.maximum(residual, ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
 # What vanishes on the families.
@@ -84,6 +78,11 @@ def _rate(points: Points) -> Array:
 def _torque(points: Points) -> Array:
     """Unit of torques: least moment times squared unit of rates."""
     return np.minimum(np.minimum(points["A"], points["B"]), points["C"]) * _squared_unit(points)
+
+
+def _fast_torque(points: Points) -> Array:
+    """Unit of torques with n and m, which exceed w in a fast precession beside the vertical."""
+    return np.fmax(_torque(points), points["A"] * np.square(rates(points)[1:]).max(0))
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
@@ -292,7 +291,7 @@ FAMILIES = numbered(
                 Equation("l1 = l2 = 0", lambda p: bodies(p)[1][:2] * length(initial_state(p)[:3]), _torque),
                 Equation("Mg x0 = Mg y0 = 0", lambda p: bodies(p)[2][:2], _torque),
                 _STILL,
-                Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _torque),
+                Equation("(C - A)(n^2 - N) cos theta0 + (C m + l3) n + Mg z0 = 0", precession, _fast_torque),
             ),
             solve={
                 **linear(precession, "m", "l3", "Mg", "z0", "N", keep=True),

@@ -7,7 +7,7 @@ from collections.abc import Set
 import numpy as np
 
 from ...errors import BadInput
-from ..base import Array, Mask, Parameter, Points, shared
+from ..base import FAMILY_TOLERANCE, Array, Mask, Parameter, Points, shared
 from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity, directions
@@ -100,11 +100,11 @@ def vertical(points: Points) -> Array:
 
 @shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
-    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; at a pole n = 0 and m = r."""
+    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; of vectors at or beside a pole n = 0 and m = r."""
     gamma = vertical(points)
     p, q, r = points["p0"], points["q0"], points["r0"]
     sine = np.hypot(gamma[0], gamma[1])
-    pole = sine == 0
+    pole = sine <= FAMILY_TOLERANCE
     sine = np.where(pole, 1.0, sine)
     theta_dot = np.where(pole, np.hypot(p, q), (p * gamma[1] - q * gamma[0]) / sine)
     n = np.where(pole, 0.0, (p * gamma[0] + q * gamma[1]) / sine**2)
@@ -126,17 +126,18 @@ def initial_state(points: Points) -> Array:
 
 
 def as_euler_angles(points: Points) -> dict[str, Array]:
-    """The same starts with theta0 .. m in place of p0 .. gamma30; on the vertical theta' is hypot(p0, q0)."""
+    """The same starts with theta0 .. m in place of p0 .. gamma30; at or beside a pole theta' is hypot(p0, q0)."""
     given = ~np.isnan(points["p0"])
     if not given.any():
         return dict(points)
     gamma = vertical(points)
     theta_dot, n, m = rates(points)
     sine = np.hypot(gamma[0], gamma[1])
+    turning = (sine <= FAMILY_TOLERANCE) & (theta_dot > 0)
     euler = {
         "theta0": np.arctan2(sine, gamma[2]),
-        # On the vertical there is no node; this phi0 makes the transverse part of p0, q0 a rate about it.
-        "phi0": np.where(sine == 0, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
+        # At a pole there is no node, beside it rounding decides; this phi0 makes the transverse part of p0, q0 a rate about it.
+        "phi0": np.where(turning, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
         "theta_dot0": theta_dot,
         "n": n,
         "m": m,

@@ -40,8 +40,10 @@ def largest_inertia(p: Points) -> Array:
 
 
 def rate_scale(p: Points) -> Array:
-    """Sum of the magnitudes of all rates of the start."""
-    return np.abs(p["Omega"]) + np.abs(p["n"]) + np.abs(p["m"]) + np.abs(p["theta_dot0"])
+    """Sum of the magnitudes of all rates: of orbit and magnet, and of the body across and along its third axis."""
+    across, along = p["n"] * np.sin(p["theta0"]), p["n"] * np.cos(p["theta0"]) + p["m"]
+    magnetic = np.sqrt(magnetic_moment(p) * np.hypot(p["h1"], p["h3"]) / largest_inertia(p))
+    return np.abs(p["Omega"]) + magnetic + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])
 
 
 def momentum_scale(p: Points) -> Array:
@@ -135,7 +137,10 @@ EQUAL_B_AND_C = Equation("B = C", lambda p: p["B"] - p["C"], largest_inertia)
 STEADY_TILT = Equation("theta_dot0 = 0", lambda p: p["theta_dot0"], rate_scale)
 NO_PRECESSION = Equation("n = 0", lambda p: p["n"], rate_scale)
 NO_SPIN = Equation("m = 0", lambda p: p["m"], rate_scale)
-UPRIGHT = Equation("sin theta0 = 0", lambda p: tilt(p)[0])
+UPRIGHT = Equation(
+    "sin theta0 = 0",
+    lambda p: np.array([tilt(p)[0], relative_to(p["n"] * np.sin(p["theta0"]), rate_scale(p))]),
+)
 NODE_ON_RADIUS = Equation("sin psi0 = 0", lambda p: node(p)[0])
 NODE_ON_VELOCITY = Equation("cos psi0 = 0", lambda p: node(p)[1])
 AXIAL_ROTOR = Equation("k1 = k2 = 0", lambda p: np.array([p["k1"], p["k2"]]), momentum_scale)
@@ -148,7 +153,7 @@ NO_RADIAL_TORQUE = Equation("h1 mu = 0", lambda p: p["h1"] * magnetic_moment(p),
 NO_AXIAL_RADIAL_TORQUE = Equation("h1 mu3 = 0", lambda p: p["h1"] * p["mu3"], torque_scale)
 NO_ROTATION = Equation(
     "n sin theta0 = 0 and n cos theta0 + m = 0",
-    lambda p: np.hypot(p["n"] * tilt(p)[0], p["n"] * tilt(p)[1] + p["m"]),
+    lambda p: np.hypot(p["n"] * np.sin(p["theta0"]), p["n"] * tilt(p)[1] + p["m"]),
     rate_scale,
 )
 NO_DISSIPATION = Equation(
@@ -204,7 +209,7 @@ NO_TRANSVERSE_TORQUE = Equation(
 SPHERICAL_BALANCE = Equation(
     "(n + Omega) (C m + k3) = h3 mu3",
     lambda p: (p["n"] + p["Omega"]) * (p["C"] * p["m"] + p["k3"]) - p["h3"] * p["mu3"],
-    torque_scale,
+    lambda p: torque_scale(p) + p["C"] * np.maximum(p["n"] ** 2, p["m"] ** 2),
 )
 SYMMETRY_ABOUT_NORMAL = Equation(
     "gamma an axis of equal moments: (A = C, gamma = +-e2), (B = C, gamma = +-e1) or A = B = C",

@@ -12,7 +12,7 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
 
 Their equations are in `conditions`, with the closed forms of their stability, and give the parameters in which they are
 linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
-w = Omega + |n| + |m| + |theta_dot0|, momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
+w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(|mu| |h| / J), momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
 motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.
 """
@@ -26,8 +26,9 @@ from functools import partial
 import numpy as np
 
 from ..base import Array, Family, Points, numbered
+from ..gyrostat import motions
 from ..gyrostat.motions import about_third_axis, always_stable, each, linear, motion_of, quotient, relative_to
-from ..vectors import cross, length
+from ..vectors import cross
 from . import conditions as the
 from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
 from .equations import rhs
@@ -297,9 +298,8 @@ def condition_residual(points: Points) -> Array:
     state = initial_state(points)
     w, gamma = state[:3], state[6:]
     rates = np.array(rhs(state, constants(points)))
-    needed = np.array([gamma[1], -gamma[0], np.zeros_like(gamma[0])]) * (points["n"] * points["m"])
-    residual = rates[:3] - points["Omega"] * rates[6:] - needed
+    slope, n = rates[:3] - points["Omega"] * rates[6:], points["n"]
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
     field = magnetic_moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia
     square = np.maximum(np.maximum(points["Omega"] ** 2, (w**2).sum(0)), field)
-    return relative_to(length(residual), square)
+    return motions.start_residual(slope, gamma, n, points["m"], n * np.hypot(gamma[0], gamma[1]), square)

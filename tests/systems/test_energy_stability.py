@@ -5,17 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import null_space
+from scipy.spatial.transform import Rotation
 from truth import default_points
 
 import atlas
 from atlas.flags import EnergyStability, NonlinearStability, Stability, StabilityKind
 from atlas.systems.fixed_point import FIXED_POINT
+from atlas.systems.gyrostat.body import Body, Direction
+from atlas.systems.gyrostat.oscillations import Equilibria
 from atlas.systems.gyrostat.variables import stability_kind
 from atlas.systems.satellite import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 YES, NO, UNKNOWN = EnergyStability.YES, EnergyStability.NO, EnergyStability.UNKNOWN
+SIGNED_PERMUTATIONS = np.array(
+    [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]]
+)
 
 
 def derived(system, name, points):
@@ -200,6 +206,39 @@ def test_nothing_is_claimed_off_families_and_of_periodic_equations():
     stable = linear(SATELLITE, tilted)[0] == Stability.STABLE
     expected = StabilityKind.LINEARLY_STABLE if stable else StabilityKind.UNSTABLE
     assert derived(SATELLITE, "stability_kind", tilted)[0] == expected
+
+
+def test_verdicts_on_a_sphere_do_not_depend_on_its_axes():
+    rng = np.random.default_rng(7)
+    drawings = np.concatenate([SIGNED_PERMUTATIONS, Rotation.random(3, random_state=7).as_matrix()])
+    for trial in range(60):
+        alpha, gamma = Rotation.random(random_state=trial).as_matrix()[:2]
+        line = (np.eye(3)[trial % 3], gamma, alpha, np.array([0.6, 0.0, 0.8]))[trial % 4]
+        rotor, field = rng.normal(size=(2, 1)) * line * (rng.random((2, 1)) < 0.5)
+        turn = rng.uniform(0.3, 1.5)
+        w = turn * gamma
+        if trial % 2:  # a top that precesses at a rate N: N (m + rotor) = field along the line
+            rate = rng.normal()
+            w = rate * gamma + (field / rate - rotor)
+        verdicts = set()
+        for axes in drawings:
+            vectors = (axes @ v for v in (rotor, field, w, alpha, gamma))
+            k, h, *start = (np.array([v]) for v in vectors)
+            body = Body(
+                np.ones((1, 3)), k, np.array([turn]), Direction(np.full(1, 3 * turn**2), 0 * h), Direction(np.zeros(1), h),
+                np.zeros(1),
+            )  # fmt: skip
+            in_space, by_energy = (Equilibria.of(body, *start, from_space=x) for x in (True, False))
+            known = in_space.points.size > 0
+            verdicts.add((in_space.stability()[0][0], by_energy.energy_stability()[0]) if known else None)
+        assert len(verdicts) == 1, (trial, verdicts)
+
+
+def test_free_spheres_are_stable():
+    half = np.array([0.0, 0.5 * np.pi])
+    points = default_points("satellite", C=1.0, theta0=np.pi / 2, psi0=np.pi / 2, phi0=half)
+    assert (linear(SATELLITE, points) == Stability.STABLE).all()
+    assert (derived(SATELLITE, "energy_stable", points) == YES).all()
 
 
 def test_marginal_motions():

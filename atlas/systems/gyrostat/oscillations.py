@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
-from .body import Body, cross_matrix, length
+from .body import Body, across, cross_matrix, length
 
 # Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
 # as its error.
@@ -53,7 +53,7 @@ class Equilibria(NamedTuple):
     gamma: Array
     rate: Array  # the unit, (points,)
     cyclic: Array  # cyclic directions in the columns, of the vertical and of the axis of symmetry; 0: none, (points, 3, 2)
-    free: Mask  # nothing acts, and the vertical was chosen: about it the angular momentum turns at the rate of the frame
+    free: Mask  # nothing acts, and the vertical is along the angular momentum, which turns about it at the rate of the frame
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
@@ -62,6 +62,7 @@ class Equilibria(NamedTuple):
         from_space: an axis of symmetry on a vertical along which alone something acts is at rest in space; else in the frame
         in which its two oscillations have one frequency, where the energy has its largest minimum.
         """
+        body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
         any_frame = ~body.acts_along(body.alpha)
         turn, axis, exists = _turn_and_axis(body, w, gamma, rate, any_frame, from_space)
@@ -79,6 +80,7 @@ class Equilibria(NamedTuple):
         unit = np.eye(3)[axis] * (axis >= 0)[:, None]
         rotor = body.rotor + unit * body.inertia * (w - turn[:, None] * gamma)
         asleep = any_frame & (length(np.cross(unit, gamma)) <= FAMILY_TOLERANCE)
+        free |= asleep & (axis >= 0) & ~body.acts_along(body.gamma)
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         cyclic = np.stack([vertical, np.where(asleep[:, None], 0.0, unit)], -1)
         equivalent = body._replace(turn=turn, rotor=rotor).subset(points).scaled(rate[points])
@@ -194,6 +196,22 @@ class Equilibria(NamedTuple):
             least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
             flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
             return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
+
+
+def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
+    """Body and motion with the first axis of a sphere, of which every axis is principal, along rotor and fields, else across w."""
+    carried = np.stack([body.rotor, body.alpha.field, body.gamma.field])
+    size, moving = length(carried), np.where((length(w) > 0)[:, None], w, gamma)
+    bare = size.max(0) == 0
+    axis = np.where(bare[:, None], across(moving)[:, 0], carried[size.argmax(0), np.arange(len(w))])
+    axis = axis / length(axis)[:, None]
+    one_line = (length(np.cross(carried, axis)) <= FAMILY_TOLERANCE * size).all(0)
+    turned = (np.ptp(body.inertia, axis=1) == 0) & one_line & (bare | ((axis != 0).sum(1) > 1))
+    rows = np.where(turned[:, None, None], np.concatenate([axis[:, None], across(axis)], 1), np.eye(3))
+    along = np.where(turned[:, None], (carried * axis).sum(-1)[..., None] * np.eye(3)[0], carried)
+    fields = body.alpha._replace(field=along[1]), body.gamma._replace(field=along[2])
+    w, alpha, gamma = ((rows @ v[..., None])[..., 0] for v in (w, alpha, gamma))
+    return body._replace(rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
 
 
 def _turn_and_axis(

@@ -175,6 +175,7 @@ def predict(
     cylinder_tolerance: float | None = None,
     family: Flags | None = None,
     duration: Array | float = np.inf,
+    rates: bool = True,
 ) -> dict[str, np.ndarray]:
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
@@ -182,20 +183,24 @@ def predict(
     unstable. Off every family `predicted` is drifting where the system's catalogue is complete, else
     not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
     cylinder_tolerance, rad (default: the same number), as on the vertical. A family of motions of which the rate about the
-    vertical varies during a run of this duration by more than rate_tolerance drifts. family: that of each start, if it is known.
+    vertical varies during a run of this duration by more than rate_tolerance drifts. family: that of each start, if it is known;
+    rates: whether growth_rate is wanted.
     """
     if family is None:
         family, _ = _identify(system, points)
     angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
-    stable, growth = system.linear_stability(points, family)
+    result: dict[str, np.ndarray] = {"family": family}
+    if rates:
+        result["stable"], result["growth_rate"] = system.linear_stability(points, family)
+    else:
+        result["stable"] = system.linear_verdicts(points, family)
     sine, n, m = system.steady_rates(points)
-    result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     on_family = (family > 0) & ~_about_other_axes(system, family)
     complete = system.complete(points) & system.within_range(points)
     drifts = rate_std(system, points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
     for name, frame_rate in _frame_rates(system, points).items():
         label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
-        label = _after_nudge(label, stable, nudged, on_family, complete)
+        label = _after_nudge(label, result["stable"], nudged, on_family, complete)
         result[name] = np.where(drifts, np.int8(Label.DRIFTING), label)
     return result
 

@@ -25,6 +25,16 @@ from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.initial import constants, initial_state
 
+# A, B, C, k3, h3 mu3, psi0, m, growth rate; the largest rho is about 3, 3, -2.8, -1e13, -5e15 and 1e42.
+MONODROMY = (
+    (1.0, 1.2, 0.7, -2.0, 0.0, 0.4, 0.3, 0.19180441161647588),
+    (1.0, 1.3, 1.6, -1.25, 0.0, 0.0, 1.5, 0.23649161154432527),
+    (0.61, 1.11, 1.27, -1.1, 0.0, 1.216, -1.1, 0.09958912179409397),
+    (0.87, 1.16, 1.25, -1.0, 6.5, 1.217, 0.0, 2.4655832959599087),
+    (0.68, 1.02, 1.25, -0.6, 4.7, 1.468, 0.0, 2.1955650345717523),
+    (0.84, 0.95, 1.23, 0.1, 9.0, 1.508, 0.0, 2.9953033627384813),
+)
+
 ORACLE = json.loads((REFERENCE / "plane_motions.json").read_text())
 LIBRATION, ROTATION = (SATELLITE.families[f"plane_{kind}"] for kind in ("libration", "rotation"))
 
@@ -72,7 +82,7 @@ def test_verified_motions():
     stable, growth = SATELLITE.linear_stability(points, flags)
     verdict = np.where(columns["stable"] == "stable", Stability.STABLE, Stability.UNSTABLE)
     np.testing.assert_array_equal(stable, verdict)
-    np.testing.assert_allclose(growth, columns["growth_rate"], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(growth, columns["growth_rate"], rtol=0, atol=1e-10)
 
 
 def test_verified_borders_of_tongues():
@@ -103,9 +113,77 @@ def test_multipliers_are_those_of_the_equations_of_motion():
         np.testing.assert_allclose([t[i], s[i]], expected, rtol=1e-7, atol=1e-7)
         rho = np.roots([1, -expected[0], expected[1] - 2])
         exponent = np.abs(np.arccosh(rho / 2 + 0j).real).max()
-        assert growth[i] == pytest.approx(exponent / period[i], abs=1e-5)
+        assert growth[i] == pytest.approx(exponent / period[i], abs=1e-7)
         assert stable[i] == (Stability.UNSTABLE if exponent > 1e-4 else Stability.STABLE)
     assert set(stable) == {Stability.STABLE, Stability.UNSTABLE}
+
+
+def exponent_of(t, s):
+    """Logarithm of the largest multiplier of rho^2 - t rho + s - 2 = 0, in 50 digits."""
+    half = mpmath.mpf(t) / 2
+    root = mpmath.sqrt(half**2 - mpmath.mpf(s) + 2)
+    return max(abs(mpmath.acosh((half + sign * root) / 2).real) for sign in (1, -1))
+
+
+def unstable_motions(count, seed):
+    """A third of them beside the separatrix and a third beside borders of stability; strong fields make multipliers large."""
+    rng = np.random.default_rng(seed)
+    points, kind = random_points(count, seed), np.arange(count) % 3
+    points["mu3"] *= rng.choice([1, 10, 100], count)
+    beside = kind == 1
+    frequency = points["Omega"] * np.sqrt(3 * np.abs(points["B"] - points["A"]) / points["C"])
+    distance = np.where(rng.random(count) < 0.5, -1, 1) * 10 ** rng.uniform(-8, -1, count)
+    points["n"][beside] = 0.0
+    points["m"][beside] = (frequency * (1 + distance))[beside]
+    points["psi0"][beside] = ROTATION.solve["psi0"](points)[beside]
+    part = select(points, np.flatnonzero(kind == 2))
+    low, high = part["k3"], part["k3"] + rng.normal(size=part["k3"].size)
+    first, last = (motions_of(part | {"k3": k3}).stability()[0] for k3 in (low, high))
+    for _ in range(45):
+        middle = 0.5 * (low + high)
+        same = motions_of(part | {"k3": middle}).stability(rates=False)[0] == first
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    away = np.where(first == Stability.UNSTABLE, low - high, high - low)
+    distance = np.sign(away) * 10 ** rng.uniform(-12, -2, low.size)
+    points["k3"][kind == 2] = np.where(first != last, high + distance, high)
+    stable, _ = motions_of(points).stability()
+    return select(points, np.flatnonzero(stable == Stability.UNSTABLE))
+
+
+def test_growth_is_that_of_the_multipliers():
+    """To 1e-9, or 10 times what changes of the multipliers by 1e-15 make of it, with multipliers of either sign beyond 1e25."""
+    points = unstable_motions(180, seed=8)
+    motions = motions_of(points)
+    (t, s), period, (_, growth) = motions.multipliers(), motions.period(), motions.stability()
+    finite = np.flatnonzero(np.isfinite(t) & np.isfinite(s))
+    assert finite.size > 80
+    assert t[finite].min() < -1e25
+    assert t[finite].max() > 1e25
+    exponents = growth * period
+    assert exponents.min() < 1e-3
+    with mpmath.workdps(50):
+        for i in finite:
+            expected, changes = exponent_of(t[i], s[i]), (1 - mpmath.mpf("1e-15"), 1 + mpmath.mpf("1e-15"))
+            change = max(abs(exponent_of(t[i] * a, s[i] * b) - expected) for a in changes for b in changes)
+            assert abs(exponents[i] - expected) <= max(1e-9 * expected, 10 * change)
+
+
+def test_growth_is_that_of_monodromy_matrices_in_many_digits():
+    """Of Taylor series of the equations of motion in 80 digits."""
+    rows = np.array(MONODROMY).T
+    points = points_of(**dict(zip(("A", "B", "C", "k3", "mu3", "psi0", "m"), rows[:-1], strict=True)), h3=1.0)
+    np.testing.assert_allclose(motions_of(points).stability()[1], rows[-1], rtol=1e-11)
+
+
+def test_numbers_do_not_depend_on_the_other_points():
+    points = random_points(70, seed=3)
+    duration = np.full(70, 40.0)
+    together = motions_of(points)
+    numbers = np.array([*together.multipliers(), *together.stability(), together.rate_std(duration)])
+    for i in range(0, 70, 3):
+        alone = together.subset(np.array([i]))
+        own = np.array([*alone.multipliers(), *alone.stability(), alone.rate_std(duration[:1])])
+        np.testing.assert_array_equal(own[:, 0], numbers[:, i])
 
 
 def test_multipliers_are_those_of_the_compiled_tangent_vectors():

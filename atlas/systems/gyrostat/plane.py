@@ -31,8 +31,9 @@ from ..base import Array, Flags, Mask
 from .body import Body, length
 from .fundamental import GAUSS, LANES, between_nodes, of_steps
 
-_STEP, _SHORT_STEP = 1.2, 0.2  # over the norm of the system: errors of the sums of about 1e-7 and 1e-12
-_MIN_PAIRS, _MAX_PAIRS = 4, 512  # of steps, in a quarter of the period
+_STEP, _SHORT_STEP = 1.2, 0.1415  # over the norm of the system: errors of the sums of about 1e-7 and 1e-13
+_MIN_PAIRS, _MAX_PAIRS = 4, 725  # of steps, in a quarter of the period
+_MAX_LOG_SUM = 170.0  # the fourth power of its exponential is a float
 _MAX_ROUNDING = 1e-7  # of 1 - k^2, relative: beyond it the period, which diverges there, is not known
 _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
 _CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
@@ -51,19 +52,22 @@ class Mean(NamedTuple):
     def of(cls, modulus: Array, complement: Array) -> Mean:
         """modulus, complement: k^2 and 1 - k^2."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
-        while (c[-1] > 1e-9 * a[-1]).any():
+        while (apart := c[-1] > 1e-9 * a[-1]).any():
+            # Further levels leave means that have met as they are to the bit, lest they depend on the other points.
+            b[-1] = np.where(apart, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))
-            c.append(c[-1] ** 2 / (4 * a[-1]))
+            c.append(np.where(apart, c[-1] ** 2 / (4 * a[-1]), 0.0))
         return cls(a, b, c)
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
         """sn, cn and dn at 4 K turns."""
         sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
-            below = 1 / (a + c * sn * sn)
+            ratio = c / a
+            below = 1 / (1 + ratio * sn * sn)
             # b + c cn^2 = a - c sn^2, with its digits where that is small
-            sn, cn, dn = (a + c) * sn * below, a * cn * dn * below, (b + c * cn * cn) * below
+            sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
         return sn, cn, dn
 
     def periodic(self, turns: Array) -> tuple[Array, Array]:
@@ -175,39 +179,55 @@ class PlaneMotions(NamedTuple):
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
         return np.sqrt(np.maximum(variance, 0.0)) * self.unit
 
-    def stability(self) -> tuple[Flags, Array]:
-        """Stability out of the plane and growth rate.
+    def stability(self, rates: bool = True) -> tuple[Flags, Array]:
+        """Stability out of the plane and growth rate, without `rates` to 1e-7 of the exponent over the period.
 
         Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._decided(_STEP)
-        near = np.flatnonzero((stable == Stability.UNKNOWN) & (exponent == 0))
-        stable[near], exponent[near] = self.subset(near)._decided(_SHORT_STEP)
-        return stable, exponent / (self.period() * np.where(self.rotates, 0.5, 1.0))
+        # Near borders verdicts, and everywhere growth rates, are those of the sums that `multipliers` gives.
+        undecided = (stable == Stability.UNKNOWN) | (rates & (stable == Stability.UNSTABLE))
+        finer = np.flatnonzero(undecided & ~np.isnan(exponent))
+        flags, exponents = self.subset(finer)._decided(_SHORT_STEP)
+        in_time = ~np.isnan(exponents) | (stable[finer] == Stability.UNKNOWN)
+        stable[finer[in_time]], exponent[finer[in_time]] = flags[in_time], exponents[in_time]
+        return stable, exponent / self.period()
 
     def _decided(self, step: float) -> tuple[Flags, Array]:
-        """Stability, and the growth over the period or half a turn as a logarithm: 0 where errors decide, nan where unknown."""
+        """Stability, and the growth over the period as a logarithm: 0 where errors decide, nan where unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(step)
         one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
-        discriminant, u = t**2 / 4 - u + 2 * one**2, u + 2 * one**2
-        positive = np.array([discriminant, u - 2 * t * one, u + 2 * t * one, 16 * one**2 - t**2])
+        square, middle = one**2, u + 2 * one**2
+        positive = np.array(
+            [t**2 / 4 - u + 2 * square, middle - 2 * t * one, middle + 2 * t * one, 16 * square - t**2]
+        )
         positive = np.where(self.symmetric, np.array([4 * one - t, t, t, t]) * one, positive)
         size = np.maximum(one, np.abs(t))
         error = _TOLERANCE * size**2 + _CHANGE * (4 * size * changes[0] + changes[1])
-        root = np.sqrt(discriminant + 0j)
-        rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
-        exponent = np.abs(log_scale + np.log(np.abs(rho + np.sqrt(rho**2 - 4 * one**2)) / 2)).max(0)
         unstable = (positive < -error).any(0)
         flags = np.select([unstable, (positive > error).all(0)], [Stability.UNSTABLE, Stability.STABLE])
+        t, s, log_scale = self._over_period(t, u, log_scale)
+        one = np.exp(-log_scale)
+        root = np.sqrt(t**2 / 4 - s + 2 * one**2 + 0j)
+        rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
+        # The product of roots, unlike the root of rho^2 - 4, has the sign with which the multiplier is the larger of the pair.
+        twice = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
+        exponent = np.maximum(log_scale + np.log(twice / 2), 0.0)
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:
         """t and s of rho^2 - t rho + s - 2 = 0 over the period."""
-        t, u, log_scale, *_ = self.multiplier_sums(_SHORT_STEP)
-        t, u = t * np.exp(log_scale), u * np.exp(2 * log_scale)
-        product = (u - 2) ** 2 - 2 * t**2 + 4 * u - 4  # of rho^2 - 2, over the two halves of a turn
-        return np.where(self.rotates, t**2 - 2 * u, t), np.where(self.rotates, product + 2, u)
+        t, s, log_scale = self._over_period(*self.multiplier_sums(_SHORT_STEP)[:3])
+        return t * np.exp(log_scale), s * np.exp(2 * log_scale)
+
+    def _over_period(self, t: Array, u: Array, log_scale: Array) -> tuple[Array, Array, Array]:
+        """t and s over the period, of a whole turn from half a turn, scaled where they could overflow, and their scale."""
+        kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
+        t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # of rho^2 - 2
+        t, s, kept = np.where(self.rotates, turn, (t, u, kept))
+        return t, s, kept
 
     def multiplier_sums(self, step: float) -> Array:
         """Trace t and second coefficient u of the matrix over a libration or half a turn as t / exp(s), u / exp(2 s) and s, and

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..base import Array, Flags, Mask, Points, identify, shape_of
+from ..base import Array, Flags, Mask, Points, identify, shape_of, subset, unsteady
 from ..gyrostat import Gyrostat
 from ..gyrostat.stress_cases import satellite_cases
 from ..gyrostat.variables import count_variables, plane_variables
@@ -94,6 +94,12 @@ class Satellite(Gyrostat):
         """Family about the third axis and the normal, else one about any axes, else of motions in the plane."""
         others = (any_axis.FAMILIES | plane.FAMILIES).values()
         return identify(points, families.FAMILIES.values(), others)
+
+    def linear_verdicts(self, points: Points, flags: Flags) -> Flags:
+        in_plane = unsteady(self, flags)
+        stable = self.linear_stability(points, np.where(in_plane, 0, flags))[0]
+        stable[in_plane] = plane.stability(subset(points, in_plane), rates=False)[0]
+        return stable
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""

@@ -129,9 +129,9 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
     if (missed := unstable & (kind == Regularity.REGULAR)).any():
         text = "  unstable ones that read as regular: growth_rate x duration at most"
         lines.append(f"{text} {(growth * time)[missed].max():.3g}; below about 10 it cannot be seen")
-    if (seen := unstable & (kind == Regularity.CHAOTIC)).any():
+    if (seen := unstable & (kind == Regularity.HYPERBOLIC)).any():
         low, high = np.nanpercentile(exponent[seen] / growth[seen], [5, 95])
-        text = "  lyapunov / growth_rate of unstable chaotic ones:"
+        text = "  lyapunov / growth_rate of hyperbolic ones:"
         lines.append(f"{text} {low:.3f} to {high:.3f} (5 to 95 %)")
     return lines if where.any() else []
 

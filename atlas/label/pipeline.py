@@ -59,7 +59,7 @@ def evaluate(
     if "predicted" in columns:
         added["agreement"] = agreement(columns["label"], columns["predicted"])
     if runs.tangent is not None:
-        added |= runs.tangent.variables(columns, threads, runs.progress)
+        added |= runs.tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         added |= predict_any_axis(
             plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,

@@ -52,7 +52,7 @@ class Prediction:
     variables: Mapping[str, np.ndarray]
     residual: Array  # of the conditions of a steady motion, at the start that is integrated
     family_residual: Array  # of the conditions of the family, at the start before the nudge
-    # As `residual`, of the conditions of a motion about any axes where `log_growth` is about such a motion
+    # As `residual`, of the conditions of a motion about any axes or in the plane where `log_growth` is about such a motion
     start_residual: Array
     # Whether `log_growth` is about a motion about other axes than the third and the vertical
     about_other_axes: Mask
@@ -93,7 +93,8 @@ def predict_runs(
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
-        start_residual = residual.copy()
+        start_residual, varying = residual.copy(), np.flatnonzero(unsteady(system, family))
+        start_residual[varying] = system.identify_family(subset(points, varying))[1]
         if CIRCLES[0] in plan.instruments:
             members = np.flatnonzero(other)
             start_residual[members] = system.identify_family(subset(points, members))[1]
@@ -113,6 +114,7 @@ class Theory:
     growth_about_vertical: (
         Array  # as a logarithm, of runs whose third axis never leaves the vertical by a bit
     )
+    unstable: Mask  # whether the start is, to rounding, an unstable steady motion or one in the plane
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
 
     @classmethod
@@ -121,19 +123,21 @@ class Theory:
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
             nothing = Prediction({}, zero, zero, zero, zero > 0, zero > 0, zero)
-            return cls(nothing, zero, zero, {"label": zero})
+            return cls(nothing, zero, zero, zero > 0, {"label": zero})
         prediction = predict_runs(plan, tile, **options)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step)
         near = prediction.start_residual <= FAMILY_TOLERANCE
         exact = ~prediction.pushed if plan.nudged else near & (prediction.family_residual <= max_residual)
+        on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
         about_vertical = system.growth_about_vertical(tile.points) * tile.duration
         rates = _frame_rates(system, tile.points)
         return cls(
             prediction,
             np.where(exact, prediction.log_growth, 0.0),
             about_vertical,
+            on_motion & (prediction.variables["stable"] == Stability.UNSTABLE),
             {name.replace("predicted", "label"): rate for name, rate in rates.items()},
         )
 
@@ -175,7 +179,7 @@ def predict(
     cylinder_tolerance: float | None = None,
     family: Flags | None = None,
     duration: Array | float = np.inf,
-    rates: bool = True,
+    rough: bool = False,
 ) -> dict[str, np.ndarray]:
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
@@ -184,23 +188,20 @@ def predict(
     not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
     cylinder_tolerance, rad (default: the same number), as on the vertical. A family of motions of which the rate about the
     vertical varies during a run of this duration by more than rate_tolerance drifts. family: that of each start, if it is known;
-    rates: whether growth_rate is wanted.
+    rough: whether growth_rate may have fewer digits.
     """
     if family is None:
         family, _ = _identify(system, points)
     angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
-    result: dict[str, np.ndarray] = {"family": family}
-    if rates:
-        result["stable"], result["growth_rate"] = system.linear_stability(points, family)
-    else:
-        result["stable"] = system.linear_verdicts(points, family)
+    stable, growth = (system.rough_stability if rough else system.linear_stability)(points, family)
     sine, n, m = system.steady_rates(points)
+    result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     on_family = (family > 0) & ~_about_other_axes(system, family)
     complete = system.complete(points) & system.within_range(points)
     drifts = rate_std(system, points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
     for name, frame_rate in _frame_rates(system, points).items():
         label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
-        label = _after_nudge(label, result["stable"], nudged, on_family, complete)
+        label = _after_nudge(label, stable, nudged, on_family, complete)
         result[name] = np.where(drifts, np.int8(Label.DRIFTING), label)
     return result
 

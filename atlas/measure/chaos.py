@@ -175,8 +175,7 @@ class Chaos(Instrument):
         return (
             Variable(
                 "regularity", "int8", "1", "whether neighbouring motions separate exponentially", Regularity.meanings(),
-                "an exact start on an unstable periodic motion reads as chaotic, and chaos with an exponent below about"
-                " 10 / duration as regular", optional=True,
+                "chaos with an exponent below about 10 / duration reads as regular", optional=True,
             ),
             Variable("megno", "float64", "1", "mean exponential growth factor of nearby orbits, averaged over the run", comment=comment, optional=True),
             Variable("lyapunov", "float64", "s-1", "largest Lyapunov exponent, as measured at the end of the run", comment=comment, optional=True),
@@ -214,10 +213,14 @@ class TangentRuns:
         return cls(system, kernel, ensemble, steps, rate_unit, work / (own + work))
 
     def variables(
-        self, columns: Mapping[str, np.ndarray], threads: int | None, progress: Callable[[float], None]
+        self,
+        columns: Mapping[str, np.ndarray],
+        unstable: Mask,
+        threads: int | None,
+        progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
         """The variables of CHAOS, nan and NOT_COMPUTED where the status is not ok; `progress` is called with
-        points done, in all `share` of their number.
+        points done, in all `share` of their number. unstable: as `label.theory.Theory` has it.
         """
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
@@ -236,7 +239,7 @@ class TangentRuns:
         )
         values = np.array([separation.megno, separation.lyapunov])
         values[:, ~np.isfinite(values).all(0)] = np.nan
-        kind = regularity(columns["label"][where].astype(np.int8), values[0])
+        kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
         # Errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer.
         highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
@@ -256,13 +259,13 @@ class TangentRuns:
         return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
 
 
-def regularity(label: Flags, megno: Array) -> Flags:
-    """Values of flags.Regularity by mean MEGNO, nan where not computed, and label, unresolved if not ok."""
+def regularity(label: Flags, megno: Array, unstable: Mask) -> Flags:
+    """Values of flags.Regularity by mean MEGNO (nan: not computed), label (unresolved if not ok) and starts on unstable motions."""
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
     conditions = {
         Regularity.NOT_COMPUTED: np.isnan(megno),
-        Regularity.HYPERBOLIC: steady & (megno > MIN_CHAOTIC),
+        Regularity.HYPERBOLIC: (steady | (unstable & drifting)) & (megno > MIN_CHAOTIC),
         Regularity.STEADY: steady,
         Regularity.CHAOTIC: drifting & (megno > MIN_CHAOTIC),
         Regularity.REGULAR: drifting & (megno < MAX_REGULAR),

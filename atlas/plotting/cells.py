@@ -178,11 +178,11 @@ def draw_exponents(
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Texts of the legend for "regular" and "chaotic", which state the length of the runs; empty without a scene."""
-    scene = scene_of(ds)
-    if scene is None:
-        return {}
-    return {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+    """Texts of the legend of regularity; those for "regular" and "chaotic" state the length of the runs of a scene."""
+    scene, result = scene_of(ds), {"hyperbolic": "hyperbolic (unstable)"}
+    if scene is not None:
+        result |= {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+    return result
 
 
 _LINE_COLOURS = dict(

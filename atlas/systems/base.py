@@ -528,15 +528,15 @@ class System(ABC):
                 stable[members], growth[members] = family.stability(subset(points, members))
         return stable, growth
 
-    def linear_verdicts(self, points: Points, flags: Flags) -> Flags:
-        """Linear stability without the growth rate, where that takes longer; the default is that of `linear_stability`.
+    def rough_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
+        """As `linear_stability`, with fewer digits of the growth rate where that saves time.
 
         Parameters
         ----------
         flags : int8 array (points,)
             Families, as `identify_family` gives them.
         """
-        return self.linear_stability(points, flags)[0]
+        return self.linear_stability(points, flags)
 
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.

@@ -86,6 +86,7 @@ AT_REST = (
     " the orbit, and `label_inertial` is regular precession."
 )
 CHAOS = " Pale motions are regular for as long as the runs last, dark ones chaotic, the darker the faster neighbours separate."
+HYPERBOLIC = " Pale motions are regular for as long as the runs last; the neighbours of dark ones, which are hyperbolic, leave exponentially."
 PICTURES = (
     Picture(
         "stability_cylindrical",
@@ -239,18 +240,18 @@ PICTURES = (
         "planar_oscillations",
         "A symmetric body whose axis swings in the orbital plane like a pendulum. Each motion is periodic; in the tongues,"
         " resonances with the motion out of the plane, its neighbours leave exponentially. The lines are theory, by Floquet"
-        " multipliers." + CHAOS,
+        " multipliers." + HYPERBOLIC,
     ),
     Picture(
         "plane_libration_rotor",
         "An asymmetric body ($A : B : C = 1 : 1.3 : 1.6$) that librates in the plane of the orbit, with a rotor along the normal."
         " The rotor does not change the libration, but its stability: lines as above. Unstable strips that read as regular"
-        " grow too slowly to be seen in 150 orbits." + CHAOS,
+        " grow too slowly to be seen in 150 orbits." + HYPERBOLIC,
     ),
     Picture(
         "plane_rotation_rotor",
         "The same body rotating in the plane of the orbit, over the rate at which its first axis passes the radius. Between the"
-        " thin lines it cannot pass the velocity, and librates." + CHAOS,
+        " thin lines it cannot pass the velocity, and librates." + HYPERBOLIC,
     ),
     Picture(
         "chaos_unstable",

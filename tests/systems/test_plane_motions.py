@@ -141,7 +141,7 @@ def unstable_motions(count, seed):
     first, last = (motions_of(part | {"k3": k3}).stability()[0] for k3 in (low, high))
     for _ in range(45):
         middle = 0.5 * (low + high)
-        same = motions_of(part | {"k3": middle}).stability(rates=False)[0] == first
+        same = motions_of(part | {"k3": middle}).stability(rough=True)[0] == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     away = np.where(first == Stability.UNSTABLE, low - high, high - low)
     distance = np.sign(away) * 10 ** rng.uniform(-12, -2, low.size)
@@ -353,15 +353,16 @@ def test_a_scene_compares_stability_with_regularity(tmp_path):
     np.testing.assert_allclose(ds.plane_period.values.std(0), 0, atol=1e-12)  # whatever the rotor is
     unstable = ds.stable == Stability.UNSTABLE
     assert not (unstable & (ds.regularity == Regularity.REGULAR) & (ds.growth_rate * ds.end_time > 12)).any()
-    assert not (~unstable & (ds.regularity == Regularity.CHAOTIC)).any()
-    seen = (unstable & (ds.regularity == Regularity.CHAOTIC)).values
+    assert not (~unstable & (ds.regularity == Regularity.HYPERBOLIC)).any()
+    assert not (ds.regularity == Regularity.CHAOTIC).any()
+    seen = (ds.regularity == Regularity.HYPERBOLIC).values
     assert seen.sum() > 3
     np.testing.assert_allclose(ds.lyapunov.values[seen] / ds.growth_rate.values[seen], 1, atol=0.1)
     text = report(ds)
     assert "motions in the plane, stability out of it" in text
     assert re.search(rf"^unstable .*\b{seen.sum()}\b", text, re.M)
     assert "linearly stable points that drift: 0" in text
-    assert "lyapunov / growth_rate of unstable chaotic ones: " in text
+    assert "lyapunov / growth_rate of hyperbolic ones: " in text
     assert "motions in the plane" not in report(ds.drop_vars("lyapunov"))
 
 

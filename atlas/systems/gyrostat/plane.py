@@ -179,15 +179,15 @@ class PlaneMotions(NamedTuple):
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
         return np.sqrt(np.maximum(variance, 0.0)) * self.unit
 
-    def stability(self, rates: bool = True) -> tuple[Flags, Array]:
-        """Stability out of the plane and growth rate, without `rates` to 1e-7 of the exponent over the period.
+    def stability(self, rough: bool = False) -> tuple[Flags, Array]:
+        """Stability out of the plane and growth rate; rough: with errors of 1e-7 of the multipliers away from borders.
 
         Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._decided(_STEP)
         # Near borders verdicts, and everywhere growth rates, are those of the sums that `multipliers` gives.
-        undecided = (stable == Stability.UNKNOWN) | (rates & (stable == Stability.UNSTABLE))
+        undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._decided(_SHORT_STEP)
         in_time = ~np.isnan(exponents) | (stable[finer] == Stability.UNKNOWN)

@@ -24,11 +24,11 @@ def _motions(points: Points) -> plane.PlaneMotions:
     return plane.PlaneMotions.of(body(points), state[:, :3], state[:, 3:6], state[:, 6:])
 
 
-def stability(points: Points, rates: bool = True) -> tuple[Flags, Array]:
+def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
     """Out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
     neighbouring motions have other periods, and their distance grows like t.
     """
-    return _motions(points).stability(rates)
+    return _motions(points).stability(rough)
 
 
 def _excess(p: Points) -> Array:

@@ -95,11 +95,11 @@ class Satellite(Gyrostat):
         others = (any_axis.FAMILIES | plane.FAMILIES).values()
         return identify(points, families.FAMILIES.values(), others)
 
-    def linear_verdicts(self, points: Points, flags: Flags) -> Flags:
+    def rough_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         in_plane = unsteady(self, flags)
-        stable = self.linear_stability(points, np.where(in_plane, 0, flags))[0]
-        stable[in_plane] = plane.stability(subset(points, in_plane), rates=False)[0]
-        return stable
+        stable, growth = self.linear_stability(points, np.where(in_plane, 0, flags))
+        stable[in_plane], growth[in_plane] = plane.stability(subset(points, in_plane), rough=True)
+        return stable, growth
 
     def complete(self, points: Points) -> Mask:
         """Without an orbit an undamped free or heavy body has more steady motions than the families."""

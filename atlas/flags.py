@@ -173,7 +173,4 @@ class Regularity(Flag):
         4,
         "not steady, mean MEGNO between 2.5 and 5, or growth that one passage of an unstable motion explains",
     )
-    HYPERBOLIC = (
-        5,
-        "mean MEGNO above 5, but steady, or a start on an unstable steady or periodic motion: not chaotic",
-    )
+    HYPERBOLIC = 5, "mean MEGNO above 5 of a steady motion, or from a start on an unstable one: not chaotic"

@@ -221,13 +221,12 @@ class PlaneMotions(NamedTuple):
         t, s, log_scale = self._over_period(*self.multiplier_sums(_SHORT_STEP)[:3])
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
-    def _over_period(self, t: Array, u: Array, log_scale: Array) -> tuple[Array, Array, Array]:
+    def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
         """t and s over the period, of a whole turn from half a turn, scaled where they could overflow, and their scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
         turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # of rho^2 - 2
-        t, s, kept = np.where(self.rotates, turn, (t, u, kept))
-        return t, s, kept
+        return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, step: float) -> Array:
         """Trace t and second coefficient u of the matrix over a libration or half a turn as t / exp(s), u / exp(2 s) and s, and

@@ -4,6 +4,8 @@ import logging
 import os
 import re
 import shutil
+import subprocess
+import sys
 import tarfile
 import zipfile
 from importlib import import_module
@@ -47,6 +49,7 @@ OTHERS = {
     "bench_peers": "below",
     "check_packages": "below",
     "draw_page": "tests/page/test_in_browser.py",
+    "mutants": "below",
 }
 PEERS = {
     "SciPy DOP853": "scipy",
@@ -166,6 +169,29 @@ def test_the_packages_are_checked(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["check_packages.py", str(tmp_path)])
     assert tool.main() == 1
     assert capsys.readouterr().out == "a.tar.gz: README.md is missing\n"
+
+
+def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    for folder in ("atlas", "tests", "scripts/tools"):
+        (tmp_path / folder).mkdir(parents=True)
+    shutil.copy(ROOT / "scripts" / "tools" / "mutants.py", tmp_path / "scripts" / "tools")
+    source = "def area(a, b):\n    return a * b\n\n\ndef last(count):\n    return count - 1\n"
+    (tmp_path / "atlas" / "__init__.py").touch()
+    (tmp_path / "atlas" / "sizes.py").write_text(source)
+    (tmp_path / "tests" / "test_sizes.py").write_text(
+        "from atlas.sizes import area\n\n\ndef test_area():\n    assert area(2, 3) == 6\n"
+    )
+    command = [sys.executable, tmp_path / "scripts" / "tools" / "mutants.py", "0", "3"]
+    table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    for place, end in {
+        "2:11": "killed by tests/test_sizes.py::test_area, survived without",
+        "6:11": "survived",
+        "6:19": "survived",
+    }.items():
+        (row,) = (row for row in table if row.startswith(f"atlas/sizes.py:{place} "))
+        assert row.endswith(f"| {end}")
+    assert (tmp_path / "atlas" / "sizes.py").read_text() == source
 
 
 @pytest.mark.parametrize("name", PEERS)

@@ -8,6 +8,8 @@ import zlib
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 import atlas
 from atlas import cli, systems
@@ -103,6 +105,21 @@ def test_the_page_holds_the_points_of_the_atlas(small_atlas, small_page):
 def small_atlas_constants():
     """Names of the constants of the satellite."""
     return systems.get("satellite").equations.CONSTANTS
+
+
+def test_scales_of_colours_span_the_values(small_atlas, small_page):
+    table = table_of(small_page.html)
+    shades, entries = table["shades"], table["variables"]
+    for name in ("viridis", "cividis"):
+        assert [shades[name][i] for i in (0, -1)] == [to_hex(colormaps[name](end))[1:] for end in (0.0, 1.0)]
+    ends = {
+        each["name"]: (each["scale"]["low"], each["scale"]["high"]) for each in entries if "scale" in each
+    }
+    for name in ("growth_rate", "phi_dot_mean", "theta_max"):
+        assert ends[name] == (float(small_atlas[name].min()), float(small_atlas[name].max()))
+    assert ends["growth_rate"][0] == 0.0
+    largest = float(np.abs(small_atlas.psi_dot_mean).max())
+    assert ends["psi_dot_mean"] == (-largest, largest)
 
 
 def test_starts_are_those_of_the_trajectory(small_atlas, cube_atlas, sampled_atlas):

@@ -97,6 +97,18 @@ def test_rates_are_the_derivatives_of_the_angles(system):
         np.testing.assert_allclose(derivative, tr[f"{name}_dot"], atol=2e-3)
 
 
+@pytest.mark.parametrize("damping", [0.0, 0.1])
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_the_rate_about_the_vertical_and_the_drift_of_integrals(system, damping):
+    """The rate follows from the angles; the drift is that of the atlas with the same steps, losses by damping included."""
+    point = POINTS[system] | {"B": 1.2, "C": 0.8, "theta_dot0": 0.2, "n": 0.3, "m": 0.4, "damping": damping}
+    tr = atlas.trajectory(system, point, duration=6.0, samples=241, step=0.025)
+    ds = atlas.label_points(system, point, duration=6.0, step=0.025, progress=False)
+    np.testing.assert_allclose(tr.normal_rate, tr.psi_dot + tr.phi_dot * np.cos(tr.theta), atol=1e-7)
+    assert tr.integral_drift[0] == 0.0
+    assert 1e-12 < tr.integral_drift.max().item() == pytest.approx(ds.integral_drift.item(), rel=0.3)
+
+
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_every_variable_has_a_name_and_a_unit(system):
     tr = atlas.trajectory(system, POINTS[system], duration=2.0, samples=11)

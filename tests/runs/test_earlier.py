@@ -68,6 +68,13 @@ def test_an_extended_atlas_is_a_fresh_one_and_only_new_points_are_integrated(
         assert line.startswith(f"{shared} points of: small; Precession Atlas")
 
 
+def test_a_zero_with_another_sign_is_another_point(old, scene_text):
+    """As starts and in the bits of results 0.0 and -0.0 differ."""
+    scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "fixed.phi0": -0.0}))
+    with pytest.raises(BadInput, match="none of 63 points of it, evenly chosen, is a point of the scene"):
+        atlas.run(scene, reuse=old, progress=False)
+
+
 def test_variables_of_theory_are_added_without_integrating(old, scene_text, monkeypatch, tmp_path):
     names = ["label", "theta_dot_rms", "frequency_1", "stability_kind", "status"]
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "outputs": {"variables": names}}))

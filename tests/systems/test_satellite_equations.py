@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
-from strategies import random_satellites
+from strategies import default_points, random_satellites
 from truth import (
     BODY_NAMES,
+    exponents_along_runs,
     jacobian_matrices,
     lagrangian_arguments,
     lagrangian_functions,
@@ -124,3 +125,17 @@ def test_frequency_bound_holds_along_trajectories(symmetric, rotor):
         frequencies = np.abs(np.linalg.eigvals(matrices)).max(1)
         assert np.linalg.norm(relative_rate, axis=0).max() <= bound[i]
         assert frequencies.max() <= bound[i]
+
+
+def test_frequency_bound_holds_where_light_magnets_turn_over():
+    """From rest against the field, on a slow orbit: the rates are those of the magnetic energy and of the small moments."""
+    points = default_points(
+        "satellite", A=0.1, B=0.1, C=np.array([0.02, 0.1, 0.19]), Omega=0.01, mu3=np.array([2.0, -2.0, 2.0]),
+        h3=np.array([1.0, 1.0, 0.0]), h1=np.array([0.0, 0.0, 1.0]),
+        theta0=np.array([0.01, np.pi - 0.01, np.pi / 2]), psi0=np.array([0.0, 0.0, np.pi / 2 - 0.01]),
+    )  # fmt: skip
+    bound, state, values = frequency_bound(points), initial_state(points), constants(points)
+    for i, (path, exponents) in enumerate(exponents_along_runs(equations.rhs, state, values, 4)):
+        fastest = np.linalg.norm(path[:3] - points["Omega"][i] * path[6:], axis=0).max()
+        assert 0.7 * bound[i] < fastest < bound[i]
+        assert np.abs(exponents).max() <= bound[i]

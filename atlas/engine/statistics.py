@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 # Marks an empty slot for a zero.
 NO_ZERO = -1e3
+# Difference of the mean of theta' over the samples from that over the run, by the rms, that may be an error of the steps.
+SAME_MEAN = 1e-7
 
 
 class Counted(IntEnum):
@@ -36,8 +38,9 @@ class Row(Counted):
     """Rows of the kernel's output; sums and their quadrature errors are apart; theta at both ends in rad."""
 
     OUTSIDE = auto()
-    THETA_DOT = auto()
     THETA_DOT_SQUARED = auto()
+    THETA_DOT_CHANGE = auto()
+    THETA_DOT_CHANGE_SQUARED = auto()
     PSI_DOT = auto()
     PSI_DOT_SQUARED = auto()
     PHI_DOT = auto()
@@ -57,6 +60,7 @@ class Row(Counted):
     SIN2_THETA_MIN_BELOW = auto()  # where cos theta < 0
     SIN2_THETA_MAX = auto()
     DRIFT = auto()
+    THETA_DOT_REFERENCE = auto()
     PSI_DOT_REFERENCE = auto()
     PHI_DOT_REFERENCE = auto()
     NORMAL_RATE_REFERENCE = auto()
@@ -100,12 +104,13 @@ NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_
 
 
 def begin(stats, l, motion, cylinder_squared):
-    """Start lane l of the sums with the first node, from whose rates psi', phi' and the normal rate are counted."""
+    """Start lane l of the sums with the first node, from whose rates the others are counted."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
-    _, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
+    theta_dot, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
     cos_theta = motion[5]
     stats[Row.ZERO_1_REAL, l], stats[Row.ZERO_2_REAL, l] = NO_ZERO, NO_ZERO
+    stats[Row.THETA_DOT_REFERENCE, l] = theta_dot
     stats[Row.PSI_DOT_REFERENCE, l] = psi_dot
     stats[Row.PHI_DOT_REFERENCE, l] = phi_dot
     stats[Row.NORMAL_RATE_REFERENCE, l] = normal_rate
@@ -118,12 +123,14 @@ def begin(stats, l, motion, cylinder_squared):
 
 def accumulate(stats, l, motion, weight, cylinder_squared):
     theta_dot, psi_dot, phi_dot, normal_rate, _, outside = sample(motion, cylinder_squared)
+    change = theta_dot - stats[Row.THETA_DOT_REFERENCE, l]
     psi_dot = (psi_dot - stats[Row.PSI_DOT_REFERENCE, l]) * outside
     phi_dot = (phi_dot - stats[Row.PHI_DOT_REFERENCE, l]) * outside
     normal_rate = normal_rate - stats[Row.NORMAL_RATE_REFERENCE, l]
     stats[Row.OUTSIDE, l] += weight * outside
-    stats[Row.THETA_DOT, l] += weight * theta_dot
     stats[Row.THETA_DOT_SQUARED, l] += weight * theta_dot * theta_dot
+    stats[Row.THETA_DOT_CHANGE, l] += weight * change
+    stats[Row.THETA_DOT_CHANGE_SQUARED, l] += weight * change * change
     stats[Row.PSI_DOT, l] += weight * psi_dot
     stats[Row.PSI_DOT_SQUARED, l] += weight * psi_dot * psi_dot
     stats[Row.PHI_DOT, l] += weight * phi_dot
@@ -177,17 +184,16 @@ def finish(
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan: a run that overflowed stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
-        # theta' jumps where the axis passes the vertical; elsewhere the sums cancel where theta' is constant.
-        passed = (out[Row.ZERO_1_REAL] > NO_ZERO) | (
+        rms, shift = np.sqrt(square), out[Row.THETA_DOT_CHANGE] / intervals
+        about_start = out[Row.THETA_DOT_CHANGE_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR]
+        # theta' jumps where the axis passes the vertical: the sum over the samples then is not the change of theta.
+        mean = (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration
+        jumps = np.abs(out[Row.THETA_DOT_REFERENCE] + shift - mean) > SAME_MEAN * rms
+        jumps &= (out[Row.ZERO_1_REAL] > NO_ZERO) | (
             np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], out[Row.SIN2_THETA_MIN_BELOW]) < 0.01
         )
-        mean = np.where(
-            passed, (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration, out[Row.THETA_DOT] / intervals
-        )
-        result = {
-            "theta_dot_rms": np.sqrt(square),
-            "theta_dot_std": np.sqrt(np.maximum(square - mean**2, 0.0)),
-        }
+        variance = np.where(jumps, square - mean**2, about_start / intervals - shift**2)
+        result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(np.maximum(variance, 0.0))}
         outside = out[Row.OUTSIDE]
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]

@@ -19,8 +19,8 @@ from ..variables import main_instrument
 
 # Sums of the rates, which are integrated beside the states, in this order.
 RATE_SUMS = (
-    Row.THETA_DOT, Row.THETA_DOT_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED, Row.PHI_DOT, Row.PHI_DOT_SQUARED,
-    Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
+    Row.THETA_DOT_SQUARED, Row.THETA_DOT_CHANGE, Row.THETA_DOT_CHANGE_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
+    Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
 )  # fmt: skip
 # Relative tolerances of the reference and of a second run; its uncertainty is SAFETY times their difference.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
@@ -217,7 +217,7 @@ def _integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    _, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
+    theta_dot0, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
@@ -225,8 +225,9 @@ def _integrate_group(
         motion = equations.frame_motion(state, constants)
         theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(motion, cylinder)
         psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
+        change = theta_dot - theta_dot0
         rows = [duration * rate for rate in equations.rhs(state, constants)]
-        sums = (theta_dot, theta_dot**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
+        sums = (theta_dot**2, change, change**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
         return np.concatenate([*rows, *sums])
 
     def theta_along(path: Array) -> tuple[Array, Array]:
@@ -240,8 +241,8 @@ def _integrate_group(
     *_, theta = euler_rates(equations.frame_motion(final[:states], constants), cylinder)
     out = np.zeros((len(Row), size))
     out[list(RATE_SUMS)] = final[states:]
-    references = Row.PSI_DOT_REFERENCE, Row.PHI_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE
-    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = psi0, phi0, normal0, theta0, theta
+    references = list(range(Row.THETA_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE + 1))
+    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = theta_dot0, psi0, phi0, normal0, theta0, theta
     result = finish(out, np.ones(size, np.int64), duration)
     return {name: result[name] for name in RATES} | {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),

@@ -189,6 +189,16 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
     return np.maximum(count, least).astype(np.int64)
 
 
+def steps_between_instants(
+    settings: Any, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
+) -> NDArray[np.int64]:
+    """Whole steps in each of equal intervals of runs of so many steps: not longer than these, or than `settings.step`."""
+    if settings.step is None:
+        return -(-steps // intervals)
+    most = max(settings.max_steps // intervals, 1)
+    return steps_of_length(settings.step, duration / intervals, 1, most)
+
+
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
     """Round counts up to a ladder 16, 32, 48, ... near powers of 2^(1/4), so that points share lanes."""
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)

@@ -14,7 +14,7 @@ from .. import systems
 from ..engine import blocks, numeric_bound
 from ..engine.augmented import with_frame_vector
 from ..engine.ensemble import Ensemble
-from ..engine.stepsize import StepSizes
+from ..engine.stepsize import StepSizes, steps_between_instants
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
 from ..io import netcdf
@@ -73,7 +73,8 @@ def trajectory(
     samples : int
         Instants from 0 to `duration`, evenly spaced, at least 2.
     step : float, optional
-        As for `label_points`, as are the next three; steps are never longer than there.
+        The longest step, in time units: the next shorter one is taken that divides the distance of two instants. Without it the
+        steps are as short as those of `label_points` with the next three, or shorter.
     method : str
         "rk4" or "rk8".
     tolerance : float
@@ -130,20 +131,21 @@ def trajectory_of_point(
         bound, _ = numeric_bound.along_runs(
             system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
         )
-        step_sizes = StepSizes.of(settings, bound, durations)
-    # Whole steps between samples, never longer than in the atlas.
-    steps = -(-int(step_sizes.steps[0]) // (samples - 1))
+        whole = StepSizes.of(settings, bound, durations).steps
+    steps = int(steps_between_instants(settings, whole, durations, samples - 1)[0])
     has_angles = main_instrument(system).has_theory
     parts = max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1))) if has_angles else 1
-    nodes, steps = parts * (samples - 1), -(-steps // parts)
-    step_size = np.array([duration / (steps * nodes)])
-    states, lost = _states(plan.kernel, ensemble, steps, step_size, nodes + 1)
+    # The last part before a sample may be shorter than the others.
+    ends = np.append(np.arange(-(-steps // parts), steps, -(-steps // parts)), steps)
+    parts, steps_of_parts = ends.size, np.tile(np.diff(ends, prepend=0), samples - 1)
+    step_size = np.array([duration / (steps * (samples - 1))])
+    states, lost = _states(plan.kernel, ensemble, steps_of_parts, step_size)
     path = {}
     if has_angles:
         with np.errstate(all="ignore"):
             equations = with_frame_vector(system.equations)
             motion = _Motion(equations, METHODS[settings.method], ensemble.constants, float(step_size[0]))
-            path = _path(system, points, motion, states, steps)
+            path = _path(system, points, motion, states, steps_of_parts)
     at_samples = slice(None, None, parts)
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
@@ -185,15 +187,15 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 
 
 def _states(
-    module: Any, ensemble: Ensemble, steps_per_sample: int, step_size: Array, samples: int
+    module: Any, ensemble: Ensemble, steps: NDArray[np.int64], step_size: Array
 ) -> tuple[Array, dict[str, Array]]:
-    """States at evenly spaced instants, shape (samples, states), and what was lost of first integrals until then."""
-    steps, count = np.array([steps_per_sample]), len(ensemble.state)
-    schedule, arrays = blocks.pack_blocks(steps, steps), ensemble.arrays(module, step_size)
-    states = np.empty((samples, len(arrays.state)))
+    """States after each of these numbers of steps, from the start on, (nodes, states), and what was lost of first integrals until then."""
+    count, arrays = len(ensemble.state), ensemble.arrays(module, step_size)
+    schedules = {n: blocks.pack_blocks(np.array([n]), np.array([n])) for n in set(steps.tolist())}
+    states = np.empty((steps.size + 1, len(arrays.state)))
     states[0] = arrays.state[:, 0]
-    for i in range(1, samples):
-        blocks.integrate(module, schedule, arrays, threads=0)
+    for i, n in enumerate(steps.tolist(), 1):
+        blocks.integrate(module, schedules[n], arrays, threads=0)
         states[i] = arrays.state[:, 0]
     lost = getattr(module, "LOSSES", ())
     return states[:, :count], dict(zip(lost, states[:, count:].T, strict=True))
@@ -254,8 +256,10 @@ def _dataset(
     )
 
 
-def _path(system: System, points: Points, motion: _Motion, states: Array, steps: int) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states)."""
+def _path(
+    system: System, points: Points, motion: _Motion, states: Array, steps: NDArray[np.int64]
+) -> dict[str, Array]:
+    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states); steps: between them."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
@@ -328,15 +332,17 @@ class _Motion:
                 slopes.append(np.array(np.broadcast_arrays(*self.equations.rhs(moved, self.constants))))
         return moved
 
-    def turns(self, state: Array, steps: int) -> tuple[Array, Array]:
-        """Changes of psi and phi, (2, motions), in so many steps, and the states at their end."""
-        if state.shape[1] > SIDE_BY_SIDE:
-            parts = np.array_split(state, -(-state.shape[1] // SIDE_BY_SIDE), axis=1)
-            results = zip(*(self.turns(part, steps) for part in parts), strict=True)
-            turns, ends = (np.concatenate(each, axis=1) for each in results)
+    def turns(self, state: Array, steps: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Changes of psi and phi, (2, motions), in so many steps of each, and the states at their end."""
+        numbers = [np.flatnonzero(steps == number) for number in np.unique(steps)]
+        parts = [part for each in numbers for part in np.array_split(each, -(-each.size // SIDE_BY_SIDE))]
+        if len(parts) > 1:
+            turns, ends = np.empty((2, steps.size)), np.empty_like(state)
+            for part in parts:
+                turns[:, part], ends[:, part] = self.turns(state[:, part], steps[part])
             return turns, ends
         turns, pending = np.zeros((2, state.shape[1])), []
-        for _ in range(steps):
+        for _ in range(steps[0]):
             new = self.step(state)
             pending.append(self._add_turns(turns, state, new, np.arange(state.shape[1])))
             state = new

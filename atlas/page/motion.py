@@ -15,7 +15,7 @@ from ..engine import assemble
 from ..engine.augmented import with_frame_vector
 from ..engine.differentiate import simplify
 from ..engine.ensemble import Ensemble
-from ..engine.stepsize import StepSizes
+from ..engine.stepsize import StepSizes, steps_between_instants
 from ..engine.tableaux import METHODS
 from ..errors import BadInput
 from ..label.trajectory import frame_vector
@@ -102,10 +102,8 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     if with_frame_vector(system.equations) is not system.equations:
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
-        step_sizes = StepSizes.of(
-            settings, ensemble.frequency_bound, np.where(np.isfinite(duration), duration, 0.0)
-        )
-        count = step_sizes.steps
+        finite = np.where(np.isfinite(duration), duration, 0.0)
+        count = StepSizes.of(settings, ensemble.frequency_bound, finite).steps
         if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
             if "step" not in ds:
                 raise BadInput(
@@ -115,8 +113,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             recorded = np.rint(duration / column("step"))
             valid = np.isfinite(recorded) & (recorded >= 1)
             count = np.where(valid, recorded, count).astype(np.int64)
-    # As label.trajectory: whole steps between the instants, never longer than in the atlas.
-    steps = -(-count // (SAMPLES - 1))
+    steps = steps_between_instants(settings, count, finite, SAMPLES - 1)
 
     def shaped(values: np.ndarray) -> np.ndarray:
         """An array with the points along its last axis, over their dimensions."""

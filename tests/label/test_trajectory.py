@@ -160,3 +160,29 @@ def test_plots_of_xarray_are_readable():
             assert len(line.axes.get_ylabel()) <= 40
             line.axes.figure.clear()
     np.testing.assert_array_equal(line.get_ydata(), tr.axis_x)
+
+
+@pytest.mark.parametrize(
+    ("step", "duration", "samples", "steps"),
+    [
+        (0.25, 90.0, 2, 360),
+        (0.25, 90.0, 46, 360),
+        (0.25, 90.0, 8, 364),
+        (0.07, 20.0, 2, 286),
+        (0.07, 20.0, 3, 286),
+        (0.02, 19.98, 2, 999),
+    ],
+)
+@pytest.mark.parametrize("system", POINTS)
+def test_a_step_that_divides_the_distance_of_two_samples_is_taken_as_it_is(
+    system, step, duration, samples, steps
+):
+    """Else the next shorter one; states and angles at common instants are those of any other number of samples."""
+    point = POINTS[system]
+    tr = atlas.trajectory(system, point, step=step, duration=duration, samples=samples)
+    assert duration / float(tr["step"]) == pytest.approx(steps, rel=1e-12)
+    every_step = atlas.trajectory(system, point, step=float(tr["step"]), duration=duration, samples=steps + 1)
+    for name, values in tr.data_vars.items():
+        if values.dims:
+            at_samples = every_step[name].values[:: steps // (samples - 1)]
+            np.testing.assert_allclose(values, at_samples, rtol=0, atol=1e-9, err_msg=name)

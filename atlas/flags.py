@@ -58,7 +58,7 @@ class Status(Flag):
     UNDER_RESOLVED = 4, "the step is too long for the fastest frequency of the point"
     STEP_SENSITIVE = (
         5,
-        "the label changes when the step is halved, or could by as much as the measurements did",
+        "the label changes when the step is halved, or could by as much as the measurements did, or another step changes a statistic more than errors explain",
     )
     ROUNDOFF_DECIDED = 6, "an exact start on an unstable motion, run until rounding errors decide"
     IMPOSSIBLE_BODY = (

@@ -24,6 +24,9 @@ from .theory import Theory, agreement, departure_changes, predict_any_axis
 
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
+# Share of the size of a statistic by which runs with two steps may differ: the error of what both miss may be ten times as large.
+# They may differ by more where the expected errors explain this share of it.
+LARGEST_CHANGE, EXPLAINED = 0.01, 1.0
 
 
 def evaluate(
@@ -82,7 +85,7 @@ def label_status(
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
     rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
-    0; step_sensitive: whether the label changes, or could, when the step is halved.
+    0; step_sensitive: whether the step decides the label or a tenth of a statistic's size, see `_recheck` and `_step_decides`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,
@@ -196,10 +199,12 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         errors, error = run.errors()
         unsure = run.unsure(errors)
         # Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point. All are with a
-        # numeric bound, because the expected error does not contain what the bound has not seen.
+        # numeric bound, because the expected error does not contain what the bound has not seen. The status follows from
+        # measured errors only where all points have them, so that it does not depend on the choice.
         which, is_numeric = run.settings.check_half_step, run.system.has_numeric_bound
-        chosen = np.full(usable.size, which == "all" or is_numeric)
-        if which == "sample" and not is_numeric:
+        every = which == "all" or is_numeric
+        chosen = np.full(usable.size, every)
+        if which == "sample" and not every:
             mixed = np.zeros(usable.size, np.uint64)
             for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
                 mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
@@ -215,13 +220,15 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             error[sample] = np.fmax.reduce(
                 [each.pair_error(part, coarse, expected) for each in run.instruments]
             )
-            could_differ = part.unsure(run.main.differences(part, coarse, error[sample]))
-            unsure[sample] = could_differ | ~coarse.integration.finite | part.ends_otherwise(coarse)
+            if every:
+                could_differ = part.unsure(run.main.differences(part, coarse, error[sample]))
+                unsure[sample] = could_differ | ~coarse.integration.finite | part.ends_otherwise(coarse)
+                step_sensitive[sample] |= _step_decides(runs, part, coarse)
         where = np.flatnonzero(usable & ~step_sensitive & (unsure | departed))
         if where.size:
             part = run.subset(where)
             fine = runs.by_steps(part, part.step_sizes.halved(method))
-            change = np.fmax.reduce([each.rate_change(part, fine) for each in run.instruments])
+            change = part.change(fine)
             changes = fine.unsure(run.main.differences(fine, part, change))
             before, after = part.labels(), fine.labels()
             changes |= np.any([before[name] != after[name] for name in before], axis=0)
@@ -229,6 +236,27 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
             step_sensitive[where] = changes
             error[where] = np.fmax(error[where], change)
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive
+
+
+def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
+    """Where another step changes a statistic by more than LARGEST_CHANGE of its size, and errors that grow with the motion do not explain it.
+
+    How they grow is seen in a run from another start, as far away as the expected error: in chaos by as much as can be, so that no
+    step would do, and a drifting label is that of all motions nearby.
+    """
+    change = run.change(coarse)
+    decides = change > LARGEST_CHANGE
+    where = np.flatnonzero(decides)
+    if where.size:
+        part = run.subset(where)
+        (_, error), (_, of_coarse) = part.errors(), coarse.subset(where).errors()
+        state, constants = part.ensemble.state, part.ensemble.constants
+        slope = np.array(np.broadcast_arrays(*run.system.equations.rhs(state, constants)))
+        size = (np.abs(state) + np.abs(slope) / part.bound) * np.cos(np.arange(len(state)))[:, np.newaxis]
+        beside = replace(part, ensemble=replace(part.ensemble, state=state + error * size))
+        grown = part.change(runs.by_steps(beside, part.step_sizes)) * of_coarse / error
+        decides[where] = grown < EXPLAINED * change[where]
+    return decides
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:

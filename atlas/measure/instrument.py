@@ -20,6 +20,9 @@ from ..engine.statistics import Row
 from ..engine.stepsize import StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
+# Least turn in rad of a body in a run; kernels add 1e-100 to divisors that may be 0.
+LEAST_TURN = 1e-80
+
 # Measurements by name, (points,) each; a colon is in names that no atlas holds.
 Measured = Mapping[str, Array]
 
@@ -115,8 +118,9 @@ class Run:
 
     @property
     def bound(self) -> Array:
-        """Bound of the fastest frequency, rad per time unit."""
-        return self.ensemble.frequency_bound
+        """Bound of the fastest frequency, rad per time unit, positive also where nothing moves."""
+        with np.errstate(over="ignore"):
+            return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
 
     def measure(self) -> Run:
         """The same with what its instruments measured."""
@@ -139,6 +143,10 @@ class Run:
         row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
         sums, given = self.integration.sums[row:], self.ensemble.given[first:]
         return sums[: instrument.sums], given[: instrument.given]
+
+    def change(self, other: Run) -> Array:
+        """Largest relative difference of a statistic in two runs of the same points, (points,)."""
+        return np.asarray(np.fmax.reduce([each.rate_change(self, other) for each in self.instruments]))
 
     def labels(self) -> dict[str, Flags]:
         """Every label, whatever the status."""

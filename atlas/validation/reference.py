@@ -217,7 +217,9 @@ def _integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    theta_dot0, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
+    theta_dot0, psi0, phi0, normal0, _, theta0 = euler_rates(
+        equations.frame_motion(start, constants), cylinder
+    )
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""

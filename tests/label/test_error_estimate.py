@@ -88,3 +88,19 @@ def test_extremes_of_a_constant_theta():
     assert (ds.label == Label.REGULAR_PRECESSION).all()
     for extreme in (ds.theta_min, ds.theta_max):
         assert (np.abs(extreme - points["theta0"]) < ds.error_estimate).all()
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk8"])
+def test_the_deviation_of_a_constant_nutation_rate_does_not_cancel(method):
+    """A free sphere turns about the line of nodes at a constant rate; a weak weight lets it vary."""
+    body = {"A": 1.0, "B": 1.0, "C": 1.0, "theta_dot0": 1.3, "theta0": np.array([1e-3, 0.02, 0.3, 0.9, 1.7])}
+    free = atlas.label_points("fixed_point", body, duration=1.0, method=method)
+    assert (free["theta_dot_std"] < 1e-15).all()
+    weak = atlas.label_points("fixed_point", body | {"Mg": 1e-9, "z0": 1.0}, duration=1.0, method=method)
+    # theta' = rate + acceleration of the weight along the straight motion
+    t, weight = np.linspace(0.0, 1.0, 2001)[:, None], np.full((2001, 1), 1 / 2000)
+    weight[[0, -1]] *= 0.5
+    change = np.cos(body["theta0"] + 1.3 * t) - np.cos(body["theta0"])
+    change = 1e-9 * change / 1.3
+    deviation = np.sqrt((weight * (change - (weight * change).sum(0)) ** 2).sum(0))
+    np.testing.assert_allclose(weak["theta_dot_std"], deviation, rtol=1e-5)

@@ -453,3 +453,74 @@ def test_tolerances_of_a_scene_are_checked(pendulum, change, message):
 def test_bodies_in_a_frame_have_no_such_tolerances():
     with pytest.raises(atlas.BadInput, match="not an observable of the satellite"):
         atlas.label_points("satellite", {"A": 1.0}, std_tolerance={"x": 1.0})
+
+
+def test_the_step_of_a_system_with_observables_is_taken_as_it_is(pendulum):
+    tr = atlas.trajectory("pendulum", {"x0": 1.0}, step=0.125, duration=50.0, samples=2)
+    assert float(tr["step"]) == 0.125
+
+
+class Wall(systems.System):
+    """A ball on a spring that a wall repels by force / x^2."""
+
+    class equations:
+        STATE, CONSTANTS = ("x", "v"), ("force",)
+
+        def rhs(state, constants):
+            x, v = state
+            (force,) = constants
+            return v, -x + force / (x * x)
+
+    name = title = "wall"
+    parameters = {name: systems.Parameter(name, "1", name) for name in ("x0", "v0", "force")}  # noqa: RUF012
+    observables = (systems.Observable("x", "1", "x"), systems.Observable("v", "1", "v"))
+
+    def initial_state(self, points):
+        return np.array([points["x0"], points["v0"]])
+
+
+class Duffing(systems.System):
+    """A driven oscillator with two wells."""
+
+    class equations:
+        STATE, CONSTANTS = ("x", "v", "t"), ("force",)
+
+        def rhs(state, constants):
+            x, v, t = state
+            (force,) = constants
+            return v, x - x * x * x - 0.15 * v + force * cos(t), 1.0 + 0.0 * t
+
+    name = title = "duffing"
+    parameters = {name: systems.Parameter(name, "1", name) for name in ("x0", "force")}  # noqa: RUF012
+    observables = (systems.Observable("x", "1", "x"),)
+
+    def initial_state(self, points):
+        return np.array([points["x0"], 0.0 * points["x0"], 0.0 * points["x0"]])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_steps_through_a_wall_give_no_label(method, monkeypatch):
+    """Against the ball that bounces, x = |R cos(t - phase)|: two runs that miss the wall alike are rare."""
+    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    atlas.register(Wall)
+    rng, duration = np.random.default_rng(3), 14.0
+    points = {"x0": rng.uniform(0.6, 1.6, 48), "v0": rng.uniform(-2.0, 2.0, 48)}
+    options = {"duration": duration, "method": method, "tolerance": 1e-5, "rate_tolerance": 1e-3}
+    ds = atlas.label_points("wall", points | {"force": 3e-4}, **options)
+    times = np.linspace(0.0, duration, 20_001)[:, None]
+    truth = np.abs(points["x0"] * np.cos(times) + points["v0"] * np.sin(times))
+    error = np.abs(ds["x_std"].values - truth.std(axis=0)) / truth.max(axis=0)
+    ok, sensitive = (ds["status"].values == status for status in (Status.OK, Status.STEP_SENSITIVE))
+    assert (ok & (error > 0.1)).sum() <= 2
+    assert ok.sum() > 4
+    assert sensitive.sum() > 10
+
+
+def test_chaos_keeps_its_label(monkeypatch):
+    """Errors as large as the motion, which grew as the difference of two starts does."""
+    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    atlas.register(Duffing)
+    points = {"x0": np.linspace(-1.5, 1.5, 40), "force": 0.3}
+    ds = atlas.label_points("duffing", points, duration=400.0, tolerance=1e-6, method="rk8")
+    assert (ds["status"] == Status.OK).all()
+    assert (ds["error_estimate"] > 0.01).sum() > 20

@@ -19,10 +19,10 @@ from atlas.engine.specialization import GENERIC
 from atlas.engine.stepsize import StepSizes
 from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Stability, Status
-from atlas.label import theory
+from atlas.label import pipeline, theory
 from atlas.label.theory import predict
 from atlas.measure.instrument import could_change
-from atlas.measure.rates import rule
+from atlas.measure.rates import Rates, rule
 from atlas.scene.model import Settings, Tolerances
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
@@ -154,6 +154,35 @@ def test_half_step_checks_change_no_certain_label(check_half_step):
     unchecked = run("satellite", points, duration=5.0, tolerance=1e-6)
     checked = run("satellite", points, duration=5.0, tolerance=1e-6, check_half_step=check_half_step)
     np.testing.assert_array_equal(unchecked["label"], checked["label"])
+
+
+def test_no_status_depends_on_the_points_whose_error_is_measured(monkeypatch):
+    """Were all measured differences as large as a rate, they would decide where every point is measured, and not in a sample."""
+    names = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "psi_dot_mean", "phi_dot_mean", "normal_rate_std")
+    angles = dict.fromkeys(("theta_min", "theta_max", "sine_max"), np.zeros(1))
+    large = dict.fromkeys(names, np.full(1, 1e3)) | angles
+    points = {"theta0": np.linspace(0.2, 2.9, 90), "m": 0.7, "psi0": 0.4}
+    monkeypatch.setattr(Rates, "differences", lambda *_: large)
+    monkeypatch.setattr(pipeline, "POINTS_PER_HALF_STEP", 3)
+    results = {
+        which: run("satellite", points, duration=8.0, tolerance=1e-6, check_half_step=which)
+        for which in ("none", "sample", "all")
+    }
+    np.testing.assert_array_equal(results["sample"]["status"], results["none"]["status"])
+    np.testing.assert_array_equal(results["sample"]["label"], results["none"]["label"])
+    measured = results["sample"]["error_estimate"] != results["none"]["error_estimate"]
+    assert 10 < measured.sum() < 80
+    assert (results["all"]["status"] == Status.STEP_SENSITIVE).all()
+
+
+@pytest.mark.parametrize("check_half_step", ["none", "all"])
+@pytest.mark.parametrize("system", ["satellite", "fixed_point"])
+def test_where_nothing_moves_the_error_is_finite(system, check_half_step):
+    points = {"theta0": np.linspace(0.1, 3.0, 7)} | ({"Omega": 0.0} if system == "satellite" else {})
+    for method in METHODS:
+        result = run(system, points, duration=3.0, method=method, check_half_step=check_half_step)
+        assert (result["status"] == Status.OK).all()
+        assert (result["error_estimate"] < 1e-12).all()
 
 
 def test_half_step_option_is_checked(scene_text):
@@ -417,6 +446,7 @@ def check_results(name, columns, method):
 @settings(max_examples=60)
 @example({"k1": [1e200, 0, 0, 1e-320], "m": [0, 1e300, 5e-324, 0]}, "rk4")
 @example({"Omega": [0.0, 4.6e-254, 5e-324, 1e-160], "theta0": [0, 1.0, 1.0, 1.0]}, "rk8")
+@example({"Omega": [0.0, 0.0, 1e-110, 5e-324], "theta0": [0.7, 2.0, 0.7, 1.0]}, "rk4")
 @example({"B": [1.0, 5e-324, 1e-300, 1e-100]}, "rk4")  # the matrix of the exponents is not finite
 def test_any_satellite(columns, method):
     check_results("satellite", columns, method)

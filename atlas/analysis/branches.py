@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
-from ..flags import BifurcationKind
+from ..flags import BifurcationKind, Completeness
 from ..io import netcdf
 from ..measure.instrument import Variable
 from ..scene import grid
@@ -25,7 +25,7 @@ from .equilibria import UNUSED, attributes
 _OWN = {  # variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>
     variable.name: variable.attributes()
     for variable in (
-        Variable("index_sum", "int64", "1", "sum of (-1)^index over the equilibria"),
+        Variable("index_sum", "float64", "1", "sum of (-1)^index over the equilibria"),
         Variable("fold_kind", "int8", "1", "kind of bifurcation", BifurcationKind.meanings()),
         Variable(
             "fold_direction", "float64", "1", "rotation vector in body axes along which solutions separate"
@@ -66,7 +66,7 @@ def branches(
         Over the dimensions "branch" and the parameter, what `equilibria` gives, nan (index -1) where a branch does not exist;
         index is the number of directions in which the amended potential falls at a constant rate. Over the parameter
         completeness (flags), equilibrium_count and index_sum, the sum of (-1)^index: 0 for a satellite without symmetry, 2 for
-        one with an axis of symmetry and for permanent rotations. Over the
+        one with an axis of symmetry and for permanent rotations; both are nan where they are not certain. Over the
         dimension "fold", in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags), the angles,
         vectors and the potential there as fold_theta0, ..., fold_direction, in which the solutions separate, and fold_branch, the
         branches that meet.
@@ -79,7 +79,8 @@ def branches(
     Notes
     -----
     No branch is lost at a value that is looked at. One with two folds between two values is found where the tangents at both do
-    not predict one another; a closed line of equilibria between two values leaves no trace and is not found.
+    not predict one another, a closed line of equilibria between two values where complex solutions at one of them, by their
+    linear equations, become real before the other.
     """
     table = {
         "schema": SCHEMA, "title": "branches", "system": system, "fixed": dict(body), "ties": dict(ties or {}),
@@ -143,8 +144,10 @@ def _variables(
             full[result.branch[node, place], possible[node]] = column[node, place]
         variables[name] = dims, full
     index, points = variables["index"][1], result.points
-    variables["equilibrium_count"] = (along,), (index >= 0).sum(0)
-    variables["index_sum"] = (along,), np.where(index >= 0, (-1) ** np.maximum(index, 0), 0).sum(0)
+    unknown = np.isin(variables["completeness"][1], (Completeness.NEAR_BIFURCATION, Completeness.NOT_LISTED))
+    signs = np.where(index >= 0, (-1) ** np.maximum(index, 0), 0)
+    for count, values in (("equilibrium_count", index >= 0), ("index_sum", signs)):
+        variables[count] = (along,), np.where(unknown, np.nan, values.sum(0))
     frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
     where = np.array([point.value for point in points])
     potential = family.system.body_at_rest(family.points(where[:, None])).potential(

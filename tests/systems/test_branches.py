@@ -275,3 +275,27 @@ def test_permanent_rotations_with_evenly_spaced_moments():
     counts = atlas.equilibria("fixed_point", body | {"N": N}).equilibrium_count
     assert (counts == 6).all()
     assert FIXED_POINT.equilibria(body | {"N": -1.05})["index"].size == 6
+
+
+def test_numbers_at_a_bifurcation_are_nan():
+    ds = atlas.branches("satellite", BODY, along={"k3": [0.39, 0.4, 0.41]})
+    assert ds.completeness.values.tolist() == [0, Completeness.NEAR_BIFURCATION, 0]
+    np.testing.assert_array_equal(ds.equilibrium_count, [24, np.nan, 20])
+    np.testing.assert_array_equal(ds.index_sum, [0, np.nan, 0])
+    assert ((ds["index"] >= 0).sum("branch") >= 20).all()
+
+
+@pytest.mark.parametrize("difference", [1e-12, -3e-11, 2e-9, 1e-5])
+def test_permanent_rotations_beside_a_symmetry(difference):
+    """Index and stability of the tilted axes into which each circle of the symmetric top splits."""
+    top = {"A": 1.0, "B": 1.0 + difference, "C": 1.4, "Mg": 1.0, "z0": 0.2, "n": 1.3}
+    one, many = atlas.equilibria("fixed_point", top), atlas.equilibria("fixed_point", top | {"n": [1.3]})
+    assert many.equilibrium_count == one.sizes["equilibrium"] == 6
+    assert not one.circle.any()
+    assert ((-1) ** one["index"].astype(int)).sum() == 2
+    tilted = np.abs(np.sin(one.theta0.values)) > 0.1
+    first, second = (np.abs(one.gamma.values[tilted, i]) > 0.1 for i in (0, 1))
+    index = one["index"].values[tilted]
+    larger = first if difference < 0 else second
+    assert (index[larger] == index[~larger] - 1).all()
+    assert (first != second).all()

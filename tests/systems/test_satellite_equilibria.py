@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from test_satellite_stability import algebraic_count
-from truth import default_points
+from truth import REFERENCE, default_points
 
+import atlas
 from atlas.flags import Completeness, Stability
 from atlas.systems.gyrostat import homotopy
 from atlas.systems.satellite import SATELLITE
@@ -180,7 +183,7 @@ def test_bodies_without_isolated_equilibria_and_on_bifurcations():
     assert solutions["circle"][0].sum() == 6
     assert (solutions["index"][[1, 2, 5]] == -1).all()
     count = SATELLITE.derived["equilibrium_count"].values(points, np.ones(6), lambda: None)
-    np.testing.assert_array_equal(np.isnan(count), [True, True, True, False, False, True])
+    np.testing.assert_array_equal(np.isnan(count), [True, True, True, True, False, True])
     assert count[4] == (solutions["index"][4] >= 0).sum()
 
 
@@ -203,3 +206,121 @@ def test_energy_stable_equilibria_are_the_minima():
     assert counts == {
         "equilibrium_count": 24, "equilibrium_stable_count": 4, "equilibrium_energy_stable_count": 4,
     }  # fmt: skip
+
+
+def dense_search(body, starts=300):
+    """alpha and gamma, (E, 6), of the critical points of W for Omega = 1 by Newton's method on the rotations, starts also beside them."""
+    inertia, k, mu = (
+        np.array([body.get(f"{x}{i}" if x else "ABC"[i - 1], 0.0) for i in (1, 2, 3)])
+        for x in ("", "k", "mu")
+    )
+    fields = (3.0, body.get("h1", 0.0) * mu), (-1.0, body.get("h3", 0.0) * mu - k)
+    rng, seeds = np.random.default_rng(0), np.zeros((0, 3, 3))
+    for angle in (3.0, 0.1, 0.01):
+        frames = np.linalg.qr(rng.normal(size=(starts, 3, 3)))[0] * rng.choice([-1, 1], (starts, 3, 1))
+        frames[:, 1] = np.cross(frames[:, 2], frames[:, 0])
+        beside = turned(np.repeat(seeds, 40, 0), angle * rng.normal(size=(40 * len(seeds), 3)))
+        frames = np.concatenate([frames, seeds, beside])
+        for _ in range(60):
+            gradient, hessian = np.zeros((len(frames), 3)), np.zeros((len(frames), 3, 3))
+            for (factor, field), v in zip(fields, (frames[:, 0], frames[:, 2]), strict=True):
+                slope = factor * inertia * v + field
+                gradient += np.cross(slope, v)
+                for j, change in enumerate(np.cross(v[:, None], np.eye(3)).swapaxes(0, 1)):
+                    hessian[:, :, j] += np.cross(factor * inertia * change, v) + np.cross(slope, change)
+            step = -np.linalg.solve(hessian + 1e-300 * np.eye(3), gradient[..., None])[..., 0]
+            size = np.linalg.norm(step, axis=1)
+            frames = turned(frames, step * np.minimum(1, 0.4 / np.maximum(size, 0.4))[:, None])
+        kept = []
+        for frame in frames[(size < 1e-4) & (np.linalg.norm(gradient, axis=1) < 1e-11)]:
+            if all(np.abs(frame - other).max() > 1e-3 for other in kept):
+                kept.append(frame)
+        seeds = np.array(kept)
+    return seeds[:, [0, 2]].reshape(-1, 6)
+
+
+def turned(frames, xi):
+    """Frames of bodies turned by rotation vectors."""
+    angle = np.linalg.norm(xi, axis=1)[:, None, None]
+    n = (xi / np.maximum(angle[:, 0], 1e-300))[:, None]
+    return (
+        frames * np.cos(angle)
+        + np.cross(frames, n) * np.sin(angle)
+        + n * (frames * n).sum(-1, keepdims=True) * (1 - np.cos(angle))
+    )
+
+
+def beside_symmetry(rng, i):
+    """A body with two moments nearly equal; the rest as a symmetric body has it, across, or across by the same small difference."""
+    first, second = ((0, 1), (0, 2), (1, 2))[i % 3]
+    third, difference = 3 - first - second, 10 ** rng.uniform(-9, -3) * rng.choice([-1, 1])
+    moments = np.full(3, 1.0)
+    moments[second], moments[third] = 1 + difference, rng.choice([0.7, 1.4])
+    k, mu = rng.normal(size=(2, 3)) * 0.3
+    if i // 3 != 1:
+        across = [first, second]
+        k[across] *= difference * (i // 3 == 2)
+        mu[across] *= difference * (i // 3 == 2)
+    vectors = {f"{name}{j + 1}": v[j] for name, v in (("k", k), ("mu", mu)) for j in range(3)}
+    return dict(zip("ABC", moments, strict=True)) | vectors | {"h1": 0.4, "h3": -0.7}
+
+
+def test_lists_beside_a_symmetry_are_whole():
+    """Against a search by itself, for one body and for all at once; the circles of the symmetric body are no equilibria here."""
+    rng = np.random.default_rng(17)
+    every = [beside_symmetry(rng, i) for i in range(9)]
+    together = atlas.equilibria("satellite", {name: [body[name] for body in every] for name in every[0]})
+    assert (together.completeness == Completeness.COMPLETE).all()
+    for i, body in enumerate(every):
+        one, expected = atlas.equilibria("satellite", body), dense_search(body)
+        assert not one.circle.any()
+        assert ((-1) ** one["index"].astype(int)).sum() == 0
+        assert one.sizes["equilibrium"] == together.equilibrium_count[i] == len(expected), i
+        vectors = np.concatenate([one.alpha, one.gamma], 1)
+        distance = np.abs(vectors[:, None] - expected).max(2)
+        assert distance.min(0).max() < 1e-5
+        assert distance.min(1).max() < 1e-5
+        np.testing.assert_array_equal(together["index"][i, : len(expected)], one["index"])
+
+
+@pytest.mark.parametrize("difference", [1e-12, -1e-10, 3e-8, 1e-5])
+def test_a_circle_leaves_four_equilibria_beside_its_symmetry(difference):
+    ds = atlas.equilibria("satellite", {"A": 1.3 + difference, "B": 1.3, "C": 1.7, "k3": 0.1})
+    assert np.bincount(ds["index"]).tolist() == [4, 8, 8, 4]
+    assert (ds.stable.values[ds["index"].values % 2 == 1] != Stability.STABLE).all()
+    assert (ds.stable.values[ds["index"].values == 0] != Stability.UNSTABLE).all()
+
+
+def listed(body):
+    """Number of equilibria by a call for one body and by one for an array, which agree; 0: both refuse."""
+    many = atlas.equilibria("satellite", {name: [value] for name, value in body.items()})
+    if many.completeness == Completeness.NEAR_BIFURCATION:
+        assert np.isnan(many.equilibrium_count)
+        with pytest.raises(atlas.BadInput, match="not certain"):
+            atlas.equilibria("satellite", body)
+        return 0
+    count = atlas.equilibria("satellite", body).sizes["equilibrium"]
+    assert many.equilibrium_count == count
+    return count
+
+
+def test_lists_beside_bifurcations_are_whole_or_refused():
+    """Beside verified folds and beside pitchforks of a rotor along an axis, where 24 equilibria become 20, 16 and 12."""
+    case = json.loads((REFERENCE / "branches.json").read_text())["satellite"][0]
+    folds = [
+        (float(fold["k1"]), fold["count_below_above"], {"k2": 0.02, "k3": 0.05}, "k1")
+        for fold in case["folds"][::4]
+    ]
+    folds += [(k3, counts, {}, "k3") for k3, counts in ((0.4, [24, 20]), (0.7, [20, 16]), (1.6, [16, 12]))]
+    refused = 0
+    for value, counts, rest, name in folds:
+        for side, distance in ((0, -1e-6), (1, 1e-9), (0, 0.0)):
+            count = listed(BODY | rest | {name: value + distance})
+            assert count == counts[side] or (count == distance == 0), (value, distance, count)
+            refused += count == 0
+    assert refused >= len(folds)
+
+
+def test_a_rounded_symmetry_is_refused():
+    assert 0.1 + 0.2 != 0.3
+    assert listed(BODY | {"A": 0.3, "B": 0.1 + 0.2, "C": 0.4, "k3": 0.02}) == 0

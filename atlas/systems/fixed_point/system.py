@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import BadInput
 from ...flags import PeriodicSolution
 from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Body, Gyrostat, rotations
+from ..gyrostat.equilibria import NOT_CERTAIN
 from ..gyrostat.stress_cases import fixed_point_cases
 from . import any_axis, equations, families, initial
 
@@ -171,7 +173,9 @@ class FixedPoint(Gyrostat):
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All permanent rotations of one body about the vertical at the rate n; see rotations.rotations."""
         solutions = rotations.rotations(self, initial.without_vectors(self.with_defaults(body)))
-        return {name: values for name, values in solutions.items() if name not in ("row", "flat")}
+        if solutions.pop("flat").any():
+            raise BadInput(NOT_CERTAIN)
+        return {name: values for name, values in solutions.items() if name != "row"}
 
     def equilibria_of_bodies(
         self, points: Points, *_: Any, ordered: bool = False, **__: Any

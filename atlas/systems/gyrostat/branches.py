@@ -209,8 +209,7 @@ def solutions_at(
     potential = np.full(used.shape, np.nan)
     body = family.system.body_at_rest(family.points(values[node, None]))
     potential[known] = body.potential(some[:, 0], some[:, 2])
-    allowed = [Completeness.COMPLETE, Completeness.NEAR_BIFURCATION]
-    allowed += [Completeness.NOT_ISOLATED] if family.axis >= 0 else []
+    allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
     if not (family.upright and family.axis >= 0):  # there circles count 0, and only poles are isolated

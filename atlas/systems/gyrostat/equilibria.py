@@ -20,12 +20,19 @@ if TYPE_CHECKING:
     from .system import Gyrostat
 
 _STARTS = 200  # orientations from which the search begins
-_ZERO_EIGENVALUE = 1e-6  # of the Hessian, relative to its scale
+# Eigenvalues of the Hessian, relative to its scale: of a degenerate equilibrium, and below which rounding decides on the sign
+# or, on circles, on the number.
+_ZERO_EIGENVALUE, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE = 1e-6, 1e-4, 1e-14, 1e-7
+_ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, relative to the same
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 # Potentials closer than this share of their scale are taken as equal, and components of unit vectors after so many decimals.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
+NOT_CERTAIN = (
+    "equilibria: at a bifurcation or a symmetry that is exact but for rounding their number or index is not certain;"
+    " change a parameter, or give an array for a list that is marked near_bifurcation"
+)
 ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 # Variables of equilibria, in their order.
@@ -39,16 +46,26 @@ _UNUSED = {
 
 
 def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of one body: every orientation that can rest in the frame.
-
-    Newton's method from _STARTS orientations, doubled until no new equilibria appear and, where none
-    is degenerate, the isolated ones satisfy the Poincare-Hopf sum (-1)^index = 0 of SO(3).
+    """All relative equilibria of one body, every orientation that can rest in the frame, as `equilibria_of_bodies` finds them.
 
     points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
-    one), index (its Morse index; of a degenerate one, that counts the negative eigenvalues), circle (it represents a circle of
-    equilibria), degenerate (isolated, with a zero eigenvalue) and STABILITY, (E,); alpha, gamma and
-    axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3). Raises BadInput where a
-    surface of orientations is in equilibrium or the search would overflow, RuntimeError where the sum cannot be met.
+    one), index (its Morse index), circle (it represents a circle of equilibria), degenerate (never here) and STABILITY, (E,);
+    alpha, gamma and axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3).
+    Raises BadInput where a surface of orientations is in equilibrium, where the numbers of the body differ too much in
+    magnitude, and where the number of equilibria is not certain.
+    """
+    (flag,), _, columns = _at_once(system, points, stability=True, ordered=False)
+    if flag == Completeness.NOT_LISTED:
+        flag, columns = _searched(system, points)
+    if flag == Completeness.NEAR_BIFURCATION:
+        raise BadInput(NOT_CERTAIN)
+    return {name: columns[name] for name in _VARIABLES}
+
+
+def _searched(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
+    """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new ones appear and the list is whole.
+
+    Raises BadInput where no whole list is found.
     """
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
@@ -62,14 +79,16 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
         raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
     frames = _search(body, scale)
     index, axis, degenerate = _classify(body, frames, scale)
-    scaled = body.potential(frames[:, 0], frames[:, 2])
+    scaled, circle = body.potential(frames[:, 0], frames[:, 2]), ~np.isnan(axis[:, 0])
     order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
     result = described(frames) | {
-        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": ~np.isnan(axis[:, 0]), "axis": axis, "degenerate": degenerate,
+        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": circle, "axis": axis, "degenerate": degenerate,
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
-    return {name: result[name][order] for name in _VARIABLES}
+    flag = Completeness.NOT_ISOLATED if circle.any() else Completeness.COMPLETE
+    flag = Completeness.NEAR_BIFURCATION if degenerate.any() else flag
+    return flag, {name: values[order] for name, values in result.items()}
 
 
 def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
@@ -135,35 +154,34 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of many bodies, as `equilibria`, on an orbit by homotopy continuation; see `homotopy`.
+    """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
 
-    Those of bodies with an axis of symmetry follow from the secular equation. Bodies of which neither finds all equilibria
-    with certainty and those without an orbit are searched one by one, as `equilibria` does, in about 70 ms each. pause:
-    called at least once a second; it may raise an exception. stability: whether to compute STABILITY. ordered: see `homotopy.solve`;
-    with attitudes near complex solutions, index -1. Returns arrays (bodies, places) in the order of the potential, then of the
-    attitude, unused places at the end (nan, index -1, stable 0), and completeness (bodies,), values of flags.Completeness.
+    Those of bodies with an axis of symmetry, of which moments are equal and components across vanish to the last bit, follow
+    from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
+    sphere of the axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: beside a symmetry from
+    differences of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
+    solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and those of which a path is lost are
+    searched one by one, in about 70 ms each. pause: called at least once a second; it may raise an exception. stability:
+    whether to compute STABILITY. ordered: see `homotopy.solve`; with attitudes near complex solutions, index -1. Returns arrays
+    (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
+    and completeness (bodies,), values of flags.Completeness.
     """
     count = points["A"].size
-    completeness = np.full(count, Completeness.COMPLETE, np.int8)
+    completeness = np.empty(count, np.int8)
     parts = []
     for first in range(0, count, _BLOCK):
         pause()
         block = np.arange(first, min(first + _BLOCK, count))
-        solved, symmetric, row, columns = _at_once(system, subset(points, block), stability, ordered)
+        flags, row, columns = _at_once(system, subset(points, block), stability, ordered)
         parts.append({"row": block[row], **columns})
-        completeness[block[solved & symmetric]] = Completeness.NOT_ISOLATED
-        for i in block[~solved]:
+        for i in np.flatnonzero(flags == Completeness.NOT_LISTED):
             pause()
             try:
-                solutions = equilibria(system, subset(points, [i]))
-            except (BadInput, RuntimeError):
-                solutions = None
-            if solutions is None or solutions["index"].size > homotopy.PATHS:  # repeated at a bifurcation
-                completeness[i] = Completeness.NOT_LISTED
+                flags[i], solutions = _searched(system, subset(points, block[[i]]))
+            except BadInput:
                 continue
-            isolated = not solutions["circle"].any()
-            completeness[i] = Completeness.NEAR_BIFURCATION if isolated else Completeness.NOT_ISOLATED
-            parts.append({"row": np.full(solutions["index"].size, i), **solutions})
+            parts.append({"row": np.full(solutions["index"].size, block[i]), **solutions})
+        completeness[block] = flags
     names = [name for name in _VARIABLES if stability or name not in STABILITY]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in ("row", *names)}
     return padded(columns, count, homotopy.PATHS) | {"completeness": completeness}
@@ -185,8 +203,8 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
-) -> tuple[Mask, Mask, NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Which bodies have all equilibria here, which are symmetric; of each equilibrium the body, and its variables."""
+) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Completeness of the lists, NOT_LISTED of bodies to be searched; of each equilibrium the body, and its variables."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -202,34 +220,43 @@ def _at_once(
     general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
     p, q = (direction.field[general].T for direction in (alpha, gamma))
     a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, q, ordered)
-    body, path = np.nonzero((real | nearly & ordered).T & complete[:, None])
+    body, path = np.nonzero((real | nearly & ordered).T)
     a, g = a[:, path, body].T, g[:, path, body].T
     row, frames, known = _by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered)
     row = np.concatenate([general[body], single[row]])
     frames = np.concatenate([frames_of(a, g), frames])
     real = np.concatenate([real[path, body], known])
-    bodies = bodies.subset(row)
-    values = np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
-    flat = np.abs(values) < _ZERO_EIGENVALUE * _scale(bodies)[:, None]
-    index = np.where(real, ((values < 0) & ~flat).sum(1), -1)
-    # The Poincare-Hopf sum is 0 on SO(3), and 2 on the sphere of the axis of symmetry.
+    bodies, circle = bodies.subset(row), symmetric[row]
+    scale, values = _scale(bodies), np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
+    # Along a circle the eigenvalue is 0 but for rounding.
+    values[circle, np.abs(values[circle]).argmin(1)] = np.inf
+    least = np.abs(values).min(1) / scale
+    index = np.where(real, (values < 0).sum(1), -1)
+
+    def some(of_solutions: Mask) -> Mask:
+        return np.bincount(row[real & of_solutions], minlength=rate.size) > 0
+
     sums = np.bincount(row[real], (-1.0) ** index[real], rate.size)
-    solved = (np.bincount(row[real], minlength=rate.size) > 0) & (sums == 2 * symmetric)
-    solved[row[real & (flat.sum(1) != symmetric[row])]] = False
+    uncertain = some(least < np.where(circle, _UNCERTAIN_CIRCLE, _UNCERTAIN)) | (sums != 2 * symmetric)
+    uncertain[general[~complete]] = True
+    flags = np.where(symmetric, Completeness.NOT_ISOLATED, Completeness.COMPLETE).astype(np.int8)
+    flags[uncertain] = Completeness.NEAR_BIFURCATION
+    degenerate = uncertain[row] & (least < _DEGENERATE)
+    flags[(uncertain & ~some(degenerate)) | ~some(real)] = Completeness.NOT_LISTED
     scaled = bodies.potential(frames[:, 0], frames[:, 2])
     potential = scaled * given.inertia.max(1)[row] * rate[row] ** 2
-    axis = np.where(symmetric[row, None], axes[row], np.nan)
-    order = _order(row, scaled / _scale(bodies), frames, axis)
-    order = order[solved[row[order]]]
+    axis = np.where(circle[:, None], axes[row], np.nan)
+    order = _order(row, scaled / scale, frames, axis)
+    order = order[flags[row[order]] != Completeness.NOT_LISTED]
     row = row[order]
     result = described(frames[order]) | {
-        "potential": potential[order], "index": index[order].astype(np.int8), "circle": symmetric[row], "axis": axis[order],
-        "degenerate": np.zeros(row.size, bool),
+        "potential": potential[order], "index": index[order].astype(np.int8), "circle": circle[order], "axis": axis[order],
+        "degenerate": degenerate[order],
     }  # fmt: skip
     if stability:
         angles = {name: result[name] for name in ANGLES}
         result |= stability_at_rest(system, subset(points, row), angles)
-    return solved, symmetric, row, result
+    return flags, row, result
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
@@ -251,10 +278,10 @@ def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDA
 def _search(bodies: Body, scale: float) -> Array:
     """Frames of the equilibria, one of each circle, shape (E, 3, 3)."""
     generator = np.random.default_rng(0)
-    frames, starts, previous_count, total = np.empty((0, 3, 3)), _STARTS, -1, 0
-    while len(frames) != previous_count or total != 0:
-        if starts > 64 * _STARTS:
-            raise RuntimeError(f"equilibria: signed sum of Morse indices {total}, not 0: some were missed")
+    frames, starts, previous_count, is_whole = np.empty((0, 3, 3)), _STARTS, -1, False
+    while len(frames) != previous_count or not is_whole:
+        if starts > 64 * _STARTS or len(frames) > homotopy.PATHS:
+            raise BadInput("equilibria: no whole list of them is found; the body is beside a bifurcation")
         previous_count = len(frames)
         # Uniform orientations, rows alpha, beta, gamma in body axes.
         w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
@@ -265,8 +292,11 @@ def _search(bodies: Body, scale: float) -> Array:
         new = _critical(bodies, rows / np.linalg.norm(rows, axis=2, keepdims=True), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
-        isolated = np.isnan(axis[:, 0])
-        total = 0 if degenerate.any() else int(((-1) ** index * isolated).sum())
+        # A symmetry takes every equilibrium along a circle.
+        circle = ~np.isnan(axis[:, 0])
+        total = 2 * circle.any()
+        whole = circle.all() == circle.any() and len(frames) >= 4 - total and ((-1) ** index).sum() == total
+        is_whole = bool(whole or degenerate.any())
         starts *= 2
     return frames
 
@@ -309,7 +339,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
     # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
     turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
-    circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ZERO_EIGENVALUE * scale)
+    circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)
     return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.any(1) & ~circle
 
 

@@ -32,16 +32,20 @@ PATHS = 24
 AXES = np.eye(3)
 # Arbitrary; a choice that needs few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
-# Largest correction by Newton's method (rad, sum over the axes) and largest step, of the first attempt and of those that
-# follow for bodies of which a path is lost, or two end in one place because one was left for the other.
-_ATTEMPTS = ((0.05, 0.25), (0.01, 0.1), (0.0005, 0.1))
-_FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-6, 600
-_POLISH = 6  # Newton iterations at the end
+# Largest correction by Newton's method (rad, sum over the axes), largest step and Newton iterations at the end, of the first
+# attempt and of those that follow for bodies of which a path is lost, or two end in one place because one was left for the
+# other. Near a bifurcation each iteration only halves the error.
+_ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
+# Beside a symmetry of the body paths turn by much where the rest of t is as small as the distance from it.
+_FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
+# Components of a path that goes to infinity, where its end has fewer than 24 solutions, and the t from which it may.
+_FAR, _FAR_FROM = 1e4, 0.99
 _STRIDE = 5  # of bodies in order, of which one is followed
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
 # the two, are not certainly different or real.
 _REAL, _DISTINCT = 1e-9, 1e-5
+_MERGED = 1e-4  # distance, or imaginary part, up to which solutions count as one where some are not certain
 _NEARLY_REAL = 1.0  # imaginary parts of solutions that may soon be real
 
 
@@ -50,26 +54,34 @@ def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Ar
 
     ordered: neighbours are similar, so that most are solved by Newton's method from the complex solutions of another.
     Returns alpha, gamma, unit vectors, of the critical points that are real, of others the real parts; real, which are; nearly,
-    one of each conjugate pair that is not far from real; each once, (24, bodies); complete, where all 24 complex solutions were found, all different, each of them clearly real or clearly not, (bodies,).
+    one of each conjugate pair that is not far from real; each once, (24, bodies); complete, where every path ends at a solution
+    of its own that is clearly real or clearly not, or at infinity, (bodies,). Elsewhere solutions that merge are real once, and
+    none is where a path is lost.
     """
     inertia = inertia - inertia.mean(0)
     scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
     with np.errstate(all="ignore"):
         target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, q)]
-        ends, complete = (_ends_of_neighbours if ordered else _ends)(target, *_ATTEMPTS[0])
+        ends, arrived = (_ends_of_neighbours if ordered else _ends)(target, *_ATTEMPTS[0])
+        complete = arrived & _all_different(ends)
         for attempt in _ATTEMPTS[0 if ordered else 1 :]:
             repeated = np.flatnonzero(~complete)
             if repeated.size:
                 part = [values[:, repeated] for values in target]
-                ends[:, :, repeated], complete[repeated] = _ends(part, *attempt)
+                ends[:, :, repeated], arrived[repeated] = _ends(part, *attempt)
+                complete[repeated] = arrived[repeated] & _all_different(ends[:, :, repeated])
         size = np.abs(ends.imag).max(0)
         upper = np.take_along_axis(ends.imag, np.abs(ends.imag).argmax(0)[None], 0)[0] > 0
-    nearly = (size >= _REAL) & (size < _NEARLY_REAL) & upper
-    return ends[:3].real, ends[3:].real, size < _REAL, nearly, complete
+        real = (size < np.where(complete, _REAL, _MERGED)) & arrived
+        for path in range(1, PATHS):
+            again = np.abs((ends[:, [path]] - ends[:, :path]).real).max(0) < _MERGED
+            real[path] &= complete | ~(again & real[:path]).any(0)
+    nearly = (size >= _REAL) & (size < _NEARLY_REAL) & upper & complete
+    return ends[:3].real, ends[3:].real, real, nearly, complete
 
 
-def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Mask]:
-    """alpha and gamma at the ends of the paths, (6, 24, bodies), and where these are all solutions, (bodies,)."""
+def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
+    """alpha and gamma at the ends of the paths, nan at infinity, (6, 24, bodies), and where all are reached, (bodies,)."""
     count = target[0].shape[1]
     # Of the 24 rotations that permute the axes the second half has -alpha.
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
@@ -80,38 +92,38 @@ def _ends(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Ma
     paths = PATHS // 2 if mirrored else PATHS
     repeated = [np.repeat(values[:, None], paths, 1).reshape(3, -1) for values in target]
     alpha, gamma = (np.repeat(vectors[:, :paths, None] + 0j, count, 2).reshape(3, -1) for vectors in starts)
-    alpha, gamma, arrived = _follow(repeated, alpha, gamma, tolerance, max_step)
+    alpha, gamma, arrived = _follow(repeated, alpha, gamma, *attempt)
     ends = np.concatenate([alpha, gamma]).reshape(6, paths, count)
     if mirrored:
         ends = np.concatenate([ends, ends * np.array([-1, -1, -1, 1, 1, 1])[:, None, None]], 1)
-    return ends, arrived.reshape(paths, count).all(0) & _all_different(ends)
+    return ends, np.asarray(arrived.reshape(paths, count).all(0))
 
 
-def _ends_of_neighbours(target: Three, tolerance: float, max_step: float) -> tuple[Complex, Mask]:
+def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
     """As `_ends`, with paths for every _STRIDE-th body alone; 24 different solutions are all, wherever they start."""
     count = target[0].shape[1]
     followed = np.arange(0, count, _STRIDE)
-    ends, _ = _ends([values[:, followed] for values in target], tolerance, max_step)
+    ends, _ = _ends([values[:, followed] for values in target], *attempt)
     nearest = np.minimum((np.arange(count) + _STRIDE // 2) // _STRIDE, followed.size - 1)
     start = ends[:, :, nearest].reshape(6, -1)
     repeated = [np.tile(values, PATHS) for values in target]
-    alpha, gamma, exact = _polished(repeated, start[:3], start[3:])
+    alpha, gamma, exact = _polished(repeated, start[:3], start[3:], attempt[-1])
     ends = np.concatenate([alpha, gamma]).reshape(6, PATHS, count)
-    return ends, exact.reshape(PATHS, count).all(0) & _all_different(ends)
+    return ends, np.asarray(exact.reshape(PATHS, count).all(0))
 
 
 def _all_different(ends: Complex) -> Mask:
-    """Where all solutions are clearly different, and clearly real or not, (bodies,)."""
+    """Where all solutions but those at infinity are clearly different, and clearly real or not, (bodies,)."""
     distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
     imaginary = np.abs(ends.imag).max(0)
-    clear = (imaginary < _REAL) | (imaginary > _DISTINCT)
-    return np.asarray((clear & (distance > _DISTINCT)).all(0))
+    unclear = (imaginary >= _REAL) & (imaginary <= _DISTINCT)
+    return np.asarray((~unclear & (distance > _DISTINCT)).all(0))
 
 
 def _follow(
-    target: Three, alpha: Complex, gamma: Complex, tolerance: float, max_step: float
+    target: Three, alpha: Complex, gamma: Complex, tolerance: float, max_step: float, polish: int
 ) -> tuple[Complex, Complex, Mask]:
     """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
     start = _START_INERTIA[:, None]
@@ -143,14 +155,19 @@ def _follow(
         growth = np.where(accepted, growth, np.minimum(np.nan_to_num(growth, nan=0.3), 0.4))
         step[active] = np.minimum(length * growth, max_step)
         active = active[(t[active] < 1) & (step[active] > _MIN_STEP)]
-    alpha, gamma, exact = _polished(target, alpha, gamma)
-    return alpha, gamma, (t >= 1) & exact
+        far = (t[active] > _FAR_FROM) & (np.abs(gamma[:, active]).max(0) > _FAR)
+        alpha[:, active[far]] = gamma[:, active[far]] = np.nan
+        active = active[~far]
+    alpha, gamma, exact = _polished(target, alpha, gamma, polish)
+    return alpha, gamma, (t >= 1) & exact | np.isnan(alpha[0])
 
 
-def _polished(target: Three, alpha: Complex, gamma: Complex) -> tuple[Complex, Complex, Mask]:
+def _polished(
+    target: Three, alpha: Complex, gamma: Complex, iterations: int
+) -> tuple[Complex, Complex, Mask]:
     """Solutions by Newton's method from near ones, and which are exact but for rounding."""
     inertia, p, q = target
-    for _ in range(_POLISH):
+    for _ in range(iterations):
         xi = _newton(_gradient(inertia, p, q, alpha, gamma), inertia, p, q, alpha, gamma)
         small = _size(xi) < 0.3
         alpha, gamma = _turned(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)

@@ -16,7 +16,7 @@ from .secular import NEARLY, PLACES, directions
 if TYPE_CHECKING:
     from .system import Gyrostat
 
-_NEAR_BIFURCATION = 1e-9  # eigenvalue of the amended potential's Hessian, relative to its size
+_UNCERTAIN = 1e-13  # eigenvalue of the amended potential's Hessian, relative to its size, of which rounding decides the sign
 
 
 def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[str, NDArray[Any]]:
@@ -24,9 +24,8 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
     by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
-    directions in which the amended potential decreases (0: stable); flat: where an eigenvalue of its Hessian is zero but for
-    _NEAR_BIFURCATION; theta0, phi0 (rad), gamma and equilibria.STABILITY. nearly: also attitudes near complex solutions,
-    index -1.
+    directions in which the amended potential decreases (0: stable); flat: where that is not certain; theta0, phi0 (rad), gamma
+    and equilibria.STABILITY. nearly: also attitudes near complex solutions, index -1.
     """
     turning = system.body_at_rest(points)
     vectors, dimensions = directions(turning, nearly=nearly)
@@ -45,18 +44,18 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
         np.arange(theta.size), scaled, gamma, gamma, rate, vertical, np.zeros(theta.shape, bool)
     )
     values = equilibria.hessian_eigenvalues()
-    index = np.where(dimension == NEARLY, -1, (values < -FAMILY_TOLERANCE).sum(1)).astype(np.int8)
+    flat = np.abs(values) <= np.where(dimension == 0, _UNCERTAIN, FAMILY_TOLERANCE)[:, None]
+    index = np.where(dimension == NEARLY, -1, ((values < 0) & ~flat).sum(1)).astype(np.int8)
     return {
         "row": body, "theta0": theta, "phi0": phi, "gamma": gamma, "dimension": dimension,
         "index": index, **stability_at_rest(system, subset(points, body), start),
-        "circle": dimension == 1, "flat": (np.abs(values) <= _NEAR_BIFURCATION).any(1),
+        "circle": dimension == 1, "flat": flat.any(1) & (dimension == 0),
     }  # fmt: skip
 
 
 def rotations_of_bodies(system: Gyrostat, points: Points, nearly: bool) -> dict[str, NDArray[Any]]:
     """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
     result = padded(rotations(system, points, nearly), points["n"].size, PLACES)
-    near = (result.pop("flat") & (result["dimension"] == 0)).any(1)
-    flags = np.where(near, Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
+    flags = np.where(result.pop("flat").any(1), Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
     flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)
     return result | {"completeness": flags.astype(np.int8)}

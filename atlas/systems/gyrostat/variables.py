@@ -113,7 +113,7 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 
 
 def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Numbers of relative equilibria of each body; nan where some form circles or surfaces."""
+    """Numbers of relative equilibria of each body; nan where some form circles or surfaces, or are not certain."""
 
     def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """Points that differ in their start alone share one search."""
@@ -123,17 +123,13 @@ def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         countable, counts = np.flatnonzero(~symmetric), np.full((len(rows), symmetric.size), np.nan)
         if countable.size:
             equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
-            known = (Completeness.COMPLETE, Completeness.NEAR_BIFURCATION)
-            isolated, index = np.isin(equilibria["completeness"], known), equilibria["index"]
-            stable, minimum = (
-                equilibria["stable"] == Stability.STABLE,
-                (index == 0) & ~equilibria["degenerate"],
-            )
-            for count, counted in zip(counts, (index >= 0, stable, minimum), strict=True):
-                count[countable] = np.where(isolated, counted.sum(1), np.nan)
+            whole, index = equilibria["completeness"] == Completeness.COMPLETE, equilibria["index"]
+            stable = equilibria["stable"] == Stability.STABLE
+            for count, counted in zip(counts, (index >= 0, stable, index == 0), strict=True):
+                count[countable] = np.where(whole, counted.sum(1), np.nan)
         return {name: values[row] for (name, *_), values in zip(rows, counts, strict=True)}
 
-    comment = "nan where some are not isolated; depends on body, rotor and fields alone"
+    comment = "nan where some are not isolated or not certain; depends on body, rotor and fields alone"
     rows = (
         ("equilibrium_count", "number of relative equilibria"),
         ("equilibrium_stable_count", "number of linearly stable relative equilibria"),

@@ -34,7 +34,8 @@ class Atlas:
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
 
     Each raises BadInput for names and values that the dataset does not have, and where it cannot answer: without axes, flags
-    or variables that the question needs, with more than two axes left, or where the family of its scene has no motion.
+    or variables that the question needs, with more than two axes left, where the family of its scene has no motion, or where
+    motions or theory follow from a scene that does not give the coordinates of the dataset.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -358,17 +359,17 @@ class Atlas:
             Family -> curves of shape (vertices, axes), x first; rows of nan cut a curve. Which families
             have curves: see `atlas.analysis.plane.family_curves`.
         """
-        from .analysis.metadata import scene_of, system_of
+        from .analysis.metadata import resolved_scene, scene_of, system_of
         from .analysis.plane import Plane, family_curves
         from .analysis.select import plane_of
 
         system_of(self._ds)
-        scene = scene_of(self._ds)
-        if scene is None:
+        if (scene := scene_of(self._ds)) is None:
             raise BadInput("families: these points come from no scene, so that there are no axes")
         plane, dims, panel_dims = plane_of(self._ds, x, y, select or {})
         for dim in panel_dims:
             raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
+        resolved_scene(self._ds, plane)
         return family_curves(Plane.of(scene, plane, dims))
 
     def plot(self, ax: Axes | None = None) -> Figure:

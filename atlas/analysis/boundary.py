@@ -26,7 +26,7 @@ from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
 from . import plane as planes
-from .metadata import axes_of, flag_values, is_logarithmic, scene_of, system_of
+from .metadata import axes_of, flag_values, is_logarithmic, resolved_scene, scene_of, system_of
 from .plane import IN_SPACE, SAMPLES, Plane
 from .select import plane_of
 
@@ -48,7 +48,7 @@ def boundary(
         raise BadInput(
             f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
         )
-    scene = scene_of(ds)
+    scene = scene_of(ds) if label is not None else resolved_scene(ds, plane)
     if label is None:
         if scene is None:
             raise BadInput(

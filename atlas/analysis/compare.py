@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -20,10 +21,13 @@ from ..validation import half_step
 from .metadata import (
     chunks,
     flag_names,
+    in_order,
     is_numeric_axis,
+    neighbour_axes,
     number_attribute,
     numeric_coordinates,
     scene_of,
+    scene_problem,
     system_of,
 )
 
@@ -62,9 +66,12 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     for name in (*OF_PLANE, *RATES):
         if name in ds and set(ds[name].dims) != set(ds["label"].dims):
             raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
-    ds = ds.transpose(..., *ds["label"].dims)
     if not ds["label"].size:
         raise BadInput("label: has no values here: the dataset is empty")
+    problem = scene_problem(ds)
+    ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
+    axes = neighbour_axes(ds)
+    ds = in_order(ds.transpose(..., *axes), dict.fromkeys(axes, 1))
     label, predicted = ds["label"].values, ds["predicted"].values
     result = agreement(label, predicted)
     counts = np.bincount(result.ravel(), minlength=len(Agreement))
@@ -74,9 +81,10 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     lines.append(f"compared: {compared} of {result.size} points, {share} agree")
     lines += [f"  {name}: {n}" for name, n in zip(Agreement.meanings(), counts, strict=True) if n]
     if {"stable", "growth_rate", "end_time"} <= set(ds):
-        lines += _stability_lines(ds)
+        lines += _stability_lines(ds, axes)
     lines += _plane_lines(ds)
     lines += _worst_lines(ds, result.ravel(), worst)
+    lines += [problem] if problem else []
     return "\n".join(lines)
 
 
@@ -84,25 +92,27 @@ def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
     """How many points have each pair of flags, as the lines of a table of those that occur; columns: other names across."""
-    table = np.zeros((len(names), len(columns or names)), np.int64)
-    np.add.at(table, (np.ravel(down), np.ravel(across)), 1)
+    shape = len(names), len(columns or names)
+    pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
+    table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
     used = np.flatnonzero(table.any(0) if columns else table.any(0) | table.any(1)).tolist()
     rows = [[name, *map(str, row[used])] for name, row in zip(names, table, strict=True) if row.any()]
     return text_table([[corner, *((columns or names)[j] for j in used)], *rows], right=True).split("\n")
 
 
-def _stability_lines(ds: xr.Dataset) -> list[str]:
-    """Stable points that drift and unstable ones that survive, near the boundary and away from it."""
+def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
+    """Stable points that drift and unstable ones that survive, near the boundary and, on axes, away from it."""
     label, stable = ds["label"].values, ds["stable"].values
     log_growth = ds["growth_rate"].values * ds["end_time"].values
-    near = near_boundary(stable)
+    near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
     drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
     drift &= ds["predicted"].values != Label.DRIFTING  # as motions in the plane, which are not steady
     survive = (stable == Stability.UNSTABLE) & steady
     lines = [
-        f"linearly {description}: {points.sum()}, of these {(points & ~near).sum()} outside a band of"
-        f" {100 * BAND:g} % of the axis range around the analytical boundary"
+        f"linearly {description}: {points.sum()}"
+        + f", of these {(points & ~near).sum()} outside a band of {100 * BAND:g} % of the axis range around the"
+        " analytical boundary" * bool(axes)
         for description, points in (
             ("stable points that drift", drift),
             ("unstable points that survive", survive),
@@ -136,9 +146,10 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
     return lines if where.any() else []
 
 
-def near_boundary(stable: Flags) -> np.ndarray:
-    """Points within BAND of the axis range of a point of other linear stability; none in a list."""
-    window = [1 + 2 * max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 1 for count in stable.shape]
+def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
+    """Points within BAND of the range of one of these axes of a point of other linear stability."""
+    reach = [max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 0 for count in stable.shape]
+    window = [1 + 2 * n * (axis in axes) for axis, n in enumerate(reach)]
     return grid.near_change(stable, window)
 
 

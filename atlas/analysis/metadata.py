@@ -17,10 +17,11 @@ from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
 from ..measure.ends import END, NO_END
 from ..runs.tiles import Tiling
-from ..scene.model import Axis, Scene, Settings
+from ..scene import grid
+from ..scene.model import Axis, Duration, Scene, Settings
 from ..scene.read import parse_scene
-from ..systems.base import System
-from ..variables import data_variables
+from ..systems.base import Array, Mask, System
+from ..variables import POINT, data_variables
 
 MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
 TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
@@ -37,7 +38,7 @@ def system_of(ds: xr.Dataset) -> System:
         )
     system = systems.get(name)
     for variable in ds.data_vars.keys() & data_variables(system):
-        if ds[variable].dtype.kind not in "biuf":
+        if ds.variables[variable].dtype.kind not in "biuf":
             raise BadInput(f"{variable}: values of type {ds[variable].dtype}; an atlas has numbers there")
     return system
 
@@ -58,6 +59,88 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
     return parse_scene(text) if text else None
 
 
+# Coordinates are equal within this share, or within so many spacings of the floats that they are.
+ROUNDING, SPACINGS = 1e-9, 8
+MAX_COMPARED = 400  # points at which coordinates are compared
+CHANGED = (
+    "the datasets of several scenes were joined, or coordinates were changed; use an atlas as its run made it"
+)
+
+
+def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
+    """The scene by which a part of an atlas can be computed again, None for points that come from no scene.
+
+    BadInput unless coordinates are what the scene resolves to, to rounding, at evenly chosen points, of a lazy part at its
+    corners and middles. An axis has values of the scene or, joined from scenes that agree in all else, all of them and others.
+    """
+    system, scene = system_of(ds), scene_of(ds)
+    axes = {} if scene is None else axes_of(scene)
+    units = {name: parameter.unit for name, parameter in system.parameters.items()}
+    units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}
+    # Variables, since arrays with coordinates would take longer than all that is computed here.
+    numbers = {n: v for n in units if n in ds.coords and (v := ds.variables[n]).dtype.kind in "iuf"}
+    for name, variable in numbers.items():
+        unit = attribute_text(variable.attrs, "units")
+        if unit.lower().startswith(("deg", "\N{DEGREE SIGN}")) and not units[name].startswith("deg"):
+            raise BadInput(f"{name}: units {unit} here, {units[name]} by the scene or system: {CHANGED}")
+    if scene is None:
+        return None
+    if scene.system.name != system.name:
+        raise BadInput(
+            f"atlas_system = {shown(system.name)} here, {scene.system.name} by its scene: {CHANGED}"
+        )
+    for dim, axis in axes.items():
+        if dim not in numbers:
+            raise BadInput(
+                f"{dim}: this axis of the scene is not in the dataset: it was renamed, dropped or averaged over"
+            )
+        values = axis_values(numbers[dim].values, axis)
+        other = ~np.isin(values, axis.values)
+        if other.any() and (scene.points is not None or not np.isin(axis.values, values).all()):
+            value = f"{values[other][0]:.12g}"
+            raise BadInput(f"{dim} = {value} here, no value of this axis of its scene: {CHANGED}")
+    is_lazy = any(variable.chunks for variable in numbers.values())
+    count = 3 if is_lazy else round(MAX_COMPARED ** (1 / max(len(part.dims), 1)))
+    some = {dim: np.linspace(0, n - 1, min(n, count)).astype(int) for dim, n in part.sizes.items()}
+    sizes, columns = {dim: index.size for dim, index in some.items()}, dict[str, np.ndarray]()
+    for name in numbers:
+        if (variable := part.variables[name]).dims:
+            variable = variable.isel(some, missing_dims="ignore").set_dims(sizes)
+        columns[name] = np.broadcast_to(variable.values.ravel(), math.prod(sizes.values()))
+    places = {axis.name: axis_values(columns.pop(dim), axis) for dim, axis in axes.items()}
+    base = grid.points_at(replace(scene, duration=Duration(1.0), nudge={}), places).base
+    for name, here in columns.items():
+        wrong = (here != base[name]) & ~np.isnan(here)
+        wrong[wrong] = ~_close(here[wrong], base[name][wrong])
+        if wrong.any():
+            texts = (f"{each[wrong][0]:.12g}" for each in (here, base[name]))
+            raise BadInput(f"{name} = {' here, '.join(texts)} by the scene of this dataset: {CHANGED}")
+    return scene
+
+
+def axis_values(here: np.ndarray, axis: Axis) -> Array:
+    """Values of a coordinate, to rounding those of an axis of the scene by the bits that they have there."""
+    own = np.sort(axis.values)
+    nearest = own[np.searchsorted(0.5 * (own[1:] + own[:-1]), here)]
+    return np.where(_close(here, nearest), nearest, here)
+
+
+def _close(here: np.ndarray, there: Array) -> Mask:
+    """Which values of a coordinate are these to rounding, also of a difference of numbers of about 1."""
+    spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
+    return np.asarray(np.isclose(here, there, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
+
+
+def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
+    """Why an atlas cannot be computed again by the scene that it names; empty if it can or names none."""
+    if "atlas_scene" in ds.attrs:
+        try:
+            resolved_scene(ds, ds if part is None else part)
+        except BadInput as error:
+            return str(error)
+    return ""
+
+
 def settings_of(ds: xr.Dataset) -> Settings:
     """Settings of points that come from no scene, from the attributes of their dataset."""
     method, step = attribute_text(ds.attrs, "atlas_method"), number_attribute(ds, "atlas_step")
@@ -76,6 +159,21 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
     """Whether the scene spaces this axis logarithmically and all values are positive; maps do the same."""
     axis = None if scene is None else axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
+
+
+def neighbour_axes(ds: xr.Dataset) -> list[str]:
+    """Axes along which points have neighbours, as in the scene: no lists, repeated values or numbers of random draws."""
+    scene = scene_of(ds)
+    axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
+    others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
+    names = [name for name in dict.fromkeys([*axes, *map(str, ds.coords)]) if name not in others]
+    return [name for name in names if is_numeric_axis(ds, name) and ds.indexes[name].is_unique]
+
+
+def in_order(ds: xr.Dataset, stride: Mapping[str, int]) -> xr.Dataset:
+    """An atlas with every so many values of some axes, from the lowest."""
+    order = {dim: np.argsort(ds[dim].values, kind="stable")[::step] for dim, step in stride.items()}
+    return ds.isel({dim: i for dim, i in order.items() if not np.array_equal(i, range(ds.sizes[dim]))})
 
 
 def check_not_empty(ds: xr.Dataset) -> None:

@@ -11,13 +11,17 @@ import xarray as xr
 from ..errors import BadInput, allowed_text, option, shown
 from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 from .metadata import (
+    CHANGED,
     axes_of,
+    axis_values,
     check_not_empty,
     chunks,
     flag_values,
+    in_order,
     is_logarithmic,
     is_numeric_axis,
     numeric_coordinates,
+    resolved_scene,
     scene_of,
     settings_of,
     system_of,
@@ -108,7 +112,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
                     f"{name} = {value:g}: outside the atlas; allowed: {axis.min():g} to {axis.max():g}"
                 )
             axis, value = (np.log(axis), math.log(value)) if log else (axis, value)
-        ds = ds.isel({name: int(np.abs(axis - value).argmin())})
+        ds = ds.isel({name: int(np.lexsort((axis, np.abs(axis - value)))[0])})
     return ds
 
 
@@ -166,22 +170,21 @@ def plane_of(
     for dim in dims:
         if not 0 < np.ptp(plane[dim].values) < np.inf:
             raise BadInput(f"{dim}: its values are equal or not finite: no axis to draw a map over")
-    plane = plane.isel({dim: slice(None, None, -(-plane.sizes[dim] // MAX_CELLS)) for dim in dims})
-    return plane.sortby(dims + panel_dims), dims, panel_dims
+    stride = {dim: -(-plane.sizes[dim] // MAX_CELLS) for dim in dims} | dict.fromkeys(panel_dims, 1)
+    return in_order(plane, stride), dims, panel_dims
 
 
 def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
     """Motion of the point of an atlas nearest to some values, integrated as the atlas was."""
-    system, scene = system_of(ds), scene_of(ds)
+    system = system_of(ds)
     point = nearest(ds, coordinates).squeeze()
+    scene = resolved_scene(ds, point)
     if scene is not None:
-        for dim in axes_of(scene):
-            if dim not in point.coords:
-                raise BadInput(
-                    f"{dim}: this axis of the scene is not in the dataset: it was renamed, dropped or averaged over"
-                )
-        values = {a.name: float(point[dim]) for dim, a in axes_of(scene).items() if not point[dim].ndim}
+        axes = {dim: axis for dim, axis in axes_of(scene).items() if not point[dim].ndim}
+        values = {axis.name: float(axis_values(point[dim].values, axis)) for dim, axis in axes.items()}
         return trajectory_of_scene(scene, values, samples=samples)
+    if "atlas_scene" not in ds.attrs:
+        raise BadInput(f"trajectory: the attribute atlas_scene with the scene is missing: {CHANGED}")
     if point.dims:
         raise BadInput("trajectory: these are several points; name the point by values of its parameters")
     if "end_time" not in point:

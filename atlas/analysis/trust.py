@@ -11,9 +11,8 @@ import xarray as xr
 from ..errors import BadInput, shown
 from ..measure.ends import END, NO_END
 from ..validation.half_step import upper_bound
-from ..variables import POINT
 from .intervals import wilson_interval
-from .metadata import check_not_empty, chunks, flag_names, flag_variable
+from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
@@ -23,11 +22,11 @@ BOX = 4  # points along each axis of a box of which the entropy is taken
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
     """Uncertainty of a map at several resolutions and the fraction of borders it misses; see `Atlas.trust`."""
     check_not_empty(ds)
-    array = flag_variable(ds, variable)
-    dims = [str(d) for d in array.dims if array.sizes[d] >= MIN_VALUES and d in ds.coords]
+    grid = flag_variable(ds, variable).to_dataset()
+    dims = [dim for dim in neighbour_axes(grid.assign_attrs(ds.attrs)) if grid.sizes[dim] >= MIN_VALUES]
     if not dims:
         raise BadInput(f"trust: no axis has {MIN_VALUES} values or more")
-    array = array.sortby(dims).transpose(..., *dims)
+    array = in_order(grid, dict.fromkeys(dims, 1))[variable].transpose(..., *dims)
     sides = [1]
     while 4 * sides[-1] < min(array.sizes[d] for d in dims):
         sides.append(2 * sides[-1])
@@ -88,8 +87,10 @@ def roughness(ds: xr.Dataset, x: str | None, y: str | None) -> xr.DataArray:
     for name in ("theta_min", "theta_max"):
         if name not in ds:
             raise BadInput(f"{name}: not in this dataset; list theta_min and theta_max in outputs.variables")
+    ds = ds[["theta_min", "theta_max"]]
+    dims = [dim for dim in neighbour_axes(ds) if ds.sizes[dim] > 2]
+    ds = in_order(ds, dict.fromkeys(dims, 1))
     span = ds["theta_max"] - ds["theta_min"]
-    dims = [str(dim) for dim in span.dims if dim != POINT and span.sizes[dim] > 2]
     chosen = [dim for dim in (x, y) if dim is not None] or dims
     for dim in chosen:
         if dim not in dims:

@@ -151,13 +151,13 @@ def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
-    from ..analysis.metadata import scene_of
+    from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
 
     if Path(name).suffix.lower() == ".nc" or Path(name).is_dir():
         with atlas.open_atlas(name) as ds:
-            scene = scene_of(ds)
+            scene = resolved_scene(ds, ds)
             if scene is None:
                 return nearest_trajectory(ds, coordinates, samples)
     else:

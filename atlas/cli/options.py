@@ -104,11 +104,13 @@ class Command:
                 group.add_argument(*names, **{k: v for k, v in settings.items() if k != "lowest"})
 
     def run(self, options: argparse.Namespace) -> int:
-        """Run the handler, for its exit code; BadInput for a number that is too small."""
+        """Run the handler, for its exit code; BadInput for an empty text or a number that is too small."""
         for each in self.arguments:
-            for (name, *_), settings in each if isinstance(each, list) else [each]:
-                value = getattr(options, name.removeprefix("--")) if "lowest" in settings else None
-                if value is not None and value < settings["lowest"]:
+            for (*_, name), settings in each if isinstance(each, list) else [each]:
+                value = getattr(options, settings.get("dest", name.lstrip("-").replace("-", "_")))
+                if "" in (value if isinstance(value, list) else [value]):
+                    raise BadInput(f"{name if name[0] == '-' else settings['metavar']}: must not be empty")
+                if value is not None and value < settings.get("lowest", value):
                     raise BadInput(f"{name} {value}: must be at least {settings['lowest']}")
         return self.handler(options) or DONE
 

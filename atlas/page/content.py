@@ -20,12 +20,14 @@ from ..analysis.metadata import (
     axes_of,
     check_not_empty,
     flag_names,
+    in_order,
     is_averaged,
     is_logarithmic,
     is_numeric_axis,
     map_variable,
     numeric_coordinates,
     scene_of,
+    scene_problem,
     system_of,
 )
 from ..engine.tableaux import METHODS
@@ -185,7 +187,7 @@ class Content:
         registered = self.registry[name].flags if name in self.registry else None
         sentences = dict(registered) if registered is not None and list(registered) == flags else {}
         colours = flag_colours(flags)
-        texts = cells.texts(self.ds) if name == "regularity" else {}
+        texts = cells.texts(self.scene) if name == "regularity" else {}
         table: dict[str, Any] = {
             "flags": [
                 {
@@ -299,6 +301,8 @@ class Content:
 
     def motion_table(self) -> dict[str, Any]:
         """Starts of all points, and what belongs to their equations."""
+        if self.layout.problem:
+            raise BadInput(self.layout.problem)
         starts = motion.motions(self.ds, self.system, self.scene, self.layout.dims)
         add = self.store.add
         parameters = [
@@ -341,12 +345,11 @@ class Content:
 
     def commands(self) -> dict[str, Any]:
         """Beginnings of the command and of the Python line that integrate a point, and the values that name it."""
-        if self.scene is None:
-            names = {axis: axis for axis in map(str, self.ds.coords) if axis in self.system.parameters}
-        else:
+        names: dict[str, str] = {}
+        if self.scene is not None:
             names = {dim: axis.name for dim, axis in axes_of(self.scene).items()}
-            if not set(names) <= set(map(str, self.ds.coords)):
-                names = {}  # an axis was renamed or dropped
+        elif not self.layout.problem:
+            names = {axis: axis for axis in map(str, self.ds.coords) if axis in self.system.parameters}
         coordinates = []
         for dim, name in names.items():
             values = np.asarray(self.ds[dim].values, np.float64)
@@ -435,7 +438,8 @@ class Layout:
 
     whole: xr.Dataset  # the atlas
     ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
-    scene: Scene | None  # scene of the atlas
+    scene: Scene | None  # scene of the atlas, from which theory and motions follow
+    problem: str  # why there is none, of an atlas that names one
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
     further: list[str]  # the other dimensions
@@ -462,7 +466,6 @@ class Layout:
 def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     """What a page shows: every k-th value of the longest axes, at most max_points; BadInput without axes."""
     check_not_empty(ds)
-    scene = scene_of(ds)
     single = POINT in ds.dims
     dims = (
         [POINT] if single else [str(dim) for dim in ds.dims if ds.sizes[dim] > 1 and is_numeric_axis(ds, dim)]
@@ -475,10 +478,10 @@ def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     while np.prod([-(-size[dim] // stride[dim]) for dim in dims]) > max_points:
         longest = max(dims, key=lambda dim: -(-size[dim] // stride[dim]))
         stride[longest] += 1
-    shown = ds.isel({dim: slice(None, None, stride[dim]) for dim in dims})
-    if not single:
-        shown = shown.sortby(dims)
+    shown = ds.isel({POINT: slice(None, None, stride[POINT])}) if single else in_order(ds, stride)
     shown = shown.load()
+    problem = scene_problem(ds, shown)
+    scene = None if problem else scene_of(ds)
     longest_two = sorted(dims, key=lambda dim: -shown.sizes[dim])[:2]
     axes = scatter_axes(shown, None, None) if single else [dim for dim in dims if dim in longest_two]
     further = [] if single else [dim for dim in dims if dim not in axes]
@@ -490,4 +493,5 @@ def layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
             left_out.append(f"{k}{ending} {what}")
     counts = f"{math.prod(shown.sizes[dim] for dim in dims)} of {math.prod(size.values())} points"
     notes = [f"This page shows every {' and '.join(left_out)}: {counts}."] if left_out else []
-    return Layout(ds, shown, scene, dims, axes, further, single, notes)
+    notes += [f"No theory in this page: {problem}"] if problem else []
+    return Layout(ds, shown, scene, problem, dims, axes, further, single, notes)

@@ -87,12 +87,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         duration, settings = column("end_time"), settings_of(ds)
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
-        coordinates = {}
-        for dim, axis in axes_of(scene).items():
-            if dim not in ds.coords or not set(ds[dim].dims) <= set(dims):
-                raise BadInput(f"{dim}: this axis of the scene is not in the dataset")
-            coordinates[axis.name] = column(dim)
-        located = grid.points_at(scene, coordinates)
+        located = grid.points_at(scene, {axis.name: column(dim) for dim, axis in axes_of(scene).items()})
         parameters, duration, settings = located.points, located.duration, scene.settings
         reason = located.reason
         family, unit = scene.family, scene.duration

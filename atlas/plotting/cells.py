@@ -25,8 +25,8 @@ from matplotlib.path import Path
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
-from ..analysis.metadata import scene_of
 from ..flags import Regularity
+from ..scene.model import Scene
 from ..systems.base import Mask
 from .content import NOT_YET, SLOW, MapOptions, Panel
 from .style import COLOURS
@@ -177,12 +177,12 @@ def draw_exponents(
     )
 
 
-def texts(ds: xr.Dataset) -> Mapping[str, str]:
+def texts(scene: Scene | None) -> Mapping[str, str]:
     """Texts of the legend of regularity; those for "regular" and "chaotic" state the length of the runs of a scene."""
-    scene, result = scene_of(ds), {"hyperbolic": "hyperbolic (unstable)"}
-    if scene is not None:
-        result |= {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
-    return result
+    length = (
+        {} if scene is None else {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+    )
+    return {"hyperbolic": "hyperbolic (unstable)"} | length
 
 
 _LINE_COLOURS = dict(

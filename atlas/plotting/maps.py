@@ -26,6 +26,7 @@ from ..analysis.metadata import (
     numeric_coordinates,
     positions_as_flags,
     scene_of,
+    scene_problem,
     system_of,
 )
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
@@ -80,12 +81,16 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     scene = scene_of(ds)
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
+    has_axes = scene is not None and axes_of(scene).keys() <= ds.coords.keys()
+    if options.boundary and has_axes and (problem := scene_problem(ds, plane)):
+        logging.getLogger("atlas").warning("no theory on this map: %s", problem)
+        scene = None
     panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
     flags = options.flag_colours(array)
     families = list(system_of(ds).families)
     exponents = cells.exponent_scale(plane, name) if len(dims) == 2 else None
     if name == "regularity":
-        options = replace(options, labels={**cells.texts(ds), **(options.labels or {})})
+        options = replace(options, labels={**cells.texts(scene), **(options.labels or {})})
     is_curve, levels = len(dims) == 1, np.unique(array.values.astype(int)).tolist() if flags else []
     entries, notes = map_legend(panels, {} if is_curve else flags, options, families)
     if not flags and "computed" in ds:

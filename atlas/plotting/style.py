@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.mathtext import MathTextParser
 
-from ..analysis.metadata import axes_of, number_attribute, scene_of, system_of
+from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import atomic_write, writable
 
@@ -232,7 +232,8 @@ def unit_text(unit: str) -> str:
 
 def caption(ds: xr.Dataset) -> str:
     """What a figure of an atlas shows and how it was computed, in one line."""
-    system, scene, attributes = system_of(ds), scene_of(ds), ds.attrs
+    system, attributes = system_of(ds), ds.attrs
+    scene = None if scene_problem(ds) else scene_of(ds)
     sentences = [
         f"{attribute_text(attributes, 'title', 'Atlas')}: {system.title}"
         + (f", motion in the {system.frame} frame." if system.frame else ".")

@@ -170,10 +170,11 @@ def test_the_boundary_is_near_within_a_fiftieth_of_the_axis_range():
     for count, width in ((8, 1), (51, 1), (52, 2), (201, 4), (202, 5)):
         stable = np.full((count, 1), Stability.STABLE)
         stable[count // 2 :] = Stability.UNSTABLE
-        near = np.flatnonzero(compare.near_boundary(stable))
+        near = np.flatnonzero(compare.near_boundary(stable, (0, 1)))
         assert near.tolist() == list(range(count // 2 - width, count // 2 + width))
-    assert compare.near_boundary(np.array([[1, 2], [1, 2]])).all()
-    assert not compare.near_boundary(np.array([1])).any()
+    assert compare.near_boundary(np.array([[1, 2], [1, 2]]), (0, 1)).all()
+    assert not compare.near_boundary(np.array([1]), (0,)).any()
+    assert not compare.near_boundary(np.array([1, 2]), ()).any()  # a list
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10])

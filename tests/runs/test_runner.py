@@ -80,7 +80,7 @@ def test_theory_and_measurement_agree_away_from_the_boundary(small_atlas):
     from atlas.analysis.compare import near_boundary
 
     _, ds = small_atlas
-    away = ~near_boundary(ds.stable.values)
+    away = ~near_boundary(ds.stable.values, range(ds.stable.ndim))
     drifting = ds.label == Label.DRIFTING
     assert ((ds.stable == Stability.STABLE) & drifting).values[away].sum() == 0
     survivors = ((ds.stable == Stability.UNSTABLE) & ~drifting).values & away

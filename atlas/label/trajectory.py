@@ -335,11 +335,11 @@ class _Motion:
     def turns(self, state: Array, steps: NDArray[np.int64]) -> tuple[Array, Array]:
         """Changes of psi and phi, (2, motions), in so many steps of each, and the states at their end."""
         numbers = [np.flatnonzero(steps == number) for number in np.unique(steps)]
-        parts = [part for each in numbers for part in np.array_split(each, -(-each.size // SIDE_BY_SIDE))]
-        if len(parts) > 1:
+        groups = [group for each in numbers for group in np.array_split(each, -(-each.size // SIDE_BY_SIDE))]
+        if len(groups) > 1:
             turns, ends = np.empty((2, steps.size)), np.empty_like(state)
-            for part in parts:
-                turns[:, part], ends[:, part] = self.turns(state[:, part], steps[part])
+            for group in groups:
+                turns[:, group], ends[:, group] = self.turns(state[:, group], steps[group])
             return turns, ends
         turns, pending = np.zeros((2, state.shape[1])), []
         for _ in range(steps[0]):

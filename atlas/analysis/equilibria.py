@@ -95,8 +95,9 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     Notes
     -----
     Equilibria form circles where two moments are equal and rotor and magnet have no component across, all to the last bit.
-    Beside such a body, at relative differences from about 1e-12 on, its isolated equilibria are all listed. Nearer to it, and
-    within about 1e-10 of a bifurcation, where solutions are closer than 1e-5, their number is not certain.
+    Beside such a body, at relative differences of the moments from about 1e-12 on, or with equal moments at components across
+    from about 1e-7 on, its isolated equilibria are all listed. Nearer to it, and within about 1e-10 of a bifurcation, where
+    solutions are closer than 1e-5, their number is not certain.
 
     10 000 satellites take about seven seconds of one processor, with an axis of symmetry less, one beside a symmetry or a
     bifurcation up to 0.2 seconds.

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from .system import Gyrostat
 
 _STARTS = 200  # orientations from which the search begins
-# Eigenvalues of the Hessian, relative to its scale: of a degenerate equilibrium, and below which rounding decides on the sign
-# or, on circles, on the number.
-_ZERO_EIGENVALUE, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE = 1e-6, 1e-4, 1e-14, 1e-7
+# Eigenvalues of the Hessian, relative to its scale: along surfaces, of a degenerate equilibrium, below which rounding decides on
+# the sign or, on circles, on the number, and below which Newton's method may miss equilibria.
+_FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
 _ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, relative to the same
 _SAME = 1e-4  # distance of rotation matrices that are taken as equal
 # Potentials closer than this share of their scale are taken as equal, and components of unit vectors after so many decimals.
@@ -30,8 +30,8 @@ _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
 NOT_CERTAIN = (
-    "equilibria: at a bifurcation or a symmetry that is exact but for rounding their number or index is not certain;"
-    " change a parameter, or give an array for a list that is marked near_bifurcation"
+    "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
+    " change a parameter, or make the symmetry exact"
 )
 ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
@@ -78,16 +78,16 @@ def _searched(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str,
     if not (min(scale, *units) > 1 / _MAX_SCALE and max(scale, *units) < _MAX_SCALE):
         raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
     frames = _search(body, scale)
-    index, axis, degenerate = _classify(body, frames, scale)
+    index, axis, _ = _classify(body, frames, scale)
     scaled, circle = body.potential(frames[:, 0], frames[:, 2]), ~np.isnan(axis[:, 0])
     order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
     result = described(frames) | {
-        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": circle, "axis": axis, "degenerate": degenerate,
+        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": circle, "axis": axis,
+        "degenerate": np.zeros(len(frames), bool),
     }  # fmt: skip
     members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
     result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
     flag = Completeness.NOT_ISOLATED if circle.any() else Completeness.COMPLETE
-    flag = Completeness.NEAR_BIFURCATION if degenerate.any() else flag
     return flag, {name: values[order] for name, values in result.items()}
 
 
@@ -159,7 +159,7 @@ def equilibria_of_bodies(
     Those of bodies with an axis of symmetry, of which moments are equal and components across vanish to the last bit, follow
     from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
     sphere of the axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: beside a symmetry from
-    differences of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
+    differences of the moments of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
     solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and those of which a path is lost are
     searched one by one, in about 70 ms each. pause: called at least once a second; it may raise an exception. stability:
     whether to compute STABILITY. ordered: see `homotopy.solve`; with attitudes near complex solutions, index -1. Returns arrays
@@ -280,8 +280,8 @@ def _search(bodies: Body, scale: float) -> Array:
     generator = np.random.default_rng(0)
     frames, starts, previous_count, is_whole = np.empty((0, 3, 3)), _STARTS, -1, False
     while len(frames) != previous_count or not is_whole:
-        if starts > 64 * _STARTS or len(frames) > homotopy.PATHS:
-            raise BadInput("equilibria: no whole list of them is found; the body is beside a bifurcation")
+        if starts > 64 * _STARTS:
+            raise BadInput(NOT_CERTAIN)
         previous_count = len(frames)
         # Uniform orientations, rows alpha, beta, gamma in body axes.
         w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
@@ -295,8 +295,10 @@ def _search(bodies: Body, scale: float) -> Array:
         # A symmetry takes every equilibrium along a circle.
         circle = ~np.isnan(axis[:, 0])
         total = 2 * circle.any()
+        if degenerate.any():
+            raise BadInput(NOT_CERTAIN)
         whole = circle.all() == circle.any() and len(frames) >= 4 - total and ((-1) ** index).sum() == total
-        is_whole = bool(whole or degenerate.any())
+        is_whole = bool(whole)
         starts *= 2
     return frames
 
@@ -330,17 +332,17 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
 def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
     """Morse index, axis of the circle of equilibria through each frame (nan: isolated), degenerate or not."""
     values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
-    flat = np.abs(values) < _ZERO_EIGENVALUE * scale
-    if (flat.sum(1) > 1).any():
+    flat = np.abs(values) < _MISSED * scale
+    if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():
         raise BadInput(
             "equilibria: this body has a surface of equilibria, not single ones or circles of them"
         )
-    axis = np.einsum("nij,nj->ni", vectors, flat.astype(float))
+    axis = np.take_along_axis(vectors, np.abs(values).argmin(1)[:, None, None], 2)[..., 0]
     # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
     turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)
-    return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.any(1) & ~circle
+    return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.sum(1) > circle
 
 
 def _distinct(bodies: Body, frames: Array, scale: float) -> Array:

@@ -39,7 +39,7 @@ _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 # Beside a symmetry of the body paths turn by much where the rest of t is as small as the distance from it.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
 # Components of a path that goes to infinity, where its end has fewer than 24 solutions, and the t from which it may.
-_FAR, _FAR_FROM = 1e4, 0.99
+_FAR, _FAR_FROM = 100.0, 0.99
 _STRIDE = 5  # of bodies in order, of which one is followed
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
@@ -155,9 +155,10 @@ def _follow(
         growth = np.where(accepted, growth, np.minimum(np.nan_to_num(growth, nan=0.3), 0.4))
         step[active] = np.minimum(length * growth, max_step)
         active = active[(t[active] < 1) & (step[active] > _MIN_STEP)]
-        far = (t[active] > _FAR_FROM) & (np.abs(gamma[:, active]).max(0) > _FAR)
-        alpha[:, active[far]] = gamma[:, active[far]] = np.nan
-        active = active[~far]
+        ahead = active[t[active] > _FAR_FROM]
+        far = ahead[np.abs([alpha[:, ahead], gamma[:, ahead]]).max((0, 1)) > _FAR]
+        alpha[:, far] = gamma[:, far] = np.nan
+        active = active[~np.isnan(alpha[0, active])]
     alpha, gamma, exact = _polished(target, alpha, gamma, polish)
     return alpha, gamma, (t >= 1) & exact | np.isnan(alpha[0])
 

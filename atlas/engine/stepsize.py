@@ -195,8 +195,7 @@ def steps_between_instants(
     """Whole steps in each of equal intervals of runs of so many steps: not longer than these, or than `settings.step`."""
     if settings.step is None:
         return -(-steps // intervals)
-    most = max(settings.max_steps // intervals, 1)
-    return steps_of_length(settings.step, duration / intervals, 1, most)
+    return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:

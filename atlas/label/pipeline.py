@@ -25,8 +25,7 @@ from .theory import Theory, agreement, departure_changes, predict_any_axis
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
 # Share of the size of a statistic by which runs with two steps may differ: the error of what both miss may be ten times as large.
-# They may differ by more where the expected errors explain this share of it.
-LARGEST_CHANGE, EXPLAINED = 0.01, 1.0
+LARGEST_CHANGE = 0.01
 
 
 def evaluate(
@@ -202,8 +201,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         # numeric bound, because the expected error does not contain what the bound has not seen. The status follows from
         # measured errors only where all points have them, so that it does not depend on the choice.
         which, is_numeric = run.settings.check_half_step, run.system.has_numeric_bound
-        every = which == "all" or is_numeric
-        chosen = np.full(usable.size, every)
+        chosen = np.full(usable.size, every := which == "all" or is_numeric)
         if which == "sample" and not every:
             mixed = np.zeros(usable.size, np.uint64)
             for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
@@ -239,23 +237,21 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
 
 
 def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
-    """Where another step changes a statistic by more than LARGEST_CHANGE of its size, and errors that grow with the motion do not explain it.
+    """Where another step changes a statistic by more than LARGEST_CHANGE of its size, and the expected errors do not explain it.
 
-    How they grow is seen in a run from another start, as far away as the expected error: in chaos by as much as can be, so that no
-    step would do, and a drifting label is that of all motions nearby.
+    They grow as in a run from another start, which is as far away: in chaos so much that no step would do.
     """
     change = run.change(coarse)
     decides = change > LARGEST_CHANGE
-    where = np.flatnonzero(decides)
-    if where.size:
+    if (where := np.flatnonzero(decides)).size:
         part = run.subset(where)
         (_, error), (_, of_coarse) = part.errors(), coarse.subset(where).errors()
-        state, constants = part.ensemble.state, part.ensemble.constants
-        slope = np.array(np.broadcast_arrays(*run.system.equations.rhs(state, constants)))
+        state = part.ensemble.state
+        slope = np.array(np.broadcast_arrays(*run.system.equations.rhs(state, part.ensemble.constants)))
         size = (np.abs(state) + np.abs(slope) / part.bound) * np.cos(np.arange(len(state)))[:, np.newaxis]
         beside = replace(part, ensemble=replace(part.ensemble, state=state + error * size))
         grown = part.change(runs.by_steps(beside, part.step_sizes)) * of_coarse / error
-        decides[where] = grown < EXPLAINED * change[where]
+        decides[where] = grown < change[where]
     return decides
 
 

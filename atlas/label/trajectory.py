@@ -73,8 +73,7 @@ def trajectory(
     samples : int
         Instants from 0 to `duration`, evenly spaced, at least 2.
     step : float, optional
-        The longest step, in time units: the next shorter one is taken that divides the distance of two instants. Without it the
-        steps are as short as those of `label_points` with the next three, or shorter.
+        Time units, or the next shorter one that divides the distance of two instants; default: as `label_points`, or shorter.
     method : str
         "rk4" or "rk8".
     tolerance : float

@@ -119,8 +119,7 @@ class Run:
     @property
     def bound(self) -> Array:
         """Bound of the fastest frequency, rad per time unit, positive also where nothing moves."""
-        with np.errstate(over="ignore"):
-            return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
+        return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
 
     def measure(self) -> Run:
         """The same with what its instruments measured."""

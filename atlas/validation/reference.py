@@ -217,9 +217,7 @@ def _integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    theta_dot0, psi0, phi0, normal0, _, theta0 = euler_rates(
-        equations.frame_motion(start, constants), cylinder
-    )
+    rate0, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
@@ -227,7 +225,7 @@ def _integrate_group(
         motion = equations.frame_motion(state, constants)
         theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(motion, cylinder)
         psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
-        change = theta_dot - theta_dot0
+        change = theta_dot - rate0
         rows = [duration * rate for rate in equations.rhs(state, constants)]
         sums = (theta_dot**2, change, change**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
         return np.concatenate([*rows, *sums])
@@ -244,7 +242,7 @@ def _integrate_group(
     out = np.zeros((len(Row), size))
     out[list(RATE_SUMS)] = final[states:]
     references = list(range(Row.THETA_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE + 1))
-    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = theta_dot0, psi0, phi0, normal0, theta0, theta
+    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = rate0, psi0, phi0, normal0, theta0, theta
     result = finish(out, np.ones(size, np.int64), duration)
     return {name: result[name] for name in RATES} | {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),

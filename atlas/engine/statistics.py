@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 # Marks an empty slot for a zero.
 NO_ZERO = -1e3
-# Difference of the mean of theta' over the samples from that over the run, by the rms, that may be an error of the steps.
-SAME_MEAN = 1e-7
+# Relative difference of the mean of theta' over the samples from that over the run that is rounding; where theta' is nearly constant
+# and does not jump, an error of the steps.
+SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
 class Counted(IntEnum):
@@ -186,14 +187,16 @@ def finish(
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
         rms, shift = np.sqrt(square), out[Row.THETA_DOT_CHANGE] / intervals
         about_start = out[Row.THETA_DOT_CHANGE_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR]
+        variance = np.maximum(about_start / intervals - shift**2, 0.0)
         # theta' jumps where the axis passes the vertical: the sum over the samples then is not the change of theta.
         mean = (out[Row.LAST_THETA] - out[Row.FIRST_THETA]) / duration
-        jumps = np.abs(out[Row.THETA_DOT_REFERENCE] + shift - mean) > SAME_MEAN * rms
+        same = np.where(variance < CONSTANT * square, SAME_MEAN_OF_CONSTANT, SAME_MEAN)
+        jumps = np.abs(out[Row.THETA_DOT_REFERENCE] + shift - mean) > same * rms
         jumps &= (out[Row.ZERO_1_REAL] > NO_ZERO) | (
             np.minimum(out[Row.SIN2_THETA_MIN_ABOVE], out[Row.SIN2_THETA_MIN_BELOW]) < 0.01
         )
-        variance = np.where(jumps, square - mean**2, about_start / intervals - shift**2)
-        result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(np.maximum(variance, 0.0))}
+        variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
+        result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
         outside = out[Row.OUTSIDE]
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]

@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
     from .runs.backend import open_atlas as open_atlas
-    from .runs.runner import run as run
+    from .runs.execution import run as run
     from .scene.read import load_scene as load_scene
     from .systems import register as register
 
 # Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
 _MODULES = {
     "load_scene": "scene.read",
-    "run": "runs.runner",
+    "run": "runs.execution",
     "label_points": "label.points",
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",

@@ -96,6 +96,11 @@ def exists_message(path: Path | str) -> str:
     return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
+def foreign_message(path: Path | str) -> str:
+    """Message about a place that holds what no command of this package wrote."""
+    return f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose another name"
+
+
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Give a temporary name, whose file appears at `path` whole or not at all, if `durable` also after a power cut.

@@ -10,7 +10,8 @@ PACKAGE = Path(__file__).parent
 # points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
     "flags.py", "jit.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
-    "papers/**/*.py", "io/netcdf.py", "runs/runner.py", "runs/earlier.py", "runs/levels.py", "runs/refine.py", "runs/plan.py", "runs/tiles.py",
+    "papers/**/*.py", "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/execution.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
+    "runs/plan.py",
     "validation/half_step.py",
 )  # fmt: skip
 

@@ -133,8 +133,8 @@ def longer_atlas(scene_text):
 def longer(tmp_path, longer_atlas, monkeypatch):
     """Folder of that scene in 18 tiles, its empty run folder, and its result computed in memory."""
     from atlas import load_scene
-    from atlas.runs.folder import RunFolder
     from atlas.runs.plan import ScenePlan
+    from atlas.runs.run import RunFolder
     from atlas.scene import grid
 
     text, whole = longer_atlas
@@ -159,25 +159,25 @@ def copied_package(tmp_path):
 @pytest.fixture
 def evaluated(monkeypatch):
     """Numbers of points that are integrated, call by call."""
-    from atlas.runs import earlier
+    from atlas.runs import reuse
 
-    sizes, evaluate = [], earlier.evaluate
+    sizes, evaluate = [], reuse.evaluate
 
     def counted(plan, points, **options):
         sizes.append(int(points.exists.sum()))
         return evaluate(plan, points, **options)
 
-    monkeypatch.setattr(earlier, "evaluate", counted)
+    monkeypatch.setattr(reuse, "evaluate", counted)
     return sizes
 
 
 @pytest.fixture
 def interrupt(monkeypatch, evaluated):
     """Function of a number: the integration of this number from then on is interrupted, and not counted by `evaluated`."""
-    from atlas.runs import earlier
+    from atlas.runs import reuse
 
     def interrupt(number: int) -> None:
-        calls, evaluate = 0, earlier.evaluate
+        calls, evaluate = 0, reuse.evaluate
 
         def interrupted(*arguments, **options):
             nonlocal calls
@@ -186,6 +186,6 @@ def interrupt(monkeypatch, evaluated):
                 raise KeyboardInterrupt
             return evaluate(*arguments, **options)
 
-        monkeypatch.setattr(earlier, "evaluate", interrupted)
+        monkeypatch.setattr(reuse, "evaluate", interrupted)
 
     return interrupt

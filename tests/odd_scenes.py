@@ -20,11 +20,11 @@ import tomli_w
 from atlas import BadInput, label_points, load_scene
 from atlas.engine import assemble
 from atlas.errors import MAX_MESSAGE
-from atlas.io import netcdf
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.runs.plan import ScenePlan
 from atlas.scene import expressions, grid, tables
+from atlas.store.dataset import dataset
 from atlas.systems import SYSTEMS
 from atlas.variables import variables
 
@@ -412,7 +412,7 @@ def try_run(text: str) -> str:
         _check_columns(values, tile.exists.size)
         if scene.size <= 30:
             columns = {name: np.zeros(scene.size) for name in (*scene.outputs, *scene.solve)}
-            netcdf.dataset(scene, columns)
+            dataset(scene, columns)
 
     return _outcome(run)
 

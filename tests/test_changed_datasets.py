@@ -331,16 +331,16 @@ def test_maps_and_pages_of_changed_coordinates_have_no_theory(caplog, tmp_path, 
 
 def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
     """The trajectory of a point reads one tile, lines of theory and a trajectory of the shell a few."""
-    from atlas.runs.tiles import TileFiles
     from atlas.scene import grid
+    from atlas.store.tile import Tiles
 
     monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 4)
     text = (HEAD + SCENES["solved"]).replace("count = 7", "count = 40").replace("count = 6", "count = 20")
     atlas.run(load_scene(text), tmp_path / "run", progress=False)
-    ds, read = atlas.open_atlas(tmp_path / "run"), TileFiles.read
+    ds, read = atlas.open_atlas(tmp_path / "run"), Tiles.read
     tiles = set[int]()
     monkeypatch.setattr(
-        TileFiles, "read", lambda self, tile, *rest: (tiles.add(tile), read(self, tile, *rest))[1]
+        Tiles, "read", lambda self, tile, *rest: (tiles.add(tile), read(self, tile, *rest))[1]
     )
     ds.atlas.trajectory(sigma=1.0, theta0=0.5, samples=3)
     assert len(tiles) == 1

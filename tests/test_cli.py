@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.image
 import pytest
 import xarray as xr
+from truth import tile_path
 
 from atlas.analysis.boundary import LINES_FOLDER
 from atlas.cli import main, parser
@@ -230,10 +231,10 @@ def test_a_tile_is_never_replaced_by_the_join(longer, monkeypatch, capsys):
     folder, run, _ = longer
     monkeypatch.chdir(folder)
     assert main(["run", "scene.toml", "-o", "run/", "--quiet"]) == 0
-    before = run.tiles.path(0).read_bytes()
+    before = tile_path(run.tiles, 0).read_bytes()
     assert main(["join", "run", "-o", "run/tiles/00000000.nc", "--force"]) == 2
     assert "which is read" in capsys.readouterr().err
-    assert run.tiles.path(0).read_bytes() == before
+    assert tile_path(run.tiles, 0).read_bytes() == before
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -249,7 +250,7 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(
         start_new_session=True,
     )  # fmt: skip
     deadline = time.monotonic() + 60
-    while not list(folder.glob("long.nc.run/tiles/*.json")) and time.monotonic() < deadline:
+    while not list(folder.glob("long.nc.run/tiles/*.tile")) and time.monotonic() < deadline:
         time.sleep(0.02)
     assert process.poll() is None
     os.killpg(process.pid, number)

@@ -17,7 +17,7 @@ import atlas
 from atlas import interruption
 from atlas.errors import say
 from atlas.interruption import INTERRUPTED, MESSAGE, TERMINATED, signals_as_interrupt
-from atlas.io.storage import Folder
+from atlas.store.place import Folder
 
 EXIT_CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 

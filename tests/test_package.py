@@ -59,7 +59,7 @@ def test_help_and_check_load_neither_compiler_nor_xarray(command):
 
 def test_papers_and_the_compiler_are_loaded_by_what_uses_them():
     code = (
-        "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.runner, atlas.page.page\n"
+        "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.execution, atlas.page.page\n"
         "sys.exit(any(name.startswith(('atlas.papers', 'numba')) for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0

@@ -29,7 +29,7 @@ SCRIPTS = {
     "bench_label_checks": ("--points 20", r"labels of the fixed point differ at 0"),
     "bench_long_runs": ("--orbits 2", r"cylindrical +4 of 4 labels right"),
     "bench_methods": (f"{SMALL} --points 8 --rounds 1", r"small \| .*0 of 8 \| 0, 0"),
-    "bench_large": ("0.00001 20", r"(?s)1024 points, \d tiles, .*map of numbers: .*join: "),
+    "bench_large": ("0.00001 20", r"(?s)1024 points, \d chunks, .*map of numbers: .*join: "),
     "bench_refine": (f"{SMALL} --count 5 --levels 1", r"small: 9 x 9 points, .* 0 labels differ"),
     "bench_scaling": ("100 --only points tiles", r"(?s)100, 1, .*tiles for 100 points"),
     "bench_elastic": ("1000 --kills 0 --jobs 1 --places store", r"store: 1000 points, .* 0 kills, .* equal"),
@@ -121,8 +121,8 @@ def less_work(script_folders, monkeypatch, tmp_path):
     monkeypatch.setattr("bench_large.measure", measure)
     monkeypatch.setattr("bench_large.FLAGS", ("label", "status"))
     monkeypatch.setattr("bench_large.NUMBERS", 3)
-    for name in ("tiles.MIN_POINTS_PER_TILE", "tiles.grid.MAX_POINTS_PER_TILE"):  # which it changes
-        monkeypatch.setattr(f"atlas.runs.{name}", 512)
+    for name in ("store.tiling.MIN_POINTS_PER_TILE", "scene.grid.MAX_POINTS_PER_TILE"):  # which it changes
+        monkeypatch.setattr(f"atlas.{name}", 512)
     monkeypatch.setattr("bench_drawing.processor_time", processor_time)
     monkeypatch.setattr("bench_engine.Case.assembly", assembly)
     monkeypatch.setattr("bench_engine.PEAK_ROUNDS", 100)

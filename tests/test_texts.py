@@ -15,8 +15,9 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.errors import MAX_MESSAGE, MAX_TEXT
+from atlas.files import process_name
 from atlas.page import content, page
-from atlas.runs.folder import RunFolder
+from atlas.runs.status import status as status_of
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -198,8 +199,8 @@ def test_a_hostile_progress_file_is_printed_in_its_line_or_not_read(longer):
 
     def status(words):
         texts = dict.fromkeys(("shard", "host", "written", "process"), words)
-        (run.path / "progress.json").write_text(json.dumps(numbers | texts))
-        text = RunFolder.open(run.path).status()
+        (run.path / f"progress-{process_name()}.json").write_text(json.dumps(numbers | texts))
+        text = status_of(run.path)
         assert is_clean(text)
         return text
 

@@ -10,6 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
@@ -283,3 +284,18 @@ def assert_same_bytes(expected: xr.Dataset, dataset: xr.Dataset) -> None:
         assert (variable.dtype, variable.dims) == (actual.dtype, actual.dims), name
         assert variable.values.tobytes() == actual.values.tobytes(), name
         assert set(variable.attrs) == set(actual.attrs), name
+
+
+def tile_path(tiles, tile, suffix=".tile"):
+    """Path of a tile of a run in a folder, or of its claim."""
+    return tiles.place.path / tiles.name(tile, suffix)
+
+
+def state(tiles):
+    """Which tiles are whole, which are damaged, with the reasons, and which are missing, after all of them are read."""
+    missing = tiles.missing()
+    written = sorted({*range(tiles.tiling.count)} - {*missing})
+    damaged = tiles.check(written)[1]
+    return SimpleNamespace(
+        done=[tile for tile in written if tile not in damaged], damaged=damaged, missing=missing
+    )

@@ -10,12 +10,12 @@ import xarray as xr
 
 from ..errors import BadInput
 from ..flags import BifurcationKind, Completeness
-from ..io import netcdf
 from ..measure.instrument import Variable
 from ..scene import grid
 from ..scene.checks import typed
 from ..scene.model import SCHEMA, Duration, Scene
 from ..scene.read import scene_from
+from ..store import dataset
 from ..systems.base import Array, Points
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Branches, Family, follow
@@ -116,7 +116,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     family = Family.of(system, points, some[:, None])
     result = follow(family, some, possible - np.arange(possible.size), stability=True)
     variables = _variables(name, values.size, possible, family, result)
-    ds = netcdf.dataset(replace(scene, outputs=()), {})
+    ds = dataset.dataset(replace(scene, outputs=()), {})
     starts = {name for name, parameter in system.parameters.items() if parameter.start}
     given = {name, *scene.fixed, *scene.ties} - set(variables)
     ds = ds.drop_vars(starts - given, errors="ignore").assign(variables)

@@ -13,9 +13,9 @@ from ..errors import BadInput, printable, text_table
 from ..flags import Agreement, Label, Regularity, Stability
 from ..label.theory import agreement
 from ..runs.plan import ScenePlan
-from ..runs.tiles import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..scene import grid
 from ..scene.checks import whole_number
+from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..systems.base import Flags, on_family, unsteady
 from ..validation import half_step
 from .metadata import (

@@ -14,12 +14,12 @@ import xarray as xr
 
 from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, text_table
-from ..io import netcdf
-from ..io.progress import Progress
 from ..measure.instrument import Variable
+from ..runs.execution import columns_of
 from ..runs.plan import ScenePlan
-from ..runs.runner import columns_of
 from ..scene.model import Axis, Scene
+from ..store import dataset
+from ..store.progress import Progress
 from .metadata import flag_names
 
 # What can be varied -> factors of its value whose changes count on the map; the others show the way there.
@@ -60,8 +60,8 @@ def convergence(
     with closing(Progress(scene.size * len(plans), show=progress)) as bar:
         base, *others = (columns_of(plan, bar)[0] for plan in plans)
     varied = dict(zip(cases, others, strict=True))
-    ds = netcdf.dataset(scene, base)
-    ds.attrs = netcdf.scene_provenance(
+    ds = dataset.dataset(scene, base)
+    ds.attrs = dataset.scene_provenance(
         scene, plans[0].points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
     )
     change = np.zeros(scene.shape, np.int8)

@@ -13,10 +13,10 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput
 from ..flags import Completeness, EnergyStability, Stability, StabilityKind
-from ..io import netcdf
 from ..measure.instrument import Variable
 from ..scene.checks import typed, whole_number
 from ..scene.tables import Table, flat_columns, parameter_arrays, table
+from ..store import dataset
 from ..systems.base import Array, Points, System, subset
 
 _UNITS = {
@@ -195,6 +195,6 @@ def _dataset(
         ds[name].attrs = attributes(name)
     starts = {name for name, parameter in description.parameters.items() if parameter.start}
     varying = {name for name, array in arrays.items() if array.ndim}
-    ds = netcdf.with_parameters(ds, description, arrays, leave_out=starts - varying)
+    ds = dataset.with_parameters(ds, description, arrays, leave_out=starts - varying)
     ds.attrs = {"title": f"{title}: {description.title}", "references": description.reference}
     return ds

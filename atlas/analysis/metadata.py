@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
 from ..measure.ends import END, NO_END
-from ..runs.tiles import Tiling
 from ..scene import grid
 from ..scene.model import Axis, Duration, Scene, Settings
 from ..scene.read import parse_scene
+from ..store.tiling import Tiling
 from ..systems.base import Array, Mask, System
 from ..variables import POINT, data_variables
 

@@ -67,8 +67,9 @@ if TYPE_CHECKING:
 )  # fmt: skip
 def label_points_of_file(options: argparse.Namespace) -> None:
     """Label points of a file, which names their parameters."""
-    from ..io import netcdf
     from ..scene import tables
+    from ..store import netcdf
+    from ..store.dataset import write_csv
 
     from_input = options.points == STANDARD_INPUT
     inputs = [] if from_input else [options.points]
@@ -89,7 +90,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     given = {name: getattr(options, name) for name in same}
     ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
-    (netcdf.write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
+    (write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
 
 
@@ -103,7 +104,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
 def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
     from ..analysis.metadata import system_of
-    from ..io import netcdf
+    from ..store import netcdf
 
     name = options.out or f"{default_name(options.scene)}_trajectory.png"
     out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
@@ -126,7 +127,7 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 def draw_branches(options: argparse.Namespace) -> None:
     """Draw the branches of equilibria of the bodies of a scene along its only axis."""
     from ..analysis.branches import branches_of_scene
-    from ..io import netcdf
+    from ..store import netcdf
 
     name = options.out or f"{default_name(options.scene)}_branches.png"
     out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
@@ -140,7 +141,7 @@ def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
     from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
 
     if out.suffix.lower() == ".nc":
-        from ..io import netcdf
+        from ..store import netcdf
 
         netcdf.write(ds, out)
     else:
@@ -176,7 +177,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
 )
 def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
-    from ..io import netcdf
+    from ..store import netcdf
 
     if options.out and not options.other:
         raise BadInput(

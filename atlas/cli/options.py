@@ -180,7 +180,7 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     if existing and not force:
         raise BadInput(f"{folder}: these files exist; --force replaces them: {', '.join(existing)}")
     folder.mkdir(parents=True, exist_ok=True)
-    from ..io import netcdf
+    from ..store import netcdf
 
     for file in files:
         netcdf.writable(folder / file, (Path(file).suffix,), force=True)

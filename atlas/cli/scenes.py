@@ -104,7 +104,7 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     scene = read_scene(options.scene)
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.compare import summary
-    from ..runs.folder import HISTORY, TALLY
+    from ..runs.run import HISTORY, TALLY
 
     given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
     ds = atlas.run(
@@ -120,25 +120,29 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
         )
 
 
-@command("status", RUN_FOLDER)
+@command(
+    "status",
+    RUN_FOLDER,
+    argument("--verify", action="store_true", help="read all of it, also of a finished atlas (.nc, .zarr)"),
+)
 def print_status(options: argparse.Namespace) -> None:
-    """Print the progress of a run folder."""
-    from ..runs.folder import RunFolder
+    """Print the progress of a run folder, or verify an atlas."""
+    from ..runs.status import status
 
-    say(*RunFolder.open(options.folder).status().split("\n"))
+    say(*status(options.folder, verify=options.verify).split("\n"))
 
 
 @command("join", RUN_FOLDER, *out_options("FILE", "atlas to write (.nc or .zarr)", required=True))
 def join_folder(options: argparse.Namespace) -> None:
     """Write a finished run folder as one file."""
-    from ..io import netcdf
-    from ..runs.folder import RunFolder
+    from ..runs.run import RunFolder
+    from ..store import finished
+    from ..store.place import ADDRESS, located
 
     folder = RunFolder.open(options.folder)
+    out = located(options.out) if ADDRESS.match(options.out) else Path(options.out)
     folder.join(
-        netcdf.writable(
-            options.out, (".nc", ".zarr"), force=options.force, inputs=[f"{folder.storage}/{folder.content}"]
-        )
+        finished.writable(out, (".nc", ".zarr"), force=options.force, inputs=[f"{folder.place}/tiles"])
     )
     say(f"wrote {options.out}")
 

@@ -178,7 +178,7 @@ def draw_figures(options: argparse.Namespace) -> None:
 )
 def measure_accuracy(options: argparse.Namespace) -> None:
     """Measure error against run time, or how labels depend on settings, at some points of a scene."""
-    from ..io import netcdf
+    from ..store import netcdf
 
     inputs = input_files(options.scene)
     outs = [
@@ -227,9 +227,9 @@ def run_stress_cases(options: argparse.Namespace) -> int | None:
     names = [systems.get(options.system).name] if options.system else with_cases
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
     folder = output_folder(options.out, files, force=options.force) if options.out else None
-    from ..io import netcdf
     from ..plotting.stress import stress_figure
     from ..plotting.style import save
+    from ..store import netcdf
     from ..validation import stress
 
     wrong, failed = 0, False

@@ -13,14 +13,14 @@ import xarray as xr
 from .. import systems
 from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, shown
-from ..io import netcdf
-from ..io.netcdf import log_warnings
-from ..io.progress import Progress
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
 from ..scene.read import check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
+from ..store import dataset
+from ..store.dataset import log_warnings
+from ..store.progress import Progress
 from ..systems.base import Array, System
 from ..variables import POINT, default_variables
 from ..variables import variables as variable_registry
@@ -146,9 +146,9 @@ def label_points(
     )  # fmt: skip
     ds = xr.Dataset(dict(zip(outputs, results if len(outputs) > 1 else [results], strict=True)), kept)
     for name in outputs:
-        ds[name].attrs = netcdf.variable_attributes(description, name, outputs)
-    ds = netcdf.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
-    ds.attrs = netcdf.provenance(
+        ds[name].attrs = dataset.variable_attributes(description, name, outputs)
+    ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
+    ds.attrs = dataset.provenance(
         description, settings, plan.kernel_hash, title=f"points of the {system}", points=ds[outputs[0]].size,
         seconds=None if lazy else stopwatch.seconds(), warnings=warnings,
     )  # fmt: skip

@@ -17,10 +17,10 @@ from ..engine.ensemble import Ensemble
 from ..engine.stepsize import StepSizes, steps_between_instants
 from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
-from ..io import netcdf
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
+from ..store import dataset
 from ..systems.base import Array, Points, System
 from ..variables import main_instrument
 from .plan import Plan
@@ -155,7 +155,7 @@ def trajectory_of_point(
         if not np.isnan(value):
             attributes = {"long_name": parameter.meaning, "units": parameter.unit}
             ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
-    ds.attrs = netcdf.provenance(
+    ds.attrs = dataset.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         seconds=None, points=1, warnings=system.warnings(points),
     )  # fmt: skip

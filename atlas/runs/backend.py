@@ -12,12 +12,12 @@ import xarray as xr
 from xarray.backends import BackendEntrypoint
 
 from ..errors import BadInput, shown
-from ..files import one_line, parsed, read_bytes
+from ..files import parsed, read_bytes
 from ..scene.checks import typed
 
 
 class AtlasBackend(BackendEntrypoint):
-    """Engine of xarray for atlases, which compares values with their checksums, as its own engines do not."""
+    """Engine of xarray for atlases and run folders."""
 
     description = "Opens run folders and atlases of Precession Atlas"
     open_dataset_parameters = ("filename_or_obj", "drop_variables")
@@ -57,8 +57,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        An atlas file (NAME.nc), a Zarr store (NAME.zarr, or an address such as s3://BUCKET/NAME.zarr), or a run folder. Store and
-        folder may still be growing.
+        An atlas file (NAME.nc), a Zarr store (NAME.zarr, or an address such as s3://BUCKET/NAME.zarr), or a run folder, which may
+        still be growing (also s3://BUCKET/NAME/).
 
     Returns
     -------
@@ -66,8 +66,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
         points of tiles that are missing are `not_computed` and nan, which is logged as a warning; that of a refined
         scene must be finished. Tiles are
-        read whenever values are computed, so that tiles finished later appear in the same Dataset. Values of
-        a file are compared with their checksums when they are read, and BadInput is raised if they differ.
+        read whenever values are computed, so that tiles finished later appear in the same Dataset. BadInput is raised when
+        values of a file or store are read that do not fit their checksums; `atlas status FILE --verify` compares all of it.
 
     Raises
     ------
@@ -75,9 +75,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         If there is no such file, if it is damaged, or if it is not an atlas.
     """
     # Here, because xarray imports this module in every process that opens any file.
-    from ..io import zarr_store
-    from ..io.checksums import CheckedStore
-    from ..io.storage import located, storage_at
+    from ..store import finished
+    from ..store.place import located, place_at
 
     place = located(path)
     path = Path(path) if isinstance(place, Path) else place
@@ -86,32 +85,18 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     if str(path).lower().endswith(".toml"):
         raise BadInput(f"{path}: this is a scene, not an atlas; `atlas run {path}` makes its atlas")
     is_file = isinstance(place, Path) and not place.is_dir()
-    if not is_file and zarr_store.METADATA in storage_at(place).names():
-        ds = zarr_store.open_store(path)
-    elif not is_file:
-        from .folder import RunFolder
+    if not is_file and finished.METADATA not in place_at(place).names():
+        from .run import RunFolder
 
         folder = RunFolder.open(path)
-        missing_tiles = folder.tiling.count - folder.tiles.written_count()
+        missing_tiles = len(folder.tiles.missing())
         if missing_tiles and folder.scene.refine is None:
             logging.getLogger("atlas").warning(
                 "%s: %d of %d tiles are missing; their points are not_computed",
                 path, missing_tiles, folder.tiling.count,
             )  # fmt: skip
         return folder.dataset()
-    else:
-        try:
-            store = CheckedStore.of(Path(place))
-            try:
-                ds = xr.open_dataset(store, chunks=None)
-            except Exception:
-                store.close()
-                raise
-            ds.encoding["source"] = str(place)
-        except BadInput:
-            raise
-        except Exception as error:  # reading a damaged file may raise any error
-            raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    ds = finished.open_finished(path)
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:
         ds.close()

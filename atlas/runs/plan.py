@@ -30,7 +30,7 @@ from ..systems.base import Array
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
-    from .tiles import Tiling
+    from ..store.tiling import Tiling
 
 
 # Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
@@ -103,27 +103,13 @@ class ScenePlan:
     @cached_property
     def tiling(self) -> Tiling:
         """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
-        from . import tiles
+        from ..store import tiling
 
-        return self._tiling(tiles.TILE_POINT_STEPS, grid.MAX_POINTS_PER_TILE)
-
-    @cached_property
-    def shards(self) -> Tiling:
-        """The tiles of a Zarr store, whose objects are as large as a tile of at most some minutes allows."""
-        from . import tiles
-
-        most = tiles.SHARD_CHUNKS * grid.MAX_POINTS_PER_TILE
-        return self._tiling(tiles.SHARD_POINT_STEPS, most).of_whole_chunks()
-
-    def _tiling(self, point_steps: float, most: int) -> Tiling:
-        """Tiles of so much work and at most so many points."""
-        # Here, because it imports xarray, without which a scene is checked in half of the time.
-        from . import tiles
-
-        least = max(tiles.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiles.MAX_TILES)
-        points = max(point_steps / self.mean_work, least)
+        least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
+        points = max(tiling.TILE_POINT_STEPS / self.mean_work, least)
         # A power of two, because the last bits of the mean may differ between machines.
-        return tiles.Tiling.of(self.scene.shape, 2 ** round(math.log2(min(points, most))))
+        most = 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE)))
+        return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
         """Number of tiles to compute at a time.

@@ -17,16 +17,16 @@ import numpy as np
 
 from ..errors import BadInput, say
 from ..flags import Stability
-from ..io.zarr_store import Box
 from ..label import theory
 from ..scene import grid
 from ..scene.model import Scene
+from ..store.dataset import Box
+from ..store.tiling import Tiling
 from ..systems.base import Flags, Mask
 from ..validation import half_step
 from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, MEASURED, Part
 from .plan import ScenePlan
-from .tiles import Tiling
 
 # Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]

@@ -22,14 +22,14 @@ from ..engine.stepsize import StepSizes
 from ..engine.tableaux import METHODS
 from ..errors import BadInput, attribute_text, text_table
 from ..flags import Label
-from ..io import netcdf
-from ..io.progress import Progress
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..measure.observables import whole_periods
 from ..measure.rates import state_distance
 from ..scene import grid
 from ..scene.model import Scene, Settings
+from ..store import dataset
+from ..store.progress import Progress
 from ..systems.base import Array
 from ..variables import main_instrument, variables
 from .half_step import stratified_indices, upper_bound
@@ -152,7 +152,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         bar.close()
     ds = _dataset(sample, results)
     kernel, seconds, points = Plan.of(scene).kernel_hash, stopwatch.seconds(), sample.indices.size
-    attributes = netcdf.scene_provenance(scene, kernel, seconds=seconds, points=points, warnings=[])
+    attributes = dataset.scene_provenance(scene, kernel, seconds=seconds, points=points, warnings=[])
     ds.attrs = attributes | ds.attrs
     return ds
 

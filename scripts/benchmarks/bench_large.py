@@ -2,7 +2,7 @@
 
 python scripts/benchmarks/bench_large.py [GIGABYTES] [TILES]      (default 100 50000)
 
-Of the store one tile exists, to whose objects all others are hard links, so that it takes 0.1 GB of the disk; the tiles are copies with
+Of the store one chunk of each variable exists, to whose objects all others are hard links, so that it takes 0.1 GB of the disk; the tiles are copies with
 numbers of their own, and the join is compared with `cp -r`.
 """
 
@@ -21,11 +21,14 @@ from bench_scaling import SCENE
 
 import atlas
 from atlas import systems
-from atlas.files import sealed, unsealed
-from atlas.runs import tiles
-from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
+from atlas.store import finished, tiling
+from atlas.store.dataset import dims
+from atlas.store.tally import Totals
+from atlas.store.tile import encode
+from atlas.store.tiling import Tiling
 from atlas.variables import variables
 
 FLAGS = ("label", "status", "family", "stable", "predicted")
@@ -75,36 +78,38 @@ def large_store(path: Path, gigabytes: float) -> None:
     registry = variables(systems.get("satellite"))
     numbers = [n for n, v in registry.items() if v.dtype == "float64" and "equilibrium" not in n][:NUMBERS]
     names = [*FLAGS, *numbers]
-    rows = round(gigabytes * 1e9 / (8 * NUMBERS + len(FLAGS)) / 1024)
-    rows = max(rows // 512 * 512 or rows, 1)  # whole tiles
-    run, values = prepare(path, names, rows, 1024)
-    sidecar = unsealed(run.tiles.path(0, ".json").read_bytes())
-    for tile in range(1, run.tiling.count):
-        for name in values:
-            target = path / f"{name}/c/{tile}/0/0"
-            target.parent.mkdir(parents=True)
-            target.hardlink_to(path / f"{name}/c/0/0/0")
-        own = run.tiles.path(tile, ".json")
-        own.parent.mkdir(exist_ok=True)
-        own.write_text(sealed(sidecar | {"tile": tile}))
-    run.save_final_attributes({})
+    rows = max(round(gigabytes * 1e9 / (8 * NUMBERS + len(FLAGS)) / 1024), 1)
+    run, values = prepare(path.with_suffix(".run"), names, rows, 1024)
+    lengths = Tiling.of(run.scene.shape, grid.MAX_POINTS_PER_TILE)
+    chunk = dict(zip(dims(run.scene), lengths.tile, strict=True))
+    first = {name: value.reshape(lengths.shape_of(0)) for name, value in values.items()}
+    blocks = iter([(lengths.slices(0), first)])
+    finished.write_blocks(run.template().assign_attrs(run.attributes(Totals())), chunk, names, blocks, path)
+    objects = [
+        "/".join(str(part.start // size) for part, size in zip(box, lengths.tile, strict=True))
+        for box in lengths
+    ]
+    for place in objects[1:]:
+        for name in names:
+            target = path / f"{name}/c/{place}"
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.hardlink_to(path / f"{name}/c/{objects[0]}")
     size = sum(file.stat().st_size for file in path.rglob("*"))
-    print(f"{run.scene.size} points, {run.tiling.count} tiles, {len(names)} variables, {size / 1e9:.3g} GB")
+    print(f"{run.scene.size} points, {lengths.count} chunks, {len(names)} variables, {size / 1e9:.3g} GB")
 
 
 def many_tiles(path: Path, count: int) -> None:
     """A run folder of so many tiles of 8 points."""
-    tiles.MIN_POINTS_PER_TILE, grid.MAX_POINTS_PER_TILE = 1, 8
-    run, _ = prepare(path, ["label", "status", "theta_dot_rms"], count, 8)
-    content, sidecar = run.tiles.path(0).read_bytes(), unsealed(run.tiles.path(0, ".json").read_bytes())
-    number = content.find(b"atlas_tile") + 20
-    for tile in range(run.tiling.count):
-        own = run.tiles.path(tile)
+    tiling.MIN_POINTS_PER_TILE, grid.MAX_POINTS_PER_TILE = 1, 8
+    run, values = prepare(path, ["label", "status", "theta_dot_rms"], count, 8)
+    header, columns = run.tiles.read(0)
+    flat = {name: column.ravel() for name, column in columns.items()}
+    for number in range(run.tiling.count):
+        own = run.tiles.place.path / run.tiles.name(number)
         own.parent.mkdir(exist_ok=True)
-        own.write_bytes(new := content[:number] + tile.to_bytes(4, "big") + content[number + 4 :])
-        entries = {"tile": tile, "hash": {"": run.tiles._hash(tile, new, 8)}}
-        run.tiles.path(tile, ".json").write_text(sealed(sidecar | entries))
-    run.save_final_attributes({})
+        own.write_bytes(encode(header | {"tile": number}, flat))
+    totals, _ = run.tiles.check(range(1))
+    run.save_notes({"atlas_half_step_points": 0}, totals)
 
 
 def main() -> None:
@@ -122,8 +127,8 @@ def main() -> None:
             measure(folder, question, sys.executable, "-c", opened)
         many_tiles(folder / "many", options.tiles)
         command = (sys.executable, "-m", "atlas")
-        measure(folder, "first status", *command, "status", "many")
-        measure(folder, "second status", *command, "status", "many")
+        measure(folder, "status", *command, "status", "many")
+        measure(folder, "status --verify", *command, "status", "many", "--verify")
         measure(folder, "join", *command, "join", "many", "-o", "many.nc")
         measure(folder, "copy", "cp", "-r", "many", "copy")
 

@@ -17,8 +17,8 @@ import time
 from pathlib import Path
 
 import atlas
-from atlas.runs.folder import RunFolder
 from atlas.runs.plan import ScenePlan
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 from atlas.scene.model import Scene
 
@@ -128,7 +128,7 @@ def billion(folder: Path, max_points: int, seconds: float = 30.0) -> None:
     )
     began, first = time.perf_counter(), 0.0
     while time.perf_counter() - began < seconds:
-        if not first and list((folder / "billion" / "tiles").glob("*.json")):
+        if not first and list((folder / "billion" / "tiles").glob("*.tile")):
             first = time.perf_counter() - began
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
@@ -138,7 +138,7 @@ def billion(folder: Path, max_points: int, seconds: float = 30.0) -> None:
     began = time.perf_counter()
     ds = atlas.open_atlas(folder / "billion")
     opened = time.perf_counter() - began
-    done = run.tiles.status().done
+    done = run.tiles.written()
     size = sum(file.stat().st_size for file in (run.path / "tiles").iterdir()) / max(len(done), 1)
     rate = ds.attrs["atlas_points_per_second"]
     print(

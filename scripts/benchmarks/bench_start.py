@@ -19,7 +19,7 @@ import os, sys, time
 import atlas
 from atlas import jit
 from atlas.engine import blocks
-from atlas.runs import runner
+from atlas.runs import execution
 
 scene = atlas.load_scene(sys.argv[1])
 integrate = blocks.integrate
@@ -33,7 +33,7 @@ def first_block(kernel, schedule, *arguments, **options):
 
 blocks.integrate = first_block
 began, began_cpu = time.perf_counter(), time.process_time()
-runner.run(scene, progress=False)
+execution.run(scene, progress=False)
 """
 
 

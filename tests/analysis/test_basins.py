@@ -15,7 +15,7 @@ from atlas.analysis.metadata import positions_as_flags
 from atlas.analysis.trust import BOX
 from atlas.cli import main
 from atlas.plotting.attitude import Attitude, attitudes
-from atlas.runs.folder import RunFolder
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -64,12 +64,12 @@ REFINED = SCENE.replace("count = 9", "count = 17") + "[refine]\nlevels = 1\nprob
 KILLED = """
 import os, signal, sys
 import atlas
-from atlas.runs import earlier
-evaluate = earlier.evaluate
+from atlas.runs import reuse
+evaluate = reuse.evaluate
 def killed(*arguments, **options):
-    earlier.evaluate = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+    reuse.evaluate = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
     return evaluate(*arguments, **options)
-earlier.evaluate = killed
+reuse.evaluate = killed
 atlas.run(*sys.argv[1:], threads=1, progress=False)
 """
 
@@ -161,7 +161,7 @@ def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_pat
     out = f"{tmp_path}/fine/"
     process = subprocess.run([sys.executable, "-c", KILLED, refined, out], check=False)
     assert process.returncode == -signal.SIGKILL
-    written = [level.tiles.written_count() for level in RunFolder.open(tmp_path / "fine").levels()]
+    written = [len(level.tiles.written()) for level in RunFolder.open(tmp_path / "fine").levels()]
     assert written == [1, 0]
     assert main(["run", str(refined), "-o", out, "--workers", "1", "--quiet"]) == 0
     with atlas.open_atlas(out) as resumed:

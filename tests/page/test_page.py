@@ -224,7 +224,7 @@ def test_bad_input(small_atlas, tmp_path):
 
 
 def test_command(small_atlas, tmp_path, monkeypatch, capsys, quick_page):
-    from atlas.io import netcdf
+    from atlas.store import netcdf
 
     monkeypatch.chdir(tmp_path)
     netcdf.write(small_atlas, tmp_path / "small.nc")

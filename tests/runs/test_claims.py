@@ -6,17 +6,17 @@ import sys
 from threading import Event
 
 import pytest
-from truth import assert_same_bytes
+from truth import assert_same_bytes, tile_path
 
 import atlas
 from atlas import BadInput, files, load_scene
-from atlas.io import storage
-from atlas.io.storage import claim
-from atlas.runs import runner
-from atlas.runs.folder import RunFolder
+from atlas.runs import claims, execution
+from atlas.runs.claims import SUFFIX, claim
 from atlas.runs.plan import ScenePlan
-from atlas.runs.tiles import CLAIM
+from atlas.runs.run import RunFolder
+from atlas.runs.status import status
 from atlas.scene import grid
+from atlas.store import place as places
 
 
 @pytest.fixture
@@ -44,13 +44,13 @@ def age(path, seconds):
 
 
 def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
-    path, place = tmp_path / "a.claim", (storage.Folder(tmp_path), "a.claim")
+    path, place = tmp_path / "a.claim", (places.Folder(tmp_path), "a.claim")
     assert claim(*place)
     assert path.read_text() == files.process_name()
     assert claim(*place)  # one's own, from a call that was interrupted
     path.write_text(living)
     assert not claim(*place)
-    age(path, storage.CLAIM_AGE + 10)  # it is suspended
+    age(path, claims.CLAIM_AGE + 10)  # it is suspended
     assert claim(*place)
     assert path.read_text() == files.process_name()
     machine, boot, pid, start = living.split("-")
@@ -60,14 +60,14 @@ def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
     assert claim(*place)
     path.write_text("-".join(("0" * 8, boot, pid, start)))  # on another machine
     assert not claim(*place)
-    age(path, storage.CLAIM_AGE + 10)
+    age(path, claims.CLAIM_AGE + 10)
     assert claim(*place)
     path.write_text("")  # just created
     assert not claim(*place)
 
 
 def test_only_one_process_creates_a_claim(tmp_path):
-    for place in (storage.Folder(tmp_path), storage.Objects("memory://claims")):
+    for place in (places.Folder(tmp_path), places.Objects("memory://claims")):
         assert place.create("a.claim", b"one")
         assert not place.create("a.claim", b"two")
         assert place.read("a.claim") == b"one"
@@ -87,7 +87,7 @@ def test_one_of_several_processes_creates_a_run(
         claim.unlink()
         RunFolder.prepare(ScenePlan.of(load_scene(scene_text({"fixed.m": 0.6}))), tmp_path / "run", [])
 
-    monkeypatch.setattr("atlas.runs.folder.time.sleep", sleep)
+    monkeypatch.setattr("atlas.runs.run.time.sleep", sleep)
     plan = ScenePlan.of(load_scene(small_scene))
     if creator == "slow":
         with pytest.raises(BadInput, match=r"holds another run.*fixed\.m \(0\.6 in the folder, 0\.5 now\)"):
@@ -99,12 +99,12 @@ def test_one_of_several_processes_creates_a_run(
 
 
 def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):
-    monkeypatch.setattr("atlas.runs.tiles.CLAIM_INTERVAL", 0.0)
-    path = folder.tiles.path(3, CLAIM)
-    assert folder.tiles.claim(3)
+    monkeypatch.setattr("atlas.runs.claims.CLAIM_INTERVAL", 0.0)
+    path = tile_path(folder.tiles, 3, SUFFIX)
+    assert claims.claim_tile(folder.tiles, 3)
     age(path, 100)
     before = path.stat().st_mtime
-    with folder.tiles.held(3) as keep:
+    with claims.held(folder.tiles, 3) as keep:
         keep()
         assert path.stat().st_mtime > before + 90
     assert not path.exists()
@@ -112,10 +112,10 @@ def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monk
 
 @pytest.mark.parametrize("end", ["written", "expired"])
 def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folder, living, monkeypatch):
-    other = folder.tiles.path(3, CLAIM)
+    other = tile_path(folder.tiles, 3, SUFFIX)
     other.write_text(living)
     computed, waits = [], []
-    evaluate_at = runner.evaluate_at
+    evaluate_at = execution.evaluate_at
 
     def counted(plan, scene, indices, *arguments, **options):
         computed.append(int(indices[0]) // 7)
@@ -125,49 +125,56 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
         waits.append(seconds)
         assert sorted(computed) == [0, 1, 2, 4, 5, 6, 7, 8]
         if end == "expired":
-            age(other, storage.CLAIM_AGE + 10)
+            age(other, claims.CLAIM_AGE + 10)
         else:
-            columns, number, _ = evaluate_at(plan.points, folder.scene, folder.indices(3))
+            columns, number, _ = evaluate_at(plan.points, folder.scene, folder.tiles.indices(3))
             folder.tiles.write(3, columns, computed=number, seconds=0.0, by="the other one")
         return False
 
     plan = ScenePlan.of(folder.scene)
-    monkeypatch.setattr(runner, "evaluate_at", counted)
-    monkeypatch.setattr(runner, "Event", type("Event", (Event,), {"wait": wait}))
+    monkeypatch.setattr(execution, "evaluate_at", counted)
+    monkeypatch.setattr(execution, "Event", type("Event", (Event,), {"wait": wait}))
     ds = atlas.run(folder.scene, folder.path, threads=1, progress=False)
-    assert waits == [runner.CLAIM_POLL]
+    assert waits == [execution.CLAIM_POLL]
     assert computed[8:] == ([] if end == "written" else [3])
     assert ("1 by the other one" in ds.attrs["atlas_run"]) == (end == "written")
     monkeypatch.undo()
     assert_same_bytes(atlas.run(folder.scene, progress=False), ds)
-    assert list(folder.tiles.folder.glob(f"*{CLAIM}")) == ([other] if end == "written" else [])
+    assert list(folder.tiles.place.path.glob(f"*{SUFFIX}")) == ([other] if end == "written" else [])
+
+
+def job_of(folder):
+    """All tiles of a run, by one thread."""
+    options = execution._Options(threads=1)
+    run = execution._Execution(ScenePlan.of(folder.scene), options, [])
+    return execution._Job(folder, folder.tiles, range(9), run)
 
 
 def test_who_waits_for_others_ends_at_once_when_the_job_is_stopped(folder, living):
     for tile in range(9):
-        folder.tiles.path(tile, CLAIM).write_text(living)
-    job = runner._Job(folder, runner._Execution(1, None, None, None, None, 0.0))
+        tile_path(folder.tiles, tile, SUFFIX).write_text(living)
+    job = job_of(folder)
     job.stop.set()
-    assert list(job.remaining_tiles(None)) == []
+    assert list(job.remaining_tiles(range(9), None)) == []
 
 
 def test_claims_of_killed_processes_are_removed(folder, living):
-    folder.tiles.path(1, CLAIM).write_text(living)
-    folder.tiles.path(2, CLAIM).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
-    folder.status()
-    assert [path.name for path in folder.tiles.folder.iterdir()] == [f"00000001{CLAIM}"]
+    tile_path(folder.tiles, 1, SUFFIX).write_text(living)
+    tile_path(folder.tiles, 2, SUFFIX).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
+    status(folder.path)
+    assert [path.name for path in folder.tiles.place.path.iterdir()] == [f"00000001{SUFFIX}"]
 
 
 def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_computed_again(folder):
-    job = runner._Job(folder, runner._Execution(1, None, None, None, None, 0.0))
     skipped = []
-    remaining = job.remaining_tiles(type("Bar", (), {"skip": lambda self, points: skipped.append(points)})())
+    bar = type("Bar", (), {"skip": lambda self, points: skipped.append(points)})()
+    remaining = job_of(folder).remaining_tiles(range(9), bar)
     first = next(remaining)
     other = (first + 4) % 9
-    columns, number, _ = runner.evaluate_at(
-        ScenePlan.of(folder.scene).points, folder.scene, folder.indices(other)
+    columns, number, _ = execution.evaluate_at(
+        ScenePlan.of(folder.scene).points, folder.scene, folder.tiles.indices(other)
     )
     folder.tiles.write(other, columns, computed=number, seconds=0.0, by="the other one")
     assert sorted([first, *remaining]) == sorted({*range(9)} - {other})
     assert skipped == [7]
-    assert not folder.tiles.path(other, CLAIM).exists()
+    assert not tile_path(folder.tiles, other, SUFFIX).exists()

@@ -17,12 +17,12 @@ from types import SimpleNamespace
 import distributed
 import pytest
 from dask.base import get_scheduler
-from truth import assert_same_bytes
+from truth import assert_same_bytes, state, tile_path
 
 import atlas
 from atlas import cli
 from atlas.runs import cluster
-from atlas.runs.folder import RunFolder
+from atlas.runs.run import RunFolder
 
 
 def dask(*arguments, cwd, **variables):
@@ -82,7 +82,7 @@ def run_here(address):
 
 
 def wait_for_a_tile(run, process):
-    while not run.tiles.written_count() and process.poll() is None:
+    while not len(run.tiles.written()) and process.poll() is None:
         time.sleep(0.02)
 
 
@@ -105,7 +105,7 @@ def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers, mon
         replaced.result()
     assert first_worker.returncode == -signal.SIGKILL
     assert "wrote run/" in capsys.readouterr().out
-    assert len(run.tiles.status().done) == run.tiling.count
+    assert len(state(run.tiles).done) == run.tiling.count
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
 
 
@@ -126,7 +126,7 @@ def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_ano
         "atlas: failed: the dask scheduler was lost; finished tiles are kept, and the same command continues with"
         " another scheduler\n"
     )
-    kept = run.tiles.status()
+    kept = state(run.tiles)
     assert kept.done
     assert not kept.damaged
     _, address = start_scheduler()
@@ -143,9 +143,7 @@ def test_a_run_goes_on_after_kills_of_schedulers_clients_and_workers(longer, ser
     scheduler, address = start_scheduler()
     worker = start_worker(address)
     for i in range(fault_rounds):
-        run.tiles.path(rng.randrange(18), ".json").unlink(
-            missing_ok=True
-        )  # so that the run is never finished
+        tile_path(run.tiles, rng.randrange(18)).unlink(missing_ok=True)  # so that the run is never finished
         process = client(path, address)
         wait_for_a_tile(run, process)
         time.sleep(rng.uniform(0.0, 4.0))  # while it starts, connects or computes
@@ -162,7 +160,7 @@ def test_a_run_goes_on_after_kills_of_schedulers_clients_and_workers(longer, ser
         allowed = {"scheduler": (0, 1, 2), "client": (0, -signal.SIGKILL), "worker": (0,)}[victim]
         assert process.returncode in allowed, errors
         assert process.returncode <= 0 or (errors.startswith("atlas: ") and len(errors.splitlines()) == 1)
-        assert not run.tiles.status().damaged
+        assert not state(run.tiles).damaged
     process = client(path, address)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
@@ -238,7 +236,7 @@ def test_a_worker_of_another_copy_of_the_package_is_refused(
         r"would compute other bits; .* It differs in code \([0-9a-f]{16} in the run, [0-9a-f]{16} in the worker\)$",
         line,
     )
-    assert list(run.tiles.folder.iterdir()) == []
+    assert list(run.tiles.place.path.iterdir()) == []
 
 
 def test_a_scheduler_with_tls_without_a_key_is_bad_input():

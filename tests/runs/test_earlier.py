@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from truth import assert_same_bytes
+from truth import assert_same_bytes, state, tile_path
 
 import atlas
 from atlas import BadInput, cli, load_scene
 from atlas.flags import Label
 from atlas.interruption import STOPPED, Stopped
 from atlas.label.plan import Plan
-from atlas.runs import earlier, estimate, plan, runner
-from atlas.runs.folder import HISTORY, RunFolder
+from atlas.runs import estimate, execution, plan, reuse
+from atlas.runs.run import HISTORY, RunFolder
 from atlas.scene import grid
 
 SIGMA = [0.3 + i * (1.4 / 8) for i in range(9)]
@@ -79,7 +79,7 @@ def test_variables_of_theory_are_added_without_integrating(old, scene_text, monk
     names = ["label", "theta_dot_rms", "frequency_1", "stability_kind", "status"]
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "outputs": {"variables": names}}))
     fresh = atlas.run(scene, progress=False)
-    monkeypatch.setattr(earlier, "evaluate", None)
+    monkeypatch.setattr(reuse, "evaluate", None)
     assert_same_bytes(fresh, atlas.run(scene, reuse=str(old), progress=False))
 
 
@@ -111,8 +111,8 @@ def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}} | few))
     fresh = atlas.run(scene, f"{tmp_path}/night/", progress=False).load()
     run = RunFolder.open(tmp_path / "night")
-    run.tiles.path(2, ".json").unlink()
-    run.tiles.path(5).write_bytes(run.tiles.path(4).read_bytes())
+    tile_path(run.tiles, 2).unlink()
+    tile_path(run.tiles, 5).write_bytes(tile_path(run.tiles, 4).read_bytes())
     wider = load_scene(scene_text({"axes.sigma": {"values": [*SIGMA, 1.9]}} | few))
     evaluated.clear()
     ds = atlas.run(wider, f"{tmp_path}/wider/", reuse=tmp_path / "night", progress=False)
@@ -121,7 +121,7 @@ def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_
     assert_same_bytes(atlas.run(wider, progress=False), ds)
     # Without the earlier atlas the run goes on as well: it is the run of its scene.
     run = RunFolder.open(tmp_path / "wider")
-    run.tiles.path(0, ".json").unlink()
+    tile_path(run.tiles, 0).unlink()
     continued = atlas.run(wider, f"{tmp_path}/wider/", progress=False)
     assert continued.attrs[HISTORY].startswith("42 points of: small")
     assert_same_bytes(ds, continued)
@@ -187,7 +187,7 @@ def test_atlases_of_other_programs_and_changed_ones_are_refused(old, scene_text,
         atlas.run(scene, reuse=tmp_path / "none.nc", progress=False)
     atlas.run(load_scene(scene_text({})), f"{tmp_path}/night/", progress=False)
     other = plan.identity(Plan.of(scene)) | {"cpu": "abacus"}
-    monkeypatch.setattr(earlier, "identity", lambda plan: other)
+    monkeypatch.setattr(reuse, "identity", lambda plan: other)
     for path, reason in (
         (old, "different is the programs or the processor"),
         (tmp_path / "night", "is cpu .*abacus now"),
@@ -216,10 +216,10 @@ def test_a_run_whose_time_is_over_stops_in_good_order_and_is_continued(
     folder = tmp_path / "night.nc.run"
 
     def time_is_up(execution):
-        return RunFolder.open(folder).tiles.written_count() >= 4
+        return len(RunFolder.open(folder).tiles.written()) >= 4
 
     with monkeypatch.context() as patched:
-        patched.setattr(runner._Execution, "time_is_up", property(time_is_up))
+        patched.setattr(execution._Execution, "time_is_up", property(time_is_up))
         assert cli.main([*command, "--stop-after", "1h30m"]) == STOPPED == 75
         assert re.search(
             r"atlas: stopped after 1:30:00; 4 of 9 tiles are in .*; the same command continues",
@@ -228,7 +228,7 @@ def test_a_run_whose_time_is_over_stops_in_good_order_and_is_continued(
         scene = load_scene(tmp_path / "scene.toml")
         with pytest.raises(Stopped, match="4 of 9 tiles"):
             atlas.run(scene, tmp_path / "night.nc", stop_after=1, progress=False)
-    assert len(RunFolder.open(folder).tiles.status().done) == 4
+    assert len(state(RunFolder.open(folder).tiles).done) == 4
     assert cli.main([*command, "--stop-after", "1d"]) == cli.DONE
     with atlas.open_atlas(tmp_path / "night.nc") as ds:
         assert_same_bytes(atlas.run(scene, progress=False), ds)
@@ -255,7 +255,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_run(scene_text, tmp_path
     usage = type("Usage", (), {"free": 2_000})
     with monkeypatch.context() as patched:
         patched.setattr(estimate.shutil, "disk_usage", lambda folder: usage)
-        patched.setattr(earlier, "evaluate", None)
+        patched.setattr(reuse, "evaluate", None)
         with pytest.raises(
             BadInput, match=r"the run needs about \S+ GB more, and 2e-06 GB are free on this disk"
         ):

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from truth import assert_same_bytes
+from truth import assert_same_bytes, state, tile_path
 
 import atlas
 from atlas import BadInput
-from atlas.runs.folder import RunFolder
+from atlas.runs.run import RunFolder
 
 pytestmark = pytest.mark.faults
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -71,14 +71,14 @@ def test_a_flipped_bit_of_a_run_folder_never_gives_other_data(finished, fault_ro
     """Of tiles, sidecars and final attributes; tests of the manifest and of joined files flip their bits."""
     _, run, whole = finished
     attributes, rng = repr(atlas.open_atlas(run.path).attrs), np.random.default_rng(2)
-    for file in [run.tiles.path(5), run.tiles.path(5, ".json"), run.path / "notes.json"]:
+    for file in [tile_path(run.tiles, 5), tile_path(run.tiles, 5, ".json"), run.path / "notes.json"]:
         content = file.read_bytes()
         for _ in range(50 * fault_rounds):
             flipped = bytearray(content)
             flipped[rng.integers(len(flipped))] ^= 1 << int(rng.integers(8))
             file.write_bytes(flipped)
             try:
-                if not run.tiles.status().damaged:
+                if not state(run.tiles).damaged:
                     ds = RunFolder.open(run.path).dataset()
                     assert repr(ds.attrs) == attributes
                     assert_same_bytes(whole, ds)
@@ -145,7 +145,7 @@ def test_a_full_or_read_only_disk_stops_a_run_in_one_line_that_goes_on_later(
             code == 2 and "are free on this disk" in errors and len(errors.splitlines()) == 1
         )
         refused += code == 2
-        assert not RunFolder.open(disk / "run").tiles.status().damaged
+        assert not state(RunFolder.open(disk / "run").tiles).damaged
     assert full
     assert refused
     used = sum(file.stat().st_blocks // 2 for file in disk.rglob("*"))
@@ -171,7 +171,7 @@ ORDINARY_USER = """
 import os, sys
 import atlas
 from atlas import files
-from atlas.runs.folder import RunFolder
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
 scene = atlas.load_scene("scene.toml")
@@ -201,7 +201,7 @@ for action in (
 def test_an_ordinary_user_changes_nothing_of_somebody_else(finished):
     path, run, whole = finished
     run.join(path / "a.nc")
-    run.tiles.path(5).unlink()
+    tile_path(run.tiles, 5).unlink()
     (path / "closed").mkdir()
     modes = {each: each.stat().st_mode for each in [path, *path.parents]}
     closed = {each: mode for each, mode in modes.items() if mode & 0o011 != 0o011}
@@ -209,7 +209,7 @@ def test_an_ordinary_user_changes_nothing_of_somebody_else(finished):
         each.chmod(mode | 0o011)
     path.chmod(modes[path] | 0o055)
     (path / "closed").chmod(0)
-    run.tiles.path(6).chmod(0)
+    tile_path(run.tiles, 6).chmod(0)
     before = {file: file.read_bytes() for file in path.rglob("*") if file.is_file()}
     try:
         done = subprocess.run(

@@ -13,13 +13,14 @@ import numba
 import numpy as np
 import pytest
 import scipy
+from truth import state
 
 import atlas
 from atlas import BadInput, jit, sources
 from atlas.label.plan import Plan
-from atlas.runs import plan, runner
-from atlas.runs.folder import RunFolder
+from atlas.runs import execution, plan
 from atlas.runs.plan import ScenePlan
+from atlas.runs.run import RunFolder
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
     "name",
     [
         "flags.py", "jit.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
-        "label/theory.py", "measure/rates.py", "io/netcdf.py", "runs/tiles.py", "runs/runner.py",
+        "label/theory.py", "measure/rates.py", "store/dataset.py", "store/tile.py", "runs/execution.py",
     ],
 )  # fmt: skip
 def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeypatch):
@@ -132,37 +133,37 @@ def test_a_run_is_not_continued_where_one_program_or_the_processor_differs(
 
 def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatch):
     other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
-    monkeypatch.setattr(runner, "identity", lambda plan: other)
-    runner._open_cached.cache_clear()
+    monkeypatch.setattr(execution, "identity", lambda plan: other)
+    execution._open_cached.cache_clear()
     refused = rf"would compute other bits; .* It differs in code \({run.manifest['identity']['code']} in the run, 0+ in"
     for refusing in (
-        lambda: runner.compute_tile(str(run.path), None, run.key, 0),
-        lambda: runner.check_worker(str(run.path), None, run.key),
+        lambda: execution.compute_tile(str(run.path), None, run.key, 0),
+        lambda: execution.check_worker(str(run.path), None, run.key),
     ):
         with pytest.raises(BadInput, match=refused) as error:
             refusing()
         assert len(str(error.value).splitlines()) == 1
-    assert list(run.tiles.folder.iterdir()) == []
+    assert list(run.tiles.place.path.iterdir()) == []
 
 
 def test_a_tile_carries_the_key_of_what_computed_it_and_is_refused_in_another_run(run, scene, monkeypatch):
     """Even if a worker of other code were let through, what it writes would not be taken for a tile of the run."""
     other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
-    monkeypatch.setattr(runner, "identity", lambda plan: other)
-    monkeypatch.setattr(runner, "differences", lambda *arguments: "")
-    runner._open_cached.cache_clear()
-    runner.compute_tile(str(run.path), None, run.key, 0)
-    assert run.tiles.status().damaged == {0: "its sidecar is of another run or tile"}
+    monkeypatch.setattr(execution, "identity", lambda plan: other)
+    monkeypatch.setattr(execution, "differences", lambda *arguments: "")
+    execution._open_cached.cache_clear()
+    execution.compute_tile(str(run.path), None, run.key, 0)
+    assert state(run.tiles).damaged == {0: "it is a tile of another run or place"}
     monkeypatch.undo()
-    runner._open_cached.cache_clear()
-    runner.compute_tile(str(run.path), None, run.key, 0)
-    assert run.tiles.status().done == [0]
+    execution._open_cached.cache_clear()
+    execution.compute_tile(str(run.path), None, run.key, 0)
+    assert state(run.tiles).done == [0]
 
 
 def test_a_worker_refuses_another_run_of_the_same_name(run):
-    runner._open_cached.cache_clear()
+    execution._open_cached.cache_clear()
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        runner.compute_tile(str(run.path), None, "0" * 64, 0)
+        execution.compute_tile(str(run.path), None, "0" * 64, 0)
 
 
 def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_path, monkeypatch):

@@ -1,18 +1,20 @@
 """Refined runs in run folders: equal to those in memory after interruptions, damage, shards and on dask workers."""
 
 import os
+import shutil
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import xarray as xr
+from truth import state, tile_path
 
 import atlas
 from atlas import BadInput, cli, load_scene
 from atlas.interruption import STOPPED, Stopped
-from atlas.runs import earlier, runner
-from atlas.runs.folder import RunFolder
-from atlas.runs.levels import LEVELS, POINTS, Level, RefinedFolder
+from atlas.runs import execution, reuse
+from atlas.runs.levels import LEVELS, POINTS
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
 CHANGES = {
@@ -45,6 +47,11 @@ def run(scene, out, **options):
         return ds.load()
 
 
+def decode(content):
+    """The values of a tile, without what computed it."""
+    return content[content.index(b"\n") : -32]
+
+
 def assert_whole(ds, whole):
     xr.testing.assert_equal(ds, whole)
     for name in (
@@ -62,16 +69,15 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
     assert_whole(ds, whole)
     assert sum(evaluated) == int(whole.computed.sum())
     folder = RunFolder.open(tmp_path / "night")
-    levels = folder.levels()
-    assert isinstance(folder, RefinedFolder)
+    levels = [*folder.levels()]
     assert len(levels) >= 4
     assert levels[0].points.size == 63
-    assert max(level.tiling.count for level in levels) > 1
+    assert max(level.tiles.tiling.count for level in levels) > 1
     for before, level in pairwise(levels):
-        assert level.before == before.key
+        assert level.before == before.tiles.key
     points = np.concatenate([level.points for level in levels])
     assert points.size == np.unique(points).size == int(whole.computed.sum())
-    tiles = sum(level.tiling.count for level in levels)
+    tiles = sum(level.tiles.tiling.count for level in levels)
     assert ds.attrs["atlas_run"] == f"{tiles} of {tiles} tiles; {tiles} by 1 threads"
     evaluated.clear()
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
@@ -80,7 +86,7 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
     assert sorted(os.listdir(tmp_path)) == ["night", "night.nc"]
     assert cli.main(["status", f"{tmp_path}/night"]) == cli.DONE
     status = capsys.readouterr().out
-    assert "small: refined, 825 points on the finest grid\nlevel 0: done 4, damaged 0, missing 0\n" in status
+    assert "small: refined, 825 points on the finest grid\nlevel 0: done 4, missing 0\n" in status
     assert "points left" not in status
     for suffix in (".nc", ".zarr"):
         assert cli.main(["join", f"{tmp_path}/night", "-o", f"{tmp_path}/joined{suffix}"]) == cli.DONE
@@ -92,7 +98,7 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
 
 @pytest.mark.usefixtures("small_tiles")
 def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tmp_path, evaluated, capsys):
-    calls, counted = [0], earlier.evaluate
+    calls, counted = [0], reuse.evaluate
     more = True
     while more:
         calls[0] = 0
@@ -103,7 +109,7 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
                 raise KeyboardInterrupt
             return counted(*arguments, **options)
 
-        earlier.evaluate = ended_at_the_third
+        reuse.evaluate = ended_at_the_third
         try:
             ds = run(scene, f"{tmp_path}/night/")
             more = False
@@ -116,7 +122,7 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
                 in capsys.readouterr().out
             )
         finally:
-            earlier.evaluate = counted
+            reuse.evaluate = counted
     assert_whole(ds, whole)
     assert sum(evaluated) == int(whole.computed.sum())  # no tile twice
 
@@ -125,30 +131,31 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
 def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     run(scene, f"{tmp_path}/night/")
     folder = RunFolder.open(tmp_path / "night")
-    damaged = folder.levels()[1]
-    content = damaged.tiles.path(0).read_bytes()
+    damaged = [*folder.levels()][1]
+    content = decode(tile_path(damaged.tiles, 0).read_bytes())
 
     def swap_tiles():
-        damaged.tiles.path(0).write_bytes(damaged.tiles.path(1).read_bytes())
+        tile_path(damaged.tiles, 0).write_bytes(tile_path(damaged.tiles, 1).read_bytes())
 
     def lose_points():
-        (damaged.storage.path / POINTS).write_bytes(b"\0" * 8)
+        (damaged.place.path / POINTS).write_bytes(b"\0" * 8)
 
     def lose_result():
         pass
 
-    for damage, points in ((swap_tiles, damaged.tiling.size_of(0)), (lose_points, 0), (lose_result, 0)):
-        folder.result.unlink()
+    for damage, points in ((swap_tiles, damaged.tiles.tiling.size_of(0)), (lose_points, 0), (lose_result, 0)):
+        shutil.rmtree(folder.tiles.place.path)
         damage()
         evaluated.clear()
         assert_whole(run(scene, f"{tmp_path}/night/"), whole)
         assert sum(evaluated) == points
-    assert damaged.tiles.path(0).read_bytes() == content
-    folder.result.write_bytes(b"no atlas")
+    assert decode(tile_path(damaged.tiles, 0).read_bytes()) == content
+    tile_path(folder.tiles, 3).write_bytes(b"no atlas")
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
     # A level of another run is none of this one.
-    other = RefinedFolder.prepare(runner.ScenePlan.of(scene), tmp_path / "other", [])
-    damaged.storage.path.rename(other.path / LEVELS / "0000")
+    other = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "other", [])
+    (other.path / LEVELS).mkdir()
+    damaged.place.path.rename(other.path / LEVELS / "0000")
     evaluated.clear()
     assert_whole(run(scene, f"{tmp_path}/other/"), whole)
     assert sum(evaluated) == int(whole.computed.sum())
@@ -157,7 +164,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
 @pytest.mark.usefixtures("small_tiles")
 def test_shards_share_each_level_and_any_of_them_completes_it(scene, whole, tmp_path, evaluated, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(runner._Execution, "time_is_up", property(lambda execution: sum(evaluated) >= 300))
+        patched.setattr(execution._Execution, "time_is_up", property(lambda execution: sum(evaluated) >= 300))
         with pytest.raises(Stopped, match="stopped after 0:01"):
             run(scene, f"{tmp_path}/night/", shard=(1, 2), stop_after=1.0)
     assert 300 <= sum(evaluated) <= 300 + 40
@@ -176,7 +183,7 @@ def test_the_command_stops_and_continues_a_refined_run(
     (tmp_path / "scene.toml").write_text(scene_text(CHANGES))
     command = ["run", str(tmp_path / "scene.toml"), "-o", f"{tmp_path}/night.nc", "--quiet", "--threads", "1"]
     with monkeypatch.context() as patched:
-        patched.setattr(runner._Execution, "time_is_up", property(lambda execution: True))
+        patched.setattr(execution._Execution, "time_is_up", property(lambda execution: True))
         assert cli.main([*command, "--stop-after", "2h"]) == STOPPED
         assert "stopped after 2:00:00; 0 of 1 tiles are in" in capsys.readouterr().err
     assert cli.main(command) == cli.DONE
@@ -186,17 +193,16 @@ def test_the_command_stops_and_continues_a_refined_run(
 
 
 def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_path):
-    folder = RefinedFolder.prepare(runner.ScenePlan.of(scene), tmp_path / "night", [])
-    level = Level(folder, 0, "", np.arange(0, 825, 8))
-    level.prepare()
-    runner.compute_tile(str(folder.path), 0, level.key, 0)
-    assert level.tiles.status().done == [0]
+    folder = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "night", [])
+    level = folder.level(0, "", np.arange(0, 825, 8), 1000)
+    execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
+    assert state(level.tiles).done == [0]
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        runner.compute_tile(str(folder.path), 0, "0" * 64, 0)
-    (level.storage.path / POINTS).unlink()
-    runner._open_cached.cache_clear()
-    with pytest.raises(BadInput, match=r"damaged: .*; run the scene again, which writes it anew"):
-        runner.compute_tile(str(folder.path), 0, level.key, 0)
+        execution.compute_tile(str(folder.path), 0, "0" * 64, 0)
+    (level.place.path / POINTS).unlink()
+    execution._open_cached.cache_clear()
+    with pytest.raises(BadInput, match="level 0 is not there"):
+        execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
 
 
 def test_dask_workers_compute_the_levels(scene, whole, tmp_path):

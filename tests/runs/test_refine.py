@@ -15,11 +15,11 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import compare
 from atlas.flags import Label, Stability
-from atlas.io import netcdf
-from atlas.runs import estimate, refine, runner
+from atlas.runs import estimate, execution, refine
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
+from atlas.store import netcdf
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -123,7 +123,7 @@ def replace_integration(monkeypatch, inside):
         labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
         return {"label": labels}, indices.size, {}
 
-    monkeypatch.setattr(runner, "evaluate_at", evaluate_at)
+    monkeypatch.setattr(execution, "evaluate_at", evaluate_at)
 
 
 def plane(count, levels, probe):

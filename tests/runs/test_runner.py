@@ -16,8 +16,8 @@ from truth import assert_same_bytes
 import atlas
 from atlas import BadInput, files, load_scene
 from atlas.flags import Label, Stability, Status
-from atlas.runs import earlier, runner
-from atlas.runs.folder import RunFolder
+from atlas.runs import execution, reuse
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 from atlas.variables import variables
 
@@ -148,7 +148,7 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
 def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, monkeypatch):
     (tmp_path / "folder.nc").mkdir()
-    monkeypatch.setattr(earlier, "evaluate", None)
+    monkeypatch.setattr(reuse, "evaluate", None)
     with pytest.raises(BadInput):
         atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
@@ -160,7 +160,7 @@ def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_sce
 
     scene = load_scene(small_scene)
     with monkeypatch.context() as patched:
-        patched.setattr(earlier, "evaluate", interrupt)
+        patched.setattr(reuse, "evaluate", interrupt)
         with pytest.raises(KeyboardInterrupt):
             atlas.run(scene, tmp_path / "a.nc", progress=False)
 
@@ -195,7 +195,8 @@ def test_the_same_command_ends_well_wherever_a_run_was_killed_after_its_join(sma
         shutil.copytree(tmp_path / "whole", folder)
         for name in removed:
             (shutil.rmtree if name == "tiles" else os.unlink)(folder / name)
-        (folder / "progress.json").unlink(missing_ok=True)
+        for file in folder.glob("progress-*.json"):
+            file.unlink()
         finish(removed)
     shutil.copytree(tmp_path / "whole", folder)
     with netCDF4.Dataset(path, "r+") as file:
@@ -221,20 +222,20 @@ def test_another_file_or_folder_in_the_way_is_kept(small_scene, scene_text, tmp_
     with pytest.raises(BadInput, match="force"):
         atlas.run(scene, path, progress=False)
     atlas.run(other, path, progress=False).close()
-    assert len(list((tmp_path / "a.nc.run" / "tiles").iterdir())) == 2
+    assert len(list((tmp_path / "a.nc.run" / "tiles").iterdir())) == 1
 
 
 def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_path, monkeypatch):
     scene, path = load_scene(small_scene), tmp_path / "a.nc"
     whole = atlas.run(scene, progress=False)
-    real_join, real_prepare, real_complete = RunFolder.join, RunFolder.prepare, runner._complete
+    real_join, real_prepare, real_complete = RunFolder.join, RunFolder.prepare, execution._complete
 
     def finish_first(*arguments):
         """The other process."""
         with monkeypatch.context() as patched:
             patched.setattr(RunFolder, "join", real_join)
             patched.setattr(RunFolder, "prepare", real_prepare)
-            patched.setattr(runner, "_complete", real_complete)
+            patched.setattr(execution, "_complete", real_complete)
             atlas.run(scene, path, progress=False, force=True).close()
 
     def late_join(self, out):
@@ -243,7 +244,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
 
     def late_prepare(*arguments):
         finish_first()
-        monkeypatch.setattr(runner, "_complete", None)  # nothing is computed again
+        monkeypatch.setattr(execution, "_complete", None)  # nothing is computed again
         return real_prepare(*arguments)
 
     for force in (False, True):
@@ -253,7 +254,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
                 patched.setattr(RunFolder, name, late)
                 with atlas.run(scene, path, progress=False, force=force) as ds:
                     assert_same_bytes(whole, ds)
-            monkeypatch.setattr(runner, "_complete", real_complete)
+            monkeypatch.setattr(execution, "_complete", real_complete)
             assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
@@ -266,7 +267,7 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
     while len(str(deep)) + 240 < os.pathconf(tmp_path, "PC_PATH_MAX"):
         deep = deep / ("d" * 200)
     os.makedirs(deep)
-    monkeypatch.setattr(earlier, "evaluate", None)
+    monkeypatch.setattr(reuse, "evaluate", None)
     before = sorted(tmp_path.rglob("*"))
     for out in (
         f"{tmp_path}/{'a' * (longest - 6)}.nc",

@@ -17,10 +17,10 @@ import atlas
 from atlas import BadInput, files, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
-from atlas.io import netcdf
-from atlas.runs import tiles
 from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
+from atlas.store import dataset
+from atlas.store import tiling as tiles
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.system import MAX_RADIANS
 from atlas.variables import COMPUTED, data_variables
@@ -77,9 +77,9 @@ def test_the_reserved_names_are_all_that_a_dataset_holds_besides_parameters_and_
             "outputs": {"variables": everything},
         }
         scene = load_scene(tomli_w.dumps(text))
-        ds = netcdf.dataset(scene, {name: np.zeros(1) for name in everything})
+        ds = dataset.dataset(scene, {name: np.zeros(1) for name in everything})
         assert set(ds.data_vars) == set(everything)
-        assert set(ds.coords) <= {*scene.system.parameters, *netcdf.dims(scene)}
+        assert set(ds.coords) <= {*scene.system.parameters, *dataset.dims(scene)}
 
 
 def test_two_axes_cannot_have_one_dimension(scene_text):
@@ -236,7 +236,7 @@ def test_ties_of_both_their_predecessors_cost_no_more_than_their_number():
             return super().__getitem__(key)
 
     object.__setattr__(scene, "ties", Counted(scene.ties))
-    ds = netcdf.dataset(scene, {name: np.zeros(3) for name in scene.outputs})
+    ds = dataset.dataset(scene, {name: np.zeros(3) for name in scene.outputs})
     assert ds.psi0.dims == ("theta0",)
 
 

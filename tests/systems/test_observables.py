@@ -298,7 +298,7 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
 
 
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
-    from atlas.runs import tiles
+    from atlas.store import tiling as tiles
 
     whole = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False, threads=1)
     monkeypatch.setattr(tiles, "TILE_POINT_STEPS", 20 * 200)

@@ -1,4 +1,4 @@
-"""Checksums of atlas files: what is read is what was written, or an error."""
+"""Atlas files and the one hash of all that they hold."""
 
 import os
 from contextlib import nullcontext
@@ -16,14 +16,14 @@ from truth import assert_same_bytes
 import atlas
 from atlas import BadInput, files
 from atlas.cli import main
-from atlas.io import checksums, netcdf
 from atlas.plotting import style
+from atlas.store import dataset, netcdf
 
 ATTRIBUTES = {"atlas_system": "satellite", "atlas_version": "0"}
 
 
 def written(path, **variables) -> xr.Dataset:
-    """A data set written with checksums, in chunks of 3 along each axis, or in eight of a long one."""
+    """A data set written with its hash, in chunks of 3 along each axis, or in eight of a long one."""
     ds = xr.Dataset(variables, attrs=ATTRIBUTES)
     encoding = {
         name: {
@@ -35,7 +35,8 @@ def written(path, **variables) -> xr.Dataset:
         if variable.ndim and variable.dtype.kind != "O"
     }
     ds.to_netcdf(path, engine="netcdf4", encoding=encoding)
-    checksums.add(path)
+    with netCDF4.Dataset(path, "r+") as file:
+        file.setncattr(dataset.HASH, netcdf._hash(file))
     return ds
 
 
@@ -75,11 +76,11 @@ def test_texts_scalars_and_flags_are_read_as_written(tmp_path):
         texts=("x", np.array(["one", "", "three", "four"], dtype=object)),
         number=((), 0.1),
         flags=(("x", "y"), np.arange(20, dtype=np.int8).reshape(4, 5)),
-        plain=("long", np.arange(checksums.BLOCK_VALUES + 10.0)),
+        plain=("long", np.arange(netcdf.ROW_VALUES + 10.0)),
     )
     with atlas.open_atlas(tmp_path / "a.nc") as read:
         xr.testing.assert_identical(read.load(), ds)
-    checksums.verify(tmp_path / "a.nc")
+    netcdf.verify(tmp_path / "a.nc")
 
 
 def test_all_variables_have_checksums_for_other_programs_as_well(small_file):
@@ -116,57 +117,59 @@ def rename_variable(file):
     file.renameVariable("theta_max", "theta_min_")
 
 
-def rename_group(file):
-    file.renameGroup(checksums.GROUP, "checksumt")
+def lose_the_hash(file):
+    file.delncattr(dataset.HASH)
 
 
 CHANGES = (
-    rename_group,
-    change_attribute, change_provenance, change_scalar, change_axis, change_flag, change_number, rename_variable
+    lose_the_hash, change_attribute, change_provenance, change_scalar, change_axis, change_flag, change_number, rename_variable
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_a_changed_file_is_refused_when_it_is_opened_or_read(small_file, tmp_path, change, capsys):
+def test_a_changed_file_is_refused_when_it_is_verified(small_file, tmp_path, change, capsys):
     path = tmp_path / "changed.nc"
     path.write_bytes(small_file.read_bytes())
     with netCDF4.Dataset(path, "r+") as file:
         file.set_auto_maskandscale(False)
         change(file)
-
-    def read():
-        with atlas.open_atlas(path) as ds:
-            ds.load()
-
-    with pytest.raises(BadInput, match="damaged"):
-        read()
-    if change is change_flag:
-        assert main(["compare", str(path)]) == 2
-        assert len(capsys.readouterr().err.strip().splitlines()) == 1
-        with pytest.raises(BadInput, match="damaged"):
-            checksums.verify(path)
+    assert main(["status", str(small_file), "--verify"]) == 0
+    assert main(["status", str(path), "--verify"]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert ("has no hash" if change is lose_the_hash else "damaged: its hash differs") in line
 
 
-def test_a_flipped_bit_never_gives_other_data(small_file, tmp_path):
+def test_a_flipped_bit_is_found_when_the_file_is_verified(small_file, tmp_path):
+    """Anywhere, and often in the tables of chunks, which have no checksum of the library: what is verified holds the data."""
     whole, path = small_file.read_bytes(), tmp_path / "flipped.nc"
     with atlas.open_atlas(small_file) as ds:
         truth = ds.load()
     rng = np.random.default_rng(5)
-    # Half of the flips hit the tables of chunks and the first chunks, which are a small part of the file.
     table = whole.index(b"TREE")
-    places = [*rng.integers(0, len(whole), 100), *rng.integers(table, table + 4000, 100)]
+    places = [*rng.integers(0, len(whole), 60), *rng.integers(table, table + 4000, 60)]
     refused = 0
     for place in places:
         content = bytearray(whole)
         content[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)
         try:
+            netcdf.verify(path)
             with atlas.open_atlas(path) as ds:
                 assert_same_bytes(truth, ds)
                 assert repr(ds.attrs) == repr(truth.attrs)
-        except BadInput:
+        except BadInput as error:
+            assert "\n" not in str(error)  # noqa: PT017
             refused += 1
     assert refused > 5
+
+
+def test_a_damaged_chunk_is_refused_when_it_is_read(small_file, tmp_path, capsys):
+    content = bytearray(small_file.read_bytes())
+    for place in range(len(content) // 2, len(content), 97):
+        content[place] ^= 8
+    (tmp_path / "chunks.nc").write_bytes(content)
+    assert main(["compare", f"{tmp_path}/chunks.nc"]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 def test_a_file_that_claims_more_than_it_can_hold_is_refused(tmp_path):
@@ -188,11 +191,15 @@ def test_paths_that_the_library_takes_for_others_are_refused(small_file, small_s
         for action in (
             lambda path: atlas.open_atlas(path / "a.nc"),
             lambda path: netcdf.writable(path / "b.nc", (".nc",), force=False),
-            lambda path: atlas.run(small_scene, path / "run"),
+            lambda path: atlas.run(small_scene, path / "run.nc"),
         ):
             with pytest.raises(BadInput, match="the NetCDF library opens no path") as error:
                 action(tmp_path / name)
             assert str(error.value).isprintable()
+        with atlas.run(
+            small_scene, f"{tmp_path}/{name}/run/", progress=False
+        ) as ds:  # no file of the library
+            assert ds.label.values.any()
 
 
 def test_a_full_disk_is_named_and_nothing_is_left(tmp_path, monkeypatch):

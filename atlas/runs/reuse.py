@@ -11,20 +11,20 @@ from typing import Any
 import numpy as np
 
 from ..errors import MAX_MESSAGE, BadInput, attribute_text
-from ..io import checksums, netcdf, zarr_store
-from ..io.storage import located, storage_at
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene, Settings
 from ..scene.read import parse_scene
+from ..store import dataset, finished
+from ..store.place import located, place_at
+from ..store.tile import DamagedTile
+from ..store.tiling import Tiling
 from ..systems.base import Mask, derived_values
 from ..variables import COMPUTED, data_variables, variables
 from .backend import open_atlas
-from .folder import HISTORY, RESULT, RunFolder, result_hash
-from .levels import RESULT_FILE
 from .plan import differences, identity
-from .tiles import DamagedTile, Tiling
+from .run import HISTORY, RESULT, RunFolder, result_hash
 
 SAMPLE = 2048  # points of an earlier atlas that are sought in a scene before it runs
 
@@ -46,8 +46,6 @@ class Earlier:
         """An atlas for a scene; BadInput unless its points have the bits that this process would compute."""
         path = located(path)
         ds = open_atlas(path)
-        if isinstance(path, Path) and (path / RESULT_FILE).exists():  # of a refined run
-            path = path / RESULT_FILE
         text = ds.attrs.get("atlas_scene")
         if not isinstance(text, str) or not text:
             raise BadInput(
@@ -56,12 +54,11 @@ class Earlier:
         old = parse_scene(text)
         own, folder = identity(Plan.of(old)), None
         is_file = isinstance(path, Path) and path.is_file()
-        if not is_file and zarr_store.METADATA not in storage_at(path).names():
+        if not is_file and finished.METADATA not in place_at(path).names():
             folder = RunFolder.open(path)
             programs = differences(folder.manifest["identity"], own, "there", "now")
         else:
-            whole = checksums.are_in(Path(path)) if is_file else zarr_store.is_sealed(storage_at(path))
-            same = whole and ds.attrs.get(RESULT) == result_hash(text, own)
+            same = finished.has_hash(path) and ds.attrs.get(RESULT) == result_hash(text, own)
             programs = "" if same else "the programs or the processor, or another program wrote the file"
         if programs:
             raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
@@ -88,11 +85,12 @@ class Earlier:
             history += f" (of these, {attribute_text(ds.attrs, HISTORY, limit=MAX_MESSAGE)})"
         if folder is not None:
             tiles = folder.tiles
-            return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names), history)
+            return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names)[1], history)
+        finished.verify(path)
         tiling = Tiling.of(old.shape, grid.MAX_POINTS_PER_TILE)
 
         def read(tile: int) -> dict[str, np.ndarray]:
-            box = ds.isel(dict(zip(netcdf.dims(old), tiling.slices(tile), strict=True)))
+            box = ds.isel(dict(zip(dataset.dims(old), tiling.slices(tile), strict=True)))
             return {name: box[name].values for name in names}
 
         return cls(path, old, tiling, names, read, history)

@@ -83,6 +83,7 @@ class Progress:
                 self.stream.write("\r\x1b[K")
                 self.stream.flush()
         self._save(running=False)
+        self.show, self.save = False, None
 
     def _speed(self) -> tuple[float, float]:
         """Points per second, and seconds left."""
@@ -108,14 +109,13 @@ class Progress:
             self.save(json.dumps(content, indent=1).encode())
 
 
-def state(content: Mapping[str, Any]) -> str:
-    """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides."""
+def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
+    """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides, by the clock of its storage."""
     if not content["running"]:
         return "ended"
     running = files.is_running(str(content["process"]))
     if running is None:
-        written = datetime.fromisoformat(content["written"])
-        running = (datetime.now(UTC) - written).total_seconds() < SILENCE
+        running = age() < SILENCE
         return AT_WORK if running else f"no progress for more than {SILENCE / 60:.0f} minutes"
     return AT_WORK if running else "died"
 

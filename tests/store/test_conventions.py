@@ -5,8 +5,8 @@ import pytest
 
 import atlas
 from atlas import load_scene
-from atlas.io import netcdf
 from atlas.scene.read import scene_from
+from atlas.store.dataset import dataset
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -30,7 +30,7 @@ def test_parameters_without_a_default_are_coordinates_where_a_scene_gives_them()
         "axes": {"r0": {"from": 1.0, "to": 2.0, "count": 3}}, "ties": {"p0": "r0 + q0"},
         "integration": {"duration": 1.0}, "outputs": {"variables": ["label"]},
     })  # fmt: skip
-    ds = netcdf.dataset(scene, {"label": np.zeros(3, np.int8)})
+    ds = dataset(scene, {"label": np.zeros(3, np.int8)})
     np.testing.assert_array_equal(ds.p0, ds.r0 + 0.2)
     assert ds.p0.dims == ("r0",)
     assert ds.q0 == 0.2

@@ -1,40 +1,36 @@
-"""The atlas as a Dataset, and as a NetCDF file."""
+"""The atlas as a Dataset: its variables, its parameters, and the attributes that state where it comes from."""
 
 from __future__ import annotations
 
 import logging
 import platform
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import netCDF4
 import numpy as np
 import pandas as pd
 import xarray as xr
 
-from .. import files, systems
+from .. import systems
 from .._version import __version__
 from ..errors import BadInput
-from ..files import atomic_write, disk_error
+from ..files import atomic_write
 from ..measure.observables import std_tolerances
 from ..scene import grid
 from ..scene.model import About, Scene, Settings
 from ..systems.base import System
 from ..variables import COMPUTED, data_variables
-from . import checksums, zarr_store
-from .checksums import NETCDF_LOCK
-from .storage import Folder
 
-COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True}
-CHECKED_COMPRESSION = COMPRESSION | {"fletcher32": True}
+HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of all that it holds, written last
+VERSION = "atlas_version"  # attribute of every atlas
 # A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
+Box: TypeAlias = tuple[slice, ...]
 # Points in a box of the grid: the box, and the values of some variables by their names.
-Block: TypeAlias = tuple[tuple[slice, ...], Mapping[str, np.ndarray]]
+Block: TypeAlias = tuple[Box, Mapping[str, np.ndarray]]
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
@@ -152,96 +148,6 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 
-def write(ds: xr.Dataset, path: Path) -> None:
-    """Write a Dataset as one compressed NetCDF file with checksums, which appears whole or not at all."""
-    encoding: dict[str, dict[str, Any]] = {}
-    for name, variable in ds.variables.items():
-        fill_value = np.nan if name in ds.data_vars and variable.dtype.kind == "f" else None
-        encoding[str(name)] = {"_FillValue": fill_value} | (CHECKED_COMPRESSION if variable.ndim else {})
-    with _checked(path) as temporary:
-        ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
-
-
-@contextmanager
-def _checked(path: Path) -> Iterator[Path]:
-    """Give a temporary name for a file that gets checksums; it appears at `path` whole or not at all."""
-    with atomic_write(path) as temporary:
-        try:
-            yield temporary
-            checksums.add(temporary)
-        except (RuntimeError, OSError) as error:
-            raise disk_error(error, path) from None
-
-
-def write_blocks(
-    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
-) -> None:
-    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`, whatever the dataset has.
-
-    The attributes of the dataset are written last, because the blocks may set them.
-    """
-    coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    # Read without the lock, which they may need.
-    small = {
-        name: array.values
-        for name, array in ds.variables.items()
-        if name not in names and array.chunks is None
-    }
-    with _checked(path) as temporary:
-        with NETCDF_LOCK:
-            file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
-        try:
-            with NETCDF_LOCK:
-                for dim, length in ds.sizes.items():
-                    file.createDimension(str(dim), length)
-                for name, array in ds.variables.items():
-                    is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
-                    options: dict[str, Any] = {
-                        "fill_value": np.nan if is_data and array.dtype.kind == "f" else False
-                    }
-                    if dimensions:
-                        options |= CHECKED_COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
-                    variable = file.createVariable(str(name), array.dtype, dimensions, **options)
-                    variable.set_auto_maskandscale(False)
-                    variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
-                    if dimensions:
-                        checksums.limit_cache(variable)
-                    if name in small:
-                        variable[...] = small[name]
-            for name, array in ds.variables.items():  # parameters too large for memory
-                if array.chunks is not None and name not in names:
-                    array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
-            for box, values in blocks:
-                with NETCDF_LOCK:
-                    for name, part in values.items():
-                        file[name][box] = part
-            with NETCDF_LOCK:
-                file.setncatts(ds.attrs)
-        finally:
-            with NETCDF_LOCK:
-                file.close()
-
-
-def writable(
-    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
-) -> Path:
-    """Check a path as `files.writable`; BadInput also if it holds data of another program."""
-    path = files.writable(name, suffixes, force=force, inputs=inputs)
-    is_own = True
-    if path.suffix.lower() == ".nc":
-        checksums.check_path(path)
-        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
-            is_own = checksums.GROUP in file.groups or "atlas_version" in file.ncattrs()
-    elif path.is_dir():
-        is_own = zarr_store.is_whole(Folder(path))
-    if not is_own:
-        raise BadInput(
-            f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose"
-            " another name"
-        )
-    return path
-
-
 def write_csv(ds: xr.Dataset, path: Path) -> None:
     """Write the coordinates, then the variables of labelled points as a CSV file, whole or not at all."""
     columns: dict[str, list[Any]] = {}
@@ -301,7 +207,7 @@ def provenance(
         "date_created": now,
         "history": f"{now} computed by atlas {__version__}",
         **about.attributes(),
-        "atlas_version": __version__,
+        VERSION: __version__,
         "atlas_system": system.name,
         "atlas_scene": "" if scene is None else scene.toml(),
         "atlas_method": settings.method,

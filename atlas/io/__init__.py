@@ -1,1 +1,0 @@
-"""Files: atlases, their provenance, and progress."""

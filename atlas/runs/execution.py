@@ -1,0 +1,697 @@
+"""A run: the tiles of a scene computed in memory or in a run folder, by threads or by dask workers."""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+import socket
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from itertools import chain
+from pathlib import Path
+from threading import Event, Lock
+from typing import Any, TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from .. import systems
+from ..compiling import Stopwatch, announced
+from ..engine import blocks
+from ..errors import BadInput, shown
+from ..files import check_folder, check_name, exists_message, process_name
+from ..interruption import Stopped, explain_kept
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
+from ..scene import grid
+from ..scene.checks import MAX_THREADS, typed, whole_number
+from ..scene.model import Scene
+from ..scene.read import load_scene
+from ..store import dataset, finished
+from ..store.dataset import log_warnings, scene_provenance
+from ..store.place import Folder, located, place_at
+from ..store.progress import Progress, clock
+from ..store.tally import Totals
+from ..store.tile import Tiles, tile_types
+from ..store.tiling import Tiling
+from ..validation import half_step
+from . import claims, cluster, estimate, refine
+from .backend import open_atlas
+from .levels import Level, Part
+from .plan import ScenePlan, differences, identity
+from .reuse import Earlier, evaluate_at
+from .run import (
+    CLAIM_POLL,
+    LONGEST_NAME,
+    MANIFEST,
+    RESULT,
+    RunFolder,
+    history_text,
+    progress_name,
+    remove_empty,
+    result_hash,
+)
+
+MAX_DAMAGE_WARNINGS = 5
+# Seconds between two checks whether tiles that other processes compute are done; between the first CLAIM_POLL.
+MAX_CLAIM_POLL = 10.0
+RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
+Advance = Callable[[float], None]  # takes a number of finished points
+Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # what tiles are computed from
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Processes and threads that compute the tiles, and the shard that they compute; see `run`."""
+
+    threads: int | None = None
+    shard: tuple[int, int] | None = None
+    scheduler: str | None = None
+    workers: int | None = None
+    stop_after: float | None = None
+    progress: bool = True
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def on_cluster(self) -> bool:
+        """Whether dask workers compute the tiles."""
+        return bool(self.scheduler or self.workers)
+
+    def check(self, out: str | Path | None) -> None:
+        """Raise BadInput for values and combinations that are not allowed."""
+        if out is None and (self.shard or self.on_cluster or self.stop_after is not None):
+            raise BadInput(
+                "shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc"
+            )
+        if self.on_cluster and self.threads:
+            raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
+        if self.scheduler and self.workers:
+            raise BadInput("scheduler and workers are both given; a run has one of them")
+        for name, value in (("threads", self.threads), ("workers", self.workers)):
+            if value is not None:
+                whole_number(name, value, 1, MAX_THREADS)
+        if self.shard is not None:
+            if len(self.shard) != 2:
+                raise BadInput(f"shard = {shown(self.shard)}: must be (i, n)")
+            whole_number("shard: i", self.shard[0], 1, whole_number("shard: n", self.shard[1], 1))
+        if self.stop_after is not None and not self.stop_after > 0:
+            raise BadInput(f"stop_after = {shown(self.stop_after)}: must be a number of seconds above 0")
+
+
+@dataclass(frozen=True, eq=False)
+class _Execution:
+    """A plan, the earlier atlases whose points it takes, and who computes it."""
+
+    plan: ScenePlan
+    options: _Options
+    earlier: list[Earlier]
+    client: Any = None  # of the dask workers, if these compute the tiles
+
+    @property
+    def time_is_up(self) -> bool:
+        """Whether no tile may begin any more."""
+        limit = self.options.stop_after
+        return limit is not None and time.monotonic() - self.options.began >= limit
+
+    @contextmanager
+    def connected(self) -> Iterator[_Execution]:
+        """The same with dask workers, if these compute the tiles, while the context is open."""
+        if not self.options.on_cluster:
+            yield self
+            return
+        if self.options.workers:
+            # Compile the kernel by one step at one point: each new process would compile it otherwise.
+            sample = self.plan.sample
+            points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
+            if points.outputs:
+                evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
+        with cluster.connect(self.options.scheduler, self.options.workers) as client:
+            yield replace(self, client=client)
+
+
+@typed
+def run(
+    scene: Scene | str | Path,
+    out: str | Path | None = None,
+    *,
+    threads: int | None = None,
+    progress: bool = True,
+    force: bool = False,
+    shard: tuple[int, int] | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    stop_after: float | None = None,
+    reuse: str | Path | Sequence[str | Path] = (),
+) -> xr.Dataset:
+    """Integrate every point of a scene, label it, and write the atlas if `out` is given.
+
+    After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        A scene from `load_scene`, or what `load_scene` reads.
+    out : str or Path, optional
+        NAME.nc for one file, NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr. It is computed in
+        the run folder NAME.nc.run, or NAME.zarr.run; the folder is joined and removed in the end. If a run was killed between the
+        two, the same call finishes it. Or a run folder: a text that ends in /, such as s3://BUCKET/NAME/, or a Path without
+        suffix. A run folder that exists is continued.
+    threads : int, optional
+        Default: all processors of this process. Results do not depend on it.
+    progress : bool
+        Print progress to stderr.
+    force : bool
+        Replace an existing file or store, or another run in the folder that no process computes. The run of this scene is
+        continued, because its values are the same.
+    shard : (int, int), optional
+        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
+        its part of each level first and then what others have not.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers compute the tiles.
+    workers : int, optional
+        Number of processes on this machine that compute the tiles.
+    stop_after : float, optional
+        Seconds after which no tile begins; those that are being computed are finished. Needs `out`.
+    reuse : str, Path or sequence of them, optional
+        Earlier atlases, also unfinished run folders, on the same processor by the same programs: points that they share
+        with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states
+        which points were taken from where.
+
+    Returns
+    -------
+    xarray.Dataset
+        The scene's axes as dimensions, the variables it asks for, every parameter as a coordinate, and
+        provenance in the attributes. Opened lazily if `out` is given.
+
+    Raises
+    ------
+    BadInput
+        If no point can be computed, or if `out` cannot be written or contains something else, or if an atlas to be
+        reused shares no point with the scene. Nothing has then been computed.
+    interruption.Stopped
+        If `stop_after` is over before the run is; the same call continues it.
+    """
+    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    options = _Options(threads, shard, scheduler, workers, stop_after, progress)
+    options.check(out)
+    origin = systems.origin(scene.system)
+    if options.on_cluster and origin is not None and not origin.package:
+        raise BadInput(
+            f"the system {scene.system.name} is registered in this process alone, where dask workers cannot find it; run it in"
+            " threads, or install it as a package with an entry point in the group atlas.systems"
+        )
+    path, file = (None, None) if out is None else _destination(out)
+    if shard and file:
+        raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
+    if file is not None and not force and finished.stamp(file) is not None:
+        if MANIFEST not in place_at(_folder_of(file)).names() and not _is_left_over(_folder_of(file)):
+            raise BadInput(exists_message(file))
+        return _finished(ScenePlan.of(scene), file)
+    if scheduler:
+        cluster.check(scheduler)
+    plan = ScenePlan.of(scene)
+    earlier = [Earlier.of(each, scene) for each in ([reuse] if isinstance(reuse, str | Path) else reuse)]
+    execution = _Execution(plan, options, earlier)
+    warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
+    log_warnings(warnings)
+    if path is None:
+        return _run_in_memory(warnings, execution)
+    if force:
+        RunFolder.discard(plan, path)
+    if file is not None:
+        return _run_to_file(file, warnings, execution)
+    folder = RunFolder.prepare(plan, path, warnings)
+    with _complete(folder, execution, is_kept=True):
+        explain_kept(None)
+    return folder.dataset()
+
+
+def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
+    """Where a run is kept, and the path of an atlas that is one file or store; BadInput if it cannot be written."""
+    place = located(out)
+    if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and finished.stamp(place) is None:
+        RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
+    if isinstance(place, str):
+        if finished.is_store(place):
+            return _folder_of(place), finished.writable(place, (), force=True)
+        if str(out).endswith("/") or MANIFEST in place_at(place).names():
+            return place, None
+        raise BadInput(
+            f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
+        )
+    path = place if str(out).startswith("file:") else Path(out)
+    check_name(path)
+    may_be_folder = isinstance(out, Path) or (
+        path.is_dir() and not finished.is_store(path)
+    )  # a Path cannot end in /
+    is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
+    if not is_folder:
+        if path.suffix.lower() not in (".nc", finished.SUFFIX):
+            raise BadInput(
+                f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
+            )
+        check_name(Path(_folder_of(path)), LONGEST_NAME)
+        return _folder_of(path), finished.writable(path, (".nc", finished.SUFFIX), force=True)
+    check_name(path, LONGEST_NAME)
+    if not path.absolute().parent.is_dir():
+        raise BadInput(f"{path}: there is no folder {path.parent}")
+    return path, None
+
+
+def _folder_of(path: Path | str) -> Path | str:
+    """Run folder in which a NetCDF file or a Zarr store is computed."""
+    return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
+
+
+def _is_left_over(path: Path | str) -> bool:
+    """Whether there is a folder, of a run that was killed while it was removed."""
+    return isinstance(path, Path) and path.exists()
+
+
+@contextmanager
+def _complete(folder: RunFolder, execution: _Execution, *, is_kept: bool) -> Iterator[Progress]:
+    """Compute what is missing in a run or shard, which is kept or else joined; this process counts as at work while the context is open."""
+    explain_kept(folder.progress_text)
+    options, unfinished = execution.options, folder.tiles.missing()
+    part, parts = options.shard or (1, 1)
+    if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in unfinished):
+        check_folder(folder.place.path / "tiles" / "tile")
+    facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
+    folder.forget_processes(facts["shard"])
+    save = partial(folder.place.write, progress_name(process_name()), durable=False)
+    bar = Progress(0, show=options.progress, save=save, facts=facts)
+    try:
+        with execution.connected() as connected:
+            if folder.scene.refine is not None:
+                _compute_levels(folder, bar, connected)
+            else:
+                own = range(part - 1, folder.tiling.count, parts)
+                totals = _Job(folder, folder.tiles, own, connected).compute(bar)
+                _complete_notes(folder, connected, totals if parts == 1 else None, is_kept)
+        yield bar
+    except (BadInput, OSError):
+        folder.check_kept()
+        raise
+    finally:
+        bar.close()
+
+
+def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | None, is_kept: bool) -> None:
+    """Write what only the finished run has, if all tiles are there."""
+    if folder.tiles.missing():
+        return
+    if totals is None:  # of a shard
+        totals, damaged = folder.tiles.check(range(folder.tiling.count))
+        if damaged:
+            return
+    try:
+        attributes, saved = folder.notes()
+    except BadInput as error:
+        logging.getLogger("atlas").warning("%s", error)
+        attributes, saved = {}, None
+    if not is_kept:
+        totals = saved
+    if not attributes:
+        plan = execution.plan
+        attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.options.threads)
+    elif (saved and saved.table()) == (totals and totals.table()):
+        return
+    folder.save_notes(attributes, totals)
+
+
+def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> None:
+    """Compute the levels of a refined scene one after the other, then the tiles of its finest grid from them."""
+    plan, levels, every = execution.plan, list[Level](), range(folder.tiling.count)
+    tiles, totals, options = folder.tiles, Totals(), execution.options
+    _, damaged = tiles.check(tiles.written())
+    _warn_and_remove(tiles, damaged)
+    with suppress(BadInput):  # of damaged notes, which are written anew
+        if folder.is_complete:
+            bar.add(plan.scene.size, done=plan.scene.size)
+            return
+
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
+        before = levels[-1].tiles.key if levels else ""
+        level = folder.level(len(levels), before, indices, math.prod(plan.tiling.tile))
+        levels.append(level)
+        totals.merge(
+            _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number).compute(bar)
+        )
+        yield from level.read(indices)
+
+    scratch = folder.place.path if isinstance(folder.place, Folder) else Path(tempfile.gettempdir())
+    fine, attributes = refine.refined(
+        integrate, plan, scratch, threads=options.threads, progress=options.progress
+    )
+    folder.check_kept()
+    for tile in tiles.missing():
+        columns, indices = fine.values(folder.tiling.slices(tile)), tiles.indices(tile)
+        numbers = folder.types.keys() - columns
+        columns |= {name: np.full(folder.tiling.shape_of(tile), np.nan) for name in numbers}
+        for points, measured in chain.from_iterable(level.read(indices) for level in levels):
+            for name in numbers:
+                columns[name].flat[points - indices[0]] = measured[name]
+        tiles.write(tile, columns, computed=int(columns["computed"].sum()), seconds=0.0, by="refinement")
+    result, damaged = tiles.check(every)
+    if damaged:
+        raise OSError(f"{folder.path}: tile {min(damaged)}: {min(damaged.values())}; run the scene again")
+    folder.save_notes(attributes, replace(totals, tally=result.tally))
+
+
+def _run_to_file(path: Path | str, warnings: list[str], execution: _Execution) -> xr.Dataset:
+    """Compute an atlas in its run folder, join it, and remove the folder.
+
+    If another process did the same, it may have removed the folder; the error then means a finished file.
+    """
+    before, plan, is_joined = finished.stamp(path), execution.plan, False
+    try:
+        folder = RunFolder.prepare(plan, _folder_of(path), warnings)
+        if finished.stamp(path) == before:
+            with _complete(folder, execution, is_kept=False) as bar:
+                if finished.stamp(path) == before:
+                    folder.join(path)
+                    bar.close()  # so that it leaves nothing where the run was
+                    folder.remove()
+                    explain_kept(None)
+                    is_joined = True
+    except (BadInput, OSError):
+        if finished.stamp(path) == before or not _is_result(plan, path):
+            raise
+    return open_atlas(path) if is_joined else _finished(plan, path)
+
+
+def _is_result(plan: ScenePlan, path: Path | str) -> bool:
+    """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
+    try:
+        with open_atlas(path) as ds:
+            result = ds.attrs.get(RESULT)
+    except BadInput:
+        return False
+    # A dataset that a user derives from an atlas has its attributes but no hash.
+    return finished.has_hash(path) and result == result_hash(plan.scene.toml(), identity(plan.points))
+
+
+def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
+    """Open a file that holds the result already, after removing its run folder; BadInput if it does not.
+
+    A run that is killed after it moved the file into place ends here when it is started again.
+    """
+    if not _is_result(plan, path):
+        raise BadInput(exists_message(path))
+    folder_path = _folder_of(path)
+    try:
+        folder = RunFolder.open(folder_path)
+        folder.check_same(plan)
+    except BadInput:
+        remove_empty(folder_path)  # unless it holds something else
+    else:
+        finished.verify(path)
+        folder.remove()
+    return open_atlas(path)
+
+
+def _run_in_memory(warnings: list[str], execution: _Execution) -> xr.Dataset:
+    """Compute an atlas without a run folder."""
+    plan, threads, earlier = execution.plan, execution.options.threads, execution.earlier
+    scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
+
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
+        nonlocal points
+        for (chunk,) in Tiling.of(indices.shape, grid.MAX_POINTS_PER_TILE):
+            values, computed, taken = evaluate_at(
+                plan.points, scene, indices[chunk], earlier, threads=threads
+            )
+            points += computed
+            reused.update(taken)
+            yield indices[chunk], values
+
+    if scene.refine is not None:
+        with announced(execution.options.progress):
+            fine, attributes = refine.refined(
+                integrate, plan, None, threads=threads, progress=execution.options.progress
+            )
+        ds = dataset.dataset(scene, fine.values(())).assign_attrs(attributes)
+    else:
+        with closing(Progress(scene.size, show=execution.options.progress)) as bar:
+            columns, reused = columns_of(plan, bar, threads, earlier)
+        ds, points = dataset.dataset(scene, columns), scene.size
+    attributes = scene_provenance(
+        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=warnings
+    )
+    if scene.refine is None:
+        attributes |= half_step.half_step_sample(scene, plan.points, threads=threads)
+    return ds.assign_attrs(attributes | ds.attrs | history_text(reused))
+
+
+def columns_of(
+    plan: ScenePlan, bar: Progress, threads: int | None = None, earlier: Sequence[Earlier] = ()
+) -> tuple[dict[str, np.ndarray], Counter[str]]:
+    """Variables and solved parameters of all points of a scene, tile by tile; the numbers of points of earlier atlases."""
+    scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
+    columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
+
+    def compute(tile: int, advance: Advance) -> None:
+        indices = tiles.indices(tile)
+        values, computed, reused = evaluate_at(
+            plan.points, scene, indices, earlier, threads=threads, progress=advance
+        )
+        for name, column in columns.items():
+            column[indices] = values[name]
+        all_reused.update(reused)
+        bar.skip(indices.size - computed + reused.total())
+
+    in_flight = plan.tiles_in_flight(threads)
+    for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
+    return columns, all_reused
+
+
+class _Abandoned(Exception):
+    """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
+
+
+def for_each_tile(
+    tiles: Iterable[int],
+    compute: Callable[[int, Advance], None],
+    advance: Advance,
+    in_flight: int,
+    stop: Event,
+) -> None:
+    """Call compute(tile, advance) in threads; after an error or Ctrl-C, which set `stop`, abandon tiles and raise it."""
+    source, lock = iter(tiles), Lock()
+
+    def advance_or_stop(points: float) -> None:
+        if stop.is_set():
+            raise _Abandoned
+        advance(points)
+
+    def worker() -> None:
+        with suppress(_Abandoned):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                compute(tile, advance_or_stop)
+
+    with ThreadPoolExecutor(in_flight) as pool:
+        try:
+            for future in as_completed([pool.submit(worker) for _ in range(in_flight)]):
+                future.result()
+        finally:
+            stop.set()
+
+
+class _Job:
+    """Some tiles of a run that this process has to compute, unless other ones do.
+
+    No shard goes on to the next level before this one is complete, so that it computes the tiles of the others too, after its own.
+    """
+
+    def __init__(
+        self, run: RunFolder, tiles: Tiles, chosen: range, execution: _Execution, level: int | None = None
+    ):
+        self.run, self.tiles, self.chosen, self.execution, self.level = run, tiles, chosen, execution, level
+        self.part, self.parts = execution.options.shard or (1, 1)
+        self.stop = Event()  # set when an error or Ctrl-C ends the job
+        self.totals, self.own = (
+            Totals(),
+            set[int](),
+        )  # of the tiles that this process wrote, which it has read back
+
+    def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
+        """Unfinished tiles one by one, from a random one on, so that parallel processes share the work; Stopped if the time is over."""
+        first = random.randrange(len(unfinished))
+        tiles, files, size_of = (
+            [*unfinished[first:], *unfinished[:first]],
+            self.tiles,
+            self.tiles.tiling.size_of,
+        )
+        tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
+        pause = CLAIM_POLL
+        while tiles:
+            claimed, files.listed = [], None
+            for tile in tiles:
+                if files.was_written(tile):
+                    bar.skip(size_of(tile))
+                elif self.execution.time_is_up:
+                    return
+                elif claims.claim_tile(files, tile):
+                    if files.is_written(tile):
+                        with claims.held(
+                            files, tile
+                        ):  # written since the folder was listed, perhaps with others
+                            bar.skip(size_of(tile))
+                        files.listed = None
+                    else:
+                        yield tile
+                else:
+                    claimed.append(tile)
+            if len(claimed) == len(tiles):
+                if self.stop.wait(pause):
+                    return
+                pause = min(2 * pause, MAX_CLAIM_POLL)
+            tiles = claimed
+
+    def compute(self, bar: Progress) -> Totals:
+        """Compute the tiles that are not there, and again those that are not as they were written; Stopped if the time is over before."""
+        size_of, written, done = self.tiles.tiling.size_of, self.tiles.written(), 0
+        unfinished = [tile for tile in self.chosen if tile not in written]
+        done = sum(size_of(tile) for tile in self.chosen if tile in written)
+        bar.add(sum(map(size_of, self.chosen)), done=done)
+        while True:
+            if unfinished:
+                self._compute(unfinished, bar)
+            totals, damaged = self.tiles.check(tile for tile in self.chosen if tile not in self.own)
+            if not damaged:
+                totals.merge(self.totals)
+                return totals
+            _warn_and_remove(self.tiles, damaged)
+            unfinished = sorted(damaged)
+            bar.skip(-sum(map(size_of, unfinished)))
+
+    def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
+        """Compute some tiles that are not there."""
+        self.stop = Event()
+        execution, run, size_of = self.execution, self.run, self.tiles.tiling.size_of
+        if isinstance(run.place, Folder):
+            path, points = run.place.path, sum(map(size_of, unfinished))
+            estimate.check_disk(execution.plan, path, points, is_joined=path.suffix == RUN_SUFFIX)
+        try:
+            remaining = self.remaining_tiles(unfinished, bar)
+            if execution.client is not None:
+                self._compute_on_cluster(remaining, bar)
+            else:
+                self._compute_in_threads(remaining, bar)
+        finally:
+            run.remove_leftovers()
+        if execution.time_is_up and not all(map(self.tiles.is_written, unfinished)):
+            limit = execution.options.stop_after or 0
+            raise Stopped(f"stopped after {clock(limit)}; {run.progress_text()}")
+
+    def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
+        plan, threads = self.execution.plan, self.execution.options.threads
+        source = self.run, self.tiles, plan.points, self.execution.earlier
+        by = f"{threads or blocks.available_threads()} threads"
+        by += f", shard {self.part}/{self.parts}" if self.parts > 1 else ""
+        stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
+
+        def seconds() -> float:
+            """Since the tile before this one ended, because tiles overlap."""
+            nonlocal last_end
+            with lock:
+                before, last_end = last_end, stopwatch.seconds()
+                return last_end - before
+
+        def compute(tile: int, advance: Advance) -> None:
+            header = _compute_tile(source, tile, threads, by, seconds, advance)
+            bar.skip(header["points"] - header["computed"] + sum(header["reused"].values()))
+            with lock:
+                self.own.add(tile)
+                self.totals.add(header)
+
+        for_each_tile(tiles, compute, bar.advance, plan.tiles_in_flight(threads), self.stop)
+
+    def _compute_on_cluster(self, tiles: Iterator[int], bar: Progress) -> None:
+        run, client = self.run, self.execution.client
+
+        def on_result(tile: int) -> None:
+            if not self.tiles.is_written(tile):
+                raise BadInput(
+                    f"a worker wrote tile {tile}, but it is not in {self.tiles.place}: workers must see the same files"
+                )
+            bar.advance(self.tiles.tiling.size_of(tile))
+
+        place = str(run.path), self.level, self.tiles.key
+        reuse = tuple(str(each.path) for each in self.execution.earlier)
+        cluster.check_workers(client, check_worker, (*place, reuse))
+        cluster.for_each(client, compute_tile, ((*place, tile, reuse) for tile in tiles), on_result)
+
+
+def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
+    """Remove damaged tiles, so that they are missing, and say so."""
+    warn = logging.getLogger("atlas").warning
+    for tile, reason in list(damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        warn("%s: tile %d is computed again: %s", tiles.place, tile, reason)
+    if len(damaged) > MAX_DAMAGE_WARNINGS:
+        warn("... and %d damaged tiles more", len(damaged) - MAX_DAMAGE_WARNINGS)
+    for tile in damaged:
+        tiles.place.remove(tiles.name(tile))
+
+
+def _compute_tile(
+    source: Source, tile: int, threads: int | None, by: str, seconds: Callable[[], float], advance: Advance
+) -> dict[str, Any]:
+    """Compute and write a tile; its header."""
+    run, tiles, plan, earlier = source
+    with claims.held(tiles, tile) as keep:
+
+        def report(points: float) -> None:
+            keep()
+            advance(points)
+
+        columns, computed, reused = evaluate_at(
+            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=report
+        )
+        run.check_kept()
+        return tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)
+
+
+def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
+    """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
+    _open_cached(path, level, key, reuse)
+
+
+def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
+    """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
+    source = _open_cached(path, level, key, reuse)
+    _compute_tile(source, tile, 1, "dask workers", Stopwatch().seconds, lambda points: None)
+    return tile
+
+
+@lru_cache(maxsize=8)
+def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
+    """The source of the tiles of a run or level whose bits this process computes."""
+    run = RunFolder.open(path)
+    try:
+        opened = None if level is None else Level.open(run.place, run.scene, run.key, level)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
+    if (run.key if opened is None else opened.key) != key:
+        raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
+    plan = Plan.of(run.scene)
+    own = identity(plan)
+    if different := differences(run.manifest["identity"], own, "in the run", "in the worker"):
+        raise BadInput(
+            f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
+            f" same programs. It differs in {different}"
+        )
+    own_key = run.key_with(own)  # the key of what this process computes
+    tiles = run.tiles_with(own_key) if opened is None else opened.with_key(own_key).tiles
+    return run, tiles, plan, [Earlier.of(each, run.scene) for each in reuse]

@@ -1,0 +1,475 @@
+"""Runs: a scene computed in tiles in a folder or below an address of an object store, so that it can be interrupted and continued.
+
+    NAME/manifest.json               what is computed, by which programs, in which tiles; created once
+    NAME/tiles/00000012.tile         variables of one tile
+    NAME/tiles/00012/00012345.tile   the same in runs of more than 1000 tiles
+    NAME/levels/                     of a refined run; see `levels`
+    NAME/progress-PROCESS.json       progress of a process, for people and scripts
+    NAME/notes.json                  what only the finished run has: attributes, and sums over its tiles
+
+Nothing is locked: contents appear whole, and a tile computed twice has the same values. Every content but those of progress, on
+which nothing computed depends, carries a hash.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import os
+import re
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from ..errors import BadInput, option, shown
+from ..files import (
+    PROCESS_NAME,
+    check_folder,
+    check_types,
+    is_temporary,
+    one_line,
+    parsed,
+    remove_leftovers,
+    sealed,
+    unsealed,
+)
+from ..scene import grid
+from ..scene.read import parse_scene
+from ..store import dataset, finished, progress
+from ..store.dataset import Block, scene_provenance
+from ..store.place import CLOCK, located, place_at
+from ..store.tally import Totals
+from ..store.tile import DamagedTile, Tiles, tile_types
+from ..store.tiling import Tiling
+from ..variables import COMPUTED, variables
+from .claims import claim, claimants
+from .levels import LEVELS, Level, levels_of
+from .plan import ScenePlan, differences, identity
+
+FORMAT = 4
+MANIFEST, NOTES = "manifest.json", "notes.json"
+TILES = "tiles"
+CREATION = "manifest.claim"  # of the process that creates the manifest
+CLAIM_POLL = 0.5  # seconds between two attempts to claim
+# As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
+LONGEST_NAME = "tiles/" + 64 * "x"
+PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
+PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
+    ("points", "done", "points_per_second"), int | float
+)
+ATTRIBUTE = str | int | float  # types of the attributes of an atlas
+MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
+TALLY = "tally"  # entry of the encoding of a dataset of a whole run
+RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
+HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
+Blocks: TypeAlias = Callable[[tuple[int, ...]], Iterator[Block]]  # gives all points in boxes of these lengths
+
+
+class RunFolder:
+    """One run, which other processes open themselves when it is sent to them."""
+
+    def __init__(self, path: Path | str, manifest: dict[str, Any]):
+        self.path, self.place, self.manifest = path, place_at(path), manifest
+        self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile carries it
+        self.scene = parse_scene(str(manifest["scene"]))
+        self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
+        self.tiling.check()
+        computed = {} if self.scene.refine is None else {COMPUTED.name: COMPUTED.dtype}
+        self.types = tile_types(self.scene) | computed
+        self.tiles = self.tiles_with(self.key)
+
+    def __reduce__(self) -> Any:
+        return RunFolder.open, (self.path,)
+
+    def __dask_tokenize__(self) -> tuple[str, str]:
+        # By default dask pickles and opens the folder for each of its arrays.
+        return str(self.path), self.key
+
+    @classmethod
+    def open(cls, path: str | Path) -> RunFolder:
+        """Open a run; BadInput if it is none, its manifest is damaged, or another version wrote it."""
+        path = located(path)
+        place = place_at(path)
+        file = f"{place}/{MANIFEST}"
+        try:
+            try:
+                manifest = unsealed(place.read(MANIFEST))
+            except FileNotFoundError:  # a store of version 0.1.0 had its run in a group
+                manifest = unsealed(place.read(f"atlas/{MANIFEST}"))
+        except FileNotFoundError:
+            raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
+        except NotADirectoryError:
+            raise BadInput(f"{path}: not a run folder but a file") from None
+        except ValueError as error:
+            raise BadInput(
+                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {one_line(error)}"
+            ) from None
+        except OSError as error:
+            raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
+        _check_format(path, manifest)
+        try:
+            check_types(manifest, MANIFEST_TYPES)
+            check_types(manifest["identity"], dict.fromkeys(manifest["identity"], str))
+            check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
+            if manifest["key"] != _key(manifest):
+                raise ValueError("its key does not match its content")
+            return cls(path, manifest)
+        except BadInput as error:
+            version = manifest["identity"].get("atlas")
+            raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
+        except ValueError as error:
+            raise BadInput(f"{file}: damaged: {one_line(error)}") from None
+
+    @classmethod
+    def prepare(cls, plan: ScenePlan, path: Path | str, warnings: list[str]) -> RunFolder:
+        """Create the run of a scene, or open it to be continued; BadInput for anything else in its place."""
+        path = located(path)
+        place = place_at(path)
+        if MANIFEST not in (names := place.names()):
+            if isinstance(path, Path):
+                if path.exists() and not path.is_dir():
+                    raise BadInput(f"{path}: this is a file, not a run folder")
+                check_folder(path / MANIFEST if path.exists() else path)
+            if not all(
+                name in (CREATION, CLOCK) or is_temporary(name) or PROGRESS.fullmatch(name) for name in names
+            ):
+                raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
+            scene, kernel = plan.scene, plan.points.kernel_hash
+            attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
+            # The tiles of a refined atlas are written, not computed.
+            finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
+            manifest = {
+                "format": FORMAT,
+                "scene": scene.toml(),
+                "identity": identity(plan.points),
+                "tile": (plan.tiling if scene.refine is None else finest).tile,
+                "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+                "provenance": {  # JSON has no nan
+                    name: None if isinstance(value, float) and math.isnan(value) else value
+                    for name, value in attributes.items()
+                },
+            }
+            manifest["key"] = _key(manifest)
+            place.make()
+            while MANIFEST not in place.names():  # of several processes one creates it
+                if not claim(place, CREATION):
+                    time.sleep(CLAIM_POLL)
+                    continue
+                if MANIFEST not in place.names():
+                    place.write(MANIFEST, sealed(manifest).encode())
+                place.remove(CREATION)
+        run = cls.open(path)
+        run.check_same(plan)
+        run.remove_leftovers()
+        with suppress(OSError):
+            run.tiles.place.make()
+        return run
+
+    @classmethod
+    def discard(cls, plan: ScenePlan, path: Path | str) -> None:
+        """Remove another scene's run; BadInput if a process computes it."""
+        if MANIFEST not in place_at(path).names():
+            return  # `prepare` refuses anything else
+        try:
+            run = cls.open(path)
+        except BadInput:
+            return  # `prepare` refuses it
+        try:
+            run.check_same(plan)
+        except BadInput:
+            names = [content["process"] for content, state in run.processes() if state == progress.AT_WORK]
+            if at_work := [*names, *filter(None, claimants(run.place).values())]:
+                match = PROCESS_NAME.fullmatch(at_work[0])
+                process = f"process {match[3]}" if match else at_work[0]
+                hosts = [c["host"] for c, _ in run.processes() if c["process"] == at_work[0]]
+                raise BadInput(
+                    f"{run.path}: is computed by {process} on {hosts[0] if hosts else 'this or another machine'}; wait for"
+                    " it, end it, or choose another name"
+                ) from None
+            run.remove()
+
+    def check_same(self, plan: ScenePlan) -> None:
+        """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
+        stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
+        current = _flattened(tomllib.loads(plan.scene.toml())) | identity(plan.points)
+        different = differences(stored, current, "in the folder", "now")
+        if different:
+            raise BadInput(
+                f"{self.path}: holds another run; choose another name, or {option('force', True)} replaces it. It differs in"
+                f" {different}"
+            )
+
+    def check_kept(self) -> None:
+        """Raise OSError if another process has removed the run, or replaced it by another one."""
+        try:
+            kept = unsealed(self.place.read(MANIFEST)).get("key") == self.key
+        except (FileNotFoundError, NotADirectoryError, ValueError):
+            kept = False
+        if not kept:
+            raise OSError(
+                f"{self.path}: another process has removed this run while it was computed; run its scene again"
+            )
+
+    def processes(self) -> Iterator[tuple[dict[str, Any], str]]:
+        """Content of each progress file that can be read, and the state of its process."""
+        for name in sorted(filter(PROGRESS.fullmatch, self.place.names())):
+            # KeyError and TypeError: no entry `running`, or a time without a zone
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                content = parsed(self.place.read(name))
+                check_types(content, PROGRESS_TYPES)
+                yield content, progress.state(content, partial(self.place.age, name))
+
+    def forget_processes(self, shard: str) -> None:
+        """Remove the progress files of processes of a shard that ended."""
+        for content, state in self.processes():
+            if content["shard"] == shard and state != progress.AT_WORK:
+                with suppress(OSError):
+                    self.place.remove(progress_name(content["process"]))
+
+    def level(self, number: int, before: str, points: np.ndarray, most: int) -> Level:
+        """A level of a refined run in tiles of at most so many points, which is written unless it is there."""
+        self.check_kept()
+        return Level.of(self.place, self.scene, self.key, number, before, points, most)
+
+    def levels(self) -> Iterator[Level]:
+        """The levels that have begun, without damaged ones, which are logged."""
+        for level in levels_of(self.place, self.scene, self.key):
+            if isinstance(level, Level):
+                yield level
+            else:
+                logging.getLogger("atlas").warning("%s", level)
+
+    def tile_sets(self) -> dict[str, Tiles]:
+        """The tiles that are integrated, by the name of their part of the run."""
+        if self.scene.refine is None:
+            return {"": self.tiles}
+        return {f"level {level.number}: ": level.tiles for level in self.levels()}
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the atlas can be read as a whole."""
+        return not self.tiles.missing() and (self.scene.refine is None or self.notes()[1] is not None)
+
+    def key_with(self, identity: dict[str, str]) -> str:
+        """Key of this run if programs and processors of another identity computed it."""
+        return _key(self.manifest | {"identity": identity})
+
+    def tiles_with(self, key: str) -> Tiles:
+        """The tiles of this run if it had this key."""
+        return Tiles(self.place.inside(TILES), key, self.types, self.tiling)
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files and claims of processes that were killed."""
+        self.place.remove_leftovers()
+        for name, process in claimants(self.place).items():
+            if not process:
+                with suppress(OSError):
+                    self.place.remove(name)
+
+    def progress_text(self) -> str:
+        """Number of the tiles that are written, as text; empty if the folder has been removed."""
+        path, sets = str(self.path), self.tile_sets().values()
+        if isinstance(self.path, Path):
+            if not self.path.is_dir():
+                return ""
+            path = os.path.relpath(self.path)
+        count = sum(tiles.tiling.count for tiles in sets)
+        written = count - sum(len(tiles.missing()) for tiles in sets)
+        return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
+
+    def dataset(self) -> xr.Dataset:
+        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
+        import dask.array as da
+
+        totals, is_complete = self.notes()[1], self.is_complete
+        if self.scene.refine is not None and not is_complete:
+            raise BadInput(
+                f"{self.path}: {self.progress_text()}, and more levels may follow; run its scene again first"
+            )
+        if totals is None or not is_complete:
+            totals = self.tiles.check(self.tiles.written())[0]
+        chunks, nothing = (
+            da.core.normalize_chunks(self.tiling.tile, self.scene.shape),
+            (0,) * len(self.scene.shape),
+        )
+        arrays = {
+            name: da.map_blocks(_read_chunk, self, name, chunks=chunks, meta=np.empty(nothing, kind))
+            for name, kind in self.types.items()
+        }
+        ds = dataset.dataset(self.scene, arrays, self.tiling.tile).assign_attrs(self.attributes(totals))
+        if is_complete and totals.tally.counts:
+            ds.encoding[TALLY] = totals.tally
+        return ds
+
+    def template(self) -> xr.Dataset:
+        """The atlas with zeros, which take no memory, in place of its values."""
+        shape, types = self.scene.shape, self.types.items()
+        zeros = {name: np.broadcast_to(np.zeros((), kind), shape) for name, kind in types}
+        return dataset.dataset(self.scene, zeros, self.tiling.tile)
+
+    def attributes(self, totals: Totals) -> dict[str, Any]:
+        """Attributes of the atlas whose tiles have these sums."""
+        attributes = {
+            name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
+        }
+        attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
+        attributes["atlas_seconds"] = seconds = totals.seconds
+        computed = totals.points - totals.reused.total()
+        attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
+        attributes |= history_text(totals.reused)
+        # All levels of a refined run are there when it is read.
+        count = self.tiling.count if self.scene.refine is None else totals.by.total()
+        attributes["atlas_run"] = f"{totals.by.total()} of {count} tiles" + "".join(
+            f"; {count} by {by}" for by, count in sorted(totals.by.items())
+        )
+        return attributes | self.notes()[0]
+
+    def save_notes(self, attributes: dict[str, Any], totals: Totals | None) -> None:
+        """Save attributes that only the finished run has, and sums over its tiles if it is read where it is."""
+        self.check_kept()
+        content = {"key": self.key, "attributes": attributes, "totals": totals.table() if totals else {}}
+        self.place.write(NOTES, sealed(content).encode())
+
+    def notes(self) -> tuple[dict[str, Any], Totals | None]:
+        """What `save_notes` saved, or nothing; BadInput if it is damaged."""
+        file = f"{self.place}/{NOTES}"
+        try:
+            content = unsealed(self.place.read(NOTES))
+            check_types(content, {"key": str, "attributes": dict, "totals": dict})
+            check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
+            if content["key"] != self.key:
+                raise ValueError("it belongs to another run")
+            return content["attributes"], Totals.of(content["totals"]) if content["totals"] else None
+        except FileNotFoundError:
+            return {}, None
+        except OSError as error:
+            raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            raise BadInput(
+                f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+            ) from None
+
+    def join(self, out: Path | str) -> None:
+        """Write the atlas as a NetCDF file or as a Zarr store, box by box, in memory of constant size.
+
+        `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
+        """
+        if not self.is_complete:
+            raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
+        ds = self.template().assign_attrs(self.notes()[0])  # damaged ones end it before it begins
+        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
+        lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
+        chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
+        try:
+            finished.write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
+        except DamagedTile as error:
+            raise BadInput(f"{self.path}: {error}; run its scene again first") from None
+
+    def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
+        """All points in boxes of these lengths, with the values of the tiles; then the dataset gets its attributes."""
+        boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, self.tiles.read_all()
+        totals = Totals()
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
+        points = 0  # in the parts
+        for box in range(boxes.count):
+            size, shape = boxes.size_of(box), boxes.shape_of(box)
+            while points < size:
+                header, values = next(tiles)
+                totals.add(header)
+                parts.append(values)
+                points += header["points"]
+            flat = {name: np.concatenate([values[name].ravel() for values in parts]) for name in types}
+            yield boxes.slices(box), {name: values[:size].reshape(shape) for name, values in flat.items()}
+            parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
+        # The tiles of a refined atlas do not tell what its levels took.
+        ds.attrs |= self.attributes(totals if self.scene.refine is None else self.notes()[1] or totals)
+
+    def remove(self) -> None:
+        """Remove the run, and its folder if nothing else is in it; the manifest last.
+
+        The tiles go by one move, so that a process which still computes some cannot leave any behind.
+        """
+        for part in (TILES, LEVELS):
+            with suppress(OSError):
+                self.place.inside(part).clear()
+        for name in [*filter(PROGRESS.fullmatch, self.place.names()), CREATION, CLOCK, NOTES, MANIFEST]:
+            self.place.remove(name)
+        if isinstance(self.path, Path):
+            remove_empty(self.path)
+
+
+def progress_name(process: str) -> str:
+    """Name of the progress file of a process."""
+    return f"progress-{process}.json"
+
+
+def remove_empty(path: Path | str) -> None:
+    """Remove the folder of a run that was removed, if it contains nothing but temporary files."""
+    if isinstance(path, Path):
+        remove_leftovers(path)
+        with suppress(OSError):
+            path.rmdir()
+
+
+def result_hash(scene: str, programs: dict[str, str]) -> str:
+    """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
+    return hash_of({"scene": scene, "identity": programs})
+
+
+def history_text(reused: Mapping[str, int]) -> dict[str, str]:
+    """The attribute with the numbers of points from earlier atlases, by what these are; none without such points."""
+    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
+    return {HISTORY: "\n".join(lines)} if lines else {}
+
+
+def hash_of(content: dict[str, Any]) -> str:
+    """Hash of the entries of a table."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _key(manifest: dict[str, Any]) -> str:
+    """Hash of the scene, the programs and the tiling of a manifest."""
+    return hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
+
+
+def _check_format(path: Path | str, manifest: Mapping[str, Any]) -> None:
+    """Raise BadInput for the run of a version that kept it in another form."""
+    if manifest.get("format") != FORMAT:
+        programs = manifest.get("identity")
+        version = programs.get("atlas") if isinstance(programs, dict) else None
+        raise BadInput(
+            f"{path}: not a run of this version of atlas (format {FORMAT}), which does not continue it;"
+            f" finish it with the version that began it, {shown(version)}, or remove it"
+        )
+
+
+def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:
+    """One tile of one variable; not_computed or nan where the tile is missing or damaged."""
+    tile = int(np.ravel_multi_index(block_id, run.tiling.counts))
+    try:
+        return run.tiles.read(tile, (name,))[1][name]
+    except FileNotFoundError:
+        pass
+    except DamagedTile as error:
+        logging.getLogger("atlas").warning("%s: tile %d is damaged: %s", run.path, tile, error)
+    dtype = np.dtype(run.types[name])
+    missing = variables(run.scene.system)[name].missing if dtype.kind == "i" else np.nan
+    return np.full(run.tiling.shape_of(tile), missing, dtype)
+
+
+def _flattened(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A nested table as one level, with dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        flat |= _flattened(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+    return flat

@@ -1,0 +1,75 @@
+"""The state of a run, or of a finished atlas, as text."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from ..errors import MAX_MESSAGE, MAX_TEXT, printable
+from ..files import check_name, remove_leftovers
+from ..store import finished, progress
+from ..store.place import located, place_at
+from .backend import open_atlas
+from .run import RunFolder
+
+
+def status(path: str | Path, *, verify: bool = False) -> str:
+    """State of a run or finished atlas, all of which is read to `verify` it; BadInput if a finished one is not as it was written."""
+    place = located(path)
+    if isinstance(place, Path):
+        check_name(place)
+    is_file = isinstance(place, Path) and place.is_file()
+    if not is_file and finished.METADATA not in place_at(place).names():
+        return _status_of(RunFolder.open(path), verify)
+    with open_atlas(path) as ds:
+        size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
+        lines = [f"{printable(str(ds.attrs.get('title', '')), MAX_TEXT)}: finished atlas, {size}"]
+    if verify:
+        finished.verify(place)
+        lines.append("all of it is as it was written")
+    return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
+
+
+def _status_of(run: RunFolder, verify: bool) -> str:
+    """State of processes and tiles; removes files of killed processes."""
+    run.remove_leftovers()
+    if isinstance(run.path, Path):
+        remove_leftovers(run.path.parent)
+    scene, is_refined, points_left = run.scene, run.scene.refine is not None, 0
+    size = f"{scene.size} points in {run.tiling.count} tiles of at most {math.prod(run.tiling.tile)}"
+    size = f"refined, {scene.size} points on the finest grid" if is_refined else size
+    lines, sets = [f"{printable(scene.title, MAX_TEXT)}: {size}"], run.tile_sets()
+    if is_refined and (run.tiles.written() or run.notes()[1]):
+        sets["finest grid: "] = run.tiles
+    for name, tiles in sets.items():
+        missing = tiles.missing()
+        damaged = tiles.check({*range(tiles.tiling.count)} - {*missing})[1] if verify else {}
+        done = tiles.tiling.count - len(missing) - len(damaged)
+        lines.append(
+            f"{name}done {done}, "
+            + (f"damaged {len(damaged)}, " if verify else "")
+            + f"missing {len(missing)}"
+        )
+        lines += [
+            f"{name}tile {tile} will be computed again: {reason}" for tile, reason in sorted(damaged.items())
+        ]
+        points_left += sum(map(tiles.tiling.size_of, [*missing, *damaged]))
+    total_speed, is_running = 0.0, False
+    for content, state in run.processes():
+        lines.append(
+            f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
+            f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
+        )
+        if state == progress.AT_WORK:
+            is_running, total_speed = True, total_speed + content["points_per_second"]
+    if points_left and total_speed > 0:
+        lines.append(
+            f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
+            " processes at work"
+        )
+    elif not is_running and (points_left or not run.is_complete):
+        more = " of the levels that have begun, and more levels may follow" if is_refined else ""
+        lines.append(
+            f"{points_left} points left{more}, no process is at work; `atlas run` with its scene continues"
+        )
+    return "\n".join(printable(line, MAX_MESSAGE) for line in lines)

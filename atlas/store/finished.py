@@ -1,0 +1,128 @@
+"""The finished atlas: one NetCDF file, or one Zarr store in a folder or below an address of an object store."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import xarray as xr
+
+from ..errors import BadInput
+from ..files import check_not_input, exists_message, foreign_message, is_temporary
+from . import netcdf
+from .dataset import HASH, VERSION, Block
+from .place import Folder, Place, place_at
+
+METADATA, SUFFIX = "zarr.json", ".zarr"
+EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # of stores of version 0.1.0
+MAX_OBJECT_BYTES = 1 << 31
+# Names in a store; those of the group `atlas` are of version 0.1.0.
+OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
+
+
+def is_store(path: Path | str) -> bool:
+    """Whether what `located` gives has the name of a Zarr store."""
+    return str(path).lower().endswith(SUFFIX)
+
+
+def attributes_of(place: Place) -> dict[str, Any]:
+    """Attributes of a Zarr store; none without one, or if they cannot be read."""
+    try:
+        return dict(json.loads(place.read(METADATA))["attributes"])
+    except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
+        return {}
+
+
+def has_hash(path: Path | str) -> bool:
+    """Whether an atlas has the hash that is written last; a copy by xarray has none."""
+    if is_store(path):
+        return HASH in attributes_of(place_at(path))
+    with netcdf.NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
+        return HASH in file.ncattrs()
+
+
+def stamp(path: Path | str) -> object:
+    """A value that changes when an atlas is replaced; None if there is none, or a part of one."""
+    if is_store(path):
+        place, attributes = place_at(path), attributes_of(place_at(path))
+        is_whole = HASH in attributes or not EARLIER_HASHES.isdisjoint(attributes)
+        return place.stamp(METADATA) if is_whole else None
+    return Folder(Path(path).parent).stamp(Path(path).name)
+
+
+def open_finished(path: Path | str) -> xr.Dataset:
+    """Open an atlas lazily; BadInput if it cannot be read, or claims more than it can hold."""
+    return (
+        _zarr().open_store(path)
+        if is_store(path) or not Path(path).is_file()
+        else netcdf.open_file(Path(path))
+    )
+
+
+def verify(path: Path | str) -> None:
+    """Read all of an atlas; BadInput if it is not as it was written, or has no hash."""
+    if is_store(path) or not Path(path).is_file():
+        _zarr().verify(path)
+    else:
+        netcdf.verify(Path(path))
+
+
+def write_blocks(
+    ds: xr.Dataset,
+    chunk: Mapping[str, int],
+    names: Collection[str],
+    blocks: Iterator[Block],
+    path: Path | str,
+) -> None:
+    """Write an atlas larger than memory; blocks hold `names`, whatever the dataset has.
+
+    The attributes of the dataset are written last, because the blocks may set them.
+    """
+    if is_store(path):
+        _zarr().write_blocks(ds, chunk, names, blocks, path)
+    else:
+        netcdf.write_blocks(ds, chunk, names, blocks, Path(path))
+
+
+def writable(
+    path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+) -> Path | str:
+    """Check the place of an atlas before it is computed; BadInput as `files.writable`, also if it holds anything else.
+
+    An unfinished or damaged atlas may be there.
+    """
+    if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
+        if is_store(path):
+            _zarr()
+        return netcdf.writable(path, suffixes, force=force, inputs=inputs)
+    if not is_store(path):
+        raise BadInput(f"{path}: the name must end in {SUFFIX}")
+    _zarr()
+    check_not_input(Path(path), inputs)
+    place = place_at(path)
+    contents = place.walk()
+    is_own = not contents or f"atlas/{METADATA}" in contents
+    with suppress(FileNotFoundError, ValueError):
+        # Damaged metadata name this attribute as well.
+        is_own = VERSION.encode() in place.read(METADATA)
+    if not is_own or not all(
+        OWN.fullmatch(each) or is_temporary(each.rpartition("/")[2]) for each in contents
+    ):
+        raise BadInput(foreign_message(path))
+    if stamp(path) is not None and not force:
+        raise BadInput(exists_message(path))
+    return path
+
+
+def _zarr() -> Any:
+    """The module for Zarr stores; BadInput if the package zarr is not installed."""
+    try:
+        from . import zarr_store
+    except ImportError:
+        raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
+    return zarr_store

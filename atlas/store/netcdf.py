@@ -1,0 +1,238 @@
+"""The finished atlas as a NetCDF file, with one hash of all that it holds.
+
+NetCDF-4 stores a Fletcher checksum with each chunk, which any program compares when it reads, and HDF5 one with each header of an
+object; what is left are the tables in which chunks are looked up, and scalars. The attribute HASH, which is written last, is a hash
+of dimensions, attributes and values as they read back; `verify` compares it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import netCDF4
+import numpy as np
+import xarray as xr
+from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
+from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
+from xarray.core import indexing
+
+from .. import files
+from ..errors import BadInput
+from ..files import atomic_write, check_claim, disk_error, foreign_message, one_line
+from .dataset import HASH, VERSION, Block
+
+GROUP = "checksums"  # of files of version 0.1.0
+COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
+ROW_VALUES = 1 << 16  # read at a time of a variable that is not stored in chunks
+# The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
+NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
+
+
+def write(ds: xr.Dataset, path: Path) -> None:
+    """Write a Dataset as one compressed NetCDF file, which appears whole or not at all."""
+    encoding: dict[str, dict[str, Any]] = {}
+    for name, variable in ds.variables.items():
+        fill_value = np.nan if name in ds.data_vars and variable.dtype.kind == "f" else None
+        encoding[str(name)] = {"_FillValue": fill_value} | (COMPRESSION if variable.ndim else {})
+    with _hashed(path) as temporary:
+        ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+
+
+@contextmanager
+def _hashed(path: Path) -> Iterator[Path]:
+    """Give a temporary name for a file that gets its hash; it appears at `path` whole or not at all."""
+    with atomic_write(path) as temporary:
+        try:
+            yield temporary
+            with NETCDF_LOCK, netCDF4.Dataset(temporary, "r+") as file:
+                file.setncattr(HASH, _hash(file))
+        except (RuntimeError, OSError) as error:
+            raise disk_error(error, path) from None
+
+
+def write_blocks(
+    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
+) -> None:
+    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`, whatever the dataset has.
+
+    The attributes of the dataset are written last, because the blocks may set them.
+    """
+    coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
+    # Read without the lock, which they may need.
+    small = {
+        name: array.values
+        for name, array in ds.variables.items()
+        if name not in names and array.chunks is None
+    }
+    with _hashed(path) as temporary:
+        with NETCDF_LOCK:
+            file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
+        try:
+            with NETCDF_LOCK:
+                for dim, length in ds.sizes.items():
+                    file.createDimension(str(dim), length)
+                for name, array in ds.variables.items():
+                    is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
+                    options: dict[str, Any] = {
+                        "fill_value": np.nan if is_data and array.dtype.kind == "f" else False
+                    }
+                    if dimensions:
+                        options |= COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
+                    variable = file.createVariable(str(name), array.dtype, dimensions, **options)
+                    variable.set_auto_maskandscale(False)
+                    variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
+                    if dimensions:
+                        _limit_cache(variable)
+                    if name in small:
+                        variable[...] = small[name]
+            for name, array in ds.variables.items():  # parameters too large for memory
+                if array.chunks is not None and name not in names:
+                    array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
+            for box, values in blocks:
+                with NETCDF_LOCK:
+                    for name, part in values.items():
+                        file[name][box] = part
+            with NETCDF_LOCK:
+                file.setncatts(ds.attrs)
+        finally:
+            with NETCDF_LOCK:
+                file.close()
+
+
+def writable(
+    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+) -> Path:
+    """Check a path as `files.writable`; BadInput also if it holds NetCDF data of another program."""
+    path, is_own = files.writable(name, suffixes, force=force, inputs=inputs), True
+    if path.suffix.lower() == ".nc":
+        check_path(path)
+        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
+            is_own = GROUP in file.groups or VERSION in file.ncattrs()
+    if not is_own:
+        raise BadInput(foreign_message(path))
+    return path
+
+
+def verify(path: Path) -> None:
+    """Read all of a file; BadInput if it is not as it was written, or has no hash."""
+    check_path(path)
+    try:
+        with NETCDF_LOCK, netCDF4.Dataset(path) as file:
+            expected, actual = file.__dict__.get(HASH), _hash(file)
+    except Exception as error:  # reading a damaged file may raise any error
+        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+    if expected is None:
+        raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")
+    if expected != actual:
+        raise BadInput(f"{path}: damaged: its hash differs")
+
+
+def check_path(path: Path) -> None:
+    """Raise BadInput for a path that the NetCDF library takes for another one, or cannot take."""
+    whole = os.path.abspath(path)
+    if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
+        raise BadInput(
+            f"{path}: the NetCDF library opens no path with a backslash or with bytes that are not UTF-8 ({whole})"
+        )
+
+
+def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
+    """Cache two chunks of a variable: each is used once, and the library would keep up to 64 MB of every variable."""
+    if isinstance(chunks := variable.chunking(), list):
+        variable.set_var_chunk_cache(size=16 * math.prod(chunks))
+
+
+def _hash(file: netCDF4.Dataset) -> str:
+    """Hash of dimensions, attributes but HASH, and variables of a file, in memory of one chunk of it."""
+    digest = hashlib.sha256()
+
+    def add(*facts: Any) -> None:
+        digest.update(json.dumps(facts, sort_keys=True).encode())
+
+    file.set_auto_maskandscale(False)
+    file.set_auto_chartostring(False)
+    add({name: len(dimension) for name, dimension in file.dimensions.items()}, _attributes(file))
+    for name, variable in sorted(file.variables.items()):
+        chunks, shape, block = variable.chunking(), variable.shape, list[int]()
+        add(name, variable.dimensions, str(variable.dtype), _attributes(variable))
+        if isinstance(chunks, list):
+            block = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
+            _limit_cache(variable)
+        else:  # some rows
+            for count in reversed(shape):
+                block.insert(0, max(min(count, ROW_VALUES // math.prod(block)), 1))
+        for corner in product(*(range(0, count, length) for count, length in zip(shape, block, strict=True))):
+            box = tuple(slice(start, start + length) for start, length in zip(corner, block, strict=True))
+            values = np.asarray(variable[box or ...])
+            if values.dtype.kind in "OSU":
+                add(values.astype(str).ravel().tolist())
+            else:
+                digest.update(np.ascontiguousarray(values, values.dtype.newbyteorder("<")).data)
+    return digest.hexdigest()
+
+
+def _attributes(owner: Any) -> dict[str, Any]:
+    """Attributes of a file or variable, but its hash, as lists of texts, types and exact numbers."""
+    attributes = {}
+    for name in owner.ncattrs():
+        if name != HASH:
+            value = np.asarray(owner.getncattr(name))
+            attributes[name] = [value.dtype.kind, value.dtype.itemsize, repr(value.tolist())]
+    return attributes
+
+
+class _Store(xr.backends.NetCDF4DataStore):
+    """A NetCDF file for xarray, in which damage that the library finds is BadInput."""
+
+    def open_store_variable(self, name: str, var: Any) -> xr.Variable:
+        """Variable of the file, read through `_Array`."""
+        variable = super().open_store_variable(name, var)
+        _limit_cache(var)
+        return variable.copy(deep=False, data=indexing.LazilyIndexedArray(_Array(name, self)))
+
+
+class _Array(NetCDF4ArrayWrapper):
+    """A variable; BadInput where it cannot be read."""
+
+    def _getitem(self, key: Any) -> Any:
+        try:
+            return super()._getitem(key)
+        except (RuntimeError, OSError, IndexError) as error:
+            raise BadInput(
+                f"{self.datastore._filename}: the values of {self.variable_name} are damaged: {one_line(error)}"
+            ) from None
+
+
+def open_file(path: Path) -> xr.Dataset:
+    """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
+    check_path(path)
+    try:
+        store = _Store.open(str(path))
+        try:
+            file = store.ds  # which takes the lock as well
+            with NETCDF_LOCK:
+                claimed = sum(
+                    math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8)
+                    for group in (file, *file.groups.values())
+                    for variable in group.variables.values()
+                )
+                check_claim(claimed, path.stat().st_size)
+            ds = xr.open_dataset(store, chunks=None)
+        except Exception:
+            store.close()
+            raise
+    except BadInput:
+        raise
+    except Exception as error:  # reading a damaged file may raise any error
+        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+    ds.encoding["source"] = str(path)
+    ds.attrs.pop(HASH, None)
+    return ds

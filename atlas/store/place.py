@@ -1,0 +1,254 @@
+"""Where runs and atlases are kept: contents by name in a folder of the file system, or below an address of an object store.
+
+Both have the same methods. A content appears whole or not at all; `create` never replaces one, on which claims are built.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias
+from urllib.parse import unquote
+
+from ..errors import BadInput
+from ..files import (
+    MAX_JSON_BYTES,
+    age,
+    atomic_write,
+    one_line,
+    read_bytes,
+    remove_leftovers,
+    temporary_path,
+)
+
+ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
+# Seconds for which a request is repeated that an object store does not answer, between the first two attempts, the longest
+# pause, and before a warning.
+PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
+# Answers of a server that another attempt would not change.
+FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
+CLOCK = "clock"  # content whose time is that of the storage
+
+
+def located(path: str | Path) -> Path | str:
+    """An absolute path, or the address of an object store as it is."""
+    text = str(path)
+    if text.startswith("file://"):
+        path = unquote(text.removeprefix("file://"))
+    elif ADDRESS.match(text):
+        return text.rstrip("/")
+    return Path(path).absolute()
+
+
+def place_at(path: Path | str) -> Place:
+    """The place at what `located` gives."""
+    return Folder(path) if isinstance(path, Path) else Objects(path)
+
+
+class Folder:
+    """Contents in the files of a folder."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def inside(self, name: str) -> Folder:
+        """The part with names that begin so."""
+        return Folder(self.path / name)
+
+    def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
+        """A content; FileNotFoundError without one, ValueError if it is longer than allowed or no regular file."""
+        return read_bytes(os.path.join(self.path, name), most)
+
+    def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
+        """Write a content, or replace it."""
+        with atomic_write(self._file(name), durable=durable) as temporary:
+            temporary.write_bytes(content)
+
+    def create(self, name: str, content: bytes) -> bool:
+        """Whether this call writes a content, because there was none; others may see a part of it."""
+        with suppress(FileExistsError):
+            with self._file(name).open("xb") as file:
+                file.write(content)
+            return True
+        return False
+
+    def _file(self, name: str) -> Path:
+        """Path of a content, whose folder is made, but not this one, which another process may have removed."""
+        path = self.path / name
+        if not path.parent.is_dir() and self.path.is_dir():
+            path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def make(self) -> None:
+        """Make the folder."""
+        self.path.mkdir(exist_ok=True)
+
+    def names(self, folder: str = "") -> list[str]:
+        """Names in a folder."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return os.listdir(self.path / folder)
+        return []
+
+    def walk(self) -> list[str]:
+        """Names of all contents, also those of folders inside."""
+        start = len(str(self.path)) + 1
+        return [f"{where}/{name}"[start:] for where, _, names in os.walk(self.path) for name in names]
+
+    def remove(self, name: str) -> None:
+        """Remove a content, if there is one."""
+        (self.path / name).unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        """Remove everything, at once, so that a process at work cannot leave anything behind."""
+        removed = temporary_path(self.path)
+        with suppress(FileNotFoundError):
+            os.rename(self.path, removed)
+            shutil.rmtree(removed, ignore_errors=True)
+
+    def stamp(self, name: str) -> object:
+        """A value that changes when a content is replaced; None without it."""
+        with suppress(OSError):  # also one for a path that is too long
+            status = os.stat(self.path / name)
+            return status.st_ino, status.st_mtime_ns
+        return None
+
+    def age(self, name: str) -> float:
+        """Seconds since a content was written, by the clock of the storage."""
+        return age(self.path / name)
+
+    def remove_leftovers(self) -> None:
+        """Remove temporary files of processes that were killed, also in folders inside."""
+        for folder, _, _ in os.walk(self.path):
+            remove_leftovers(Path(folder))
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+@lru_cache
+def _store(address: str) -> Any:
+    """An object store, which all parts of a process share; `Objects._answer` repeats its requests."""
+    try:
+        from obstore.store import MemoryStore, from_url
+    except ImportError:
+        raise BadInput(f"{address}: needs the package obstore: python -m pip install obstore") from None
+    try:
+        if address.startswith("memory://"):
+            return MemoryStore()
+        return from_url(address, retry_config={"max_retries": 0})
+    except Exception as error:  # of several kinds
+        raise BadInput(f"{address}: no address of an object store ({one_line(error)})") from None
+
+
+class Objects:
+    """Contents in the objects of a store, with the methods of `Folder`."""
+
+    def __init__(self, address: str, prefix: str = ""):
+        self.address, self.prefix, self.store = address, prefix, _store(address)
+
+    def __reduce__(self) -> Any:
+        return Objects, (self.address, self.prefix)
+
+    def inside(self, name: str) -> Objects:
+        return Objects(self.address, f"{self.prefix}{name}/")
+
+    def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
+        def request(obstore: Any, path: str) -> bytes:
+            result = obstore.get(self.store, path)
+            if result.meta["size"] > most:
+                raise ValueError(f"more than {most} bytes")
+            content = bytes(result.bytes())
+            if len(content) != result.meta["size"]:
+                raise obstore.exceptions.GenericError("the answer ended early")
+            return content
+
+        return bytes(self._answer(name, request))
+
+    def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
+        self._answer(name, lambda obstore, path: obstore.put(self.store, path, content))
+
+    def create(self, name: str, content: bytes) -> bool:
+        with suppress(FileExistsError):
+            self._answer(name, lambda obstore, path: obstore.put(self.store, path, content, mode="create"))
+            return True
+        return False
+
+    def walk(self) -> list[str]:
+        listed = self._answer("", lambda obstore, path: obstore.list(self.store, path).collect())
+        return [each["path"].removeprefix(self.prefix) for each in listed]
+
+    def remove(self, name: str) -> None:
+        with suppress(FileNotFoundError):
+            self._answer(name, lambda obstore, path: obstore.delete(self.store, path))
+
+    def clear(self) -> None:
+        if names := [self.prefix + name for name in self.walk()]:
+            self._answer("", lambda obstore, _: obstore.delete(self.store, names))
+
+    def make(self) -> None:
+        pass
+
+    def names(self, folder: str = "") -> list[str]:
+        listed = self._answer(folder, lambda obstore, path: obstore.list_with_delimiter(self.store, path))
+        return [each["path"].rpartition("/")[2] for each in listed["objects"]]
+
+    def stamp(self, name: str) -> object:
+        with suppress(FileNotFoundError):
+            head = self._answer(name, lambda obstore, path: obstore.head(self.store, path))
+            return head["e_tag"], head["last_modified"]
+        return None
+
+    def age(self, name: str) -> float:
+        self.write(CLOCK, b"")
+        written, now = (
+            self._answer(each, lambda obstore, path: obstore.head(self.store, path))["last_modified"]
+            for each in (name, CLOCK)
+        )
+        return float((now - written).total_seconds())
+
+    def remove_leftovers(self) -> None:
+        pass  # a put that was not finished leaves no object
+
+    def __str__(self) -> str:
+        return f"{self.address}/{self.prefix}".rstrip("/")
+
+    def _answer(self, name: str, request: Callable[[Any, str], Any]) -> Any:
+        """What a request gives, which is repeated while the store does not answer; FileNotFoundError, FileExistsError or another OSError."""
+        import obstore
+
+        began, pause, warned = time.monotonic(), FIRST_PAUSE, False
+        while True:
+            try:
+                return request(obstore, self.prefix + name)
+            except obstore.exceptions.AlreadyExistsError:
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), name) from None
+            except obstore.exceptions.BaseError as error:
+                reason, waited = (
+                    one_line(Exception(str(error).partition("\n\n")[0])),
+                    time.monotonic() - began,
+                )
+                final = not isinstance(error, obstore.exceptions.GenericError) or FINAL.search(str(error))
+                if final or waited > PATIENCE:
+                    raise OSError(
+                        errno.EIO, f"the object store does not do what is asked ({reason}); what is finished is kept, and the"
+                        " same command continues", f"{self.address}/{self.prefix}{name}",
+                    ) from None  # fmt: skip
+                if waited > QUIET and not warned:
+                    warned = True
+                    logging.getLogger("atlas").warning(
+                        "%s does not answer, and is asked again for %.0f minutes (%s)",
+                        self.address, PATIENCE / 60, reason,
+                    )  # fmt: skip
+            time.sleep(pause)
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+
+Place: TypeAlias = Folder | Objects

@@ -1,0 +1,97 @@
+"""What the summary of a run needs of its tiles: numbers that are added or compared, tile by tile."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..flags import Label
+
+COUNTED = (
+    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
+)  # fmt: skip
+# Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
+GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
+# Histogram of errors: quarters of a decade from 1e-20 on.
+BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
+
+
+class Tally:
+    """What the summary of a run prints of its points: numbers that are added or compared, tile by tile."""
+
+    def __init__(self) -> None:
+        # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group.
+        self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
+
+    @classmethod
+    def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
+        """Tally of some points, whose variables are of the same shape; other variables are ignored."""
+        tally = cls()
+        counted = {name: columns[name] for name in COUNTED if name in columns}
+        if "error_estimate" in columns and "label" in columns:
+            for name, labels in GROUPS.items():
+                values = columns["error_estimate"][np.isin(columns["label"], labels)]
+                values = values[~np.isnan(values)]
+                if values.size:
+                    with np.errstate(divide="ignore"):
+                        bins = np.ceil(BINS_PER_DECADE * (np.log10(np.fmax(values, 0.0)) - LOWEST_DECADE))
+                    counted[name] = np.clip(bins, 0, BINS - 1).astype(np.int64)
+                    tally.largest[name] = float(values.max())
+        if "integral_drift" in columns:
+            tally.largest["integral_drift"] = float(np.nanmax(columns["integral_drift"], initial=0.0))
+        for name, values in counted.items():
+            unique, counts = np.unique(values, return_counts=True)
+            tally.counts[name] = Counter(dict(zip(map(str, unique.tolist()), counts.tolist(), strict=True)))
+        return tally
+
+    def add(self, counts: Mapping[str, Mapping[str, int]], largest: Mapping[str, float]) -> None:
+        """Add the entries of the tally of other points."""
+        for name, number in counts.items():
+            total = self.counts[name]
+            for flag, n in number.items():
+                total[flag] += int(n)
+        for name, value in largest.items():
+            self.largest[name] = max(self.largest.get(name, float(value)), float(value))
+
+
+@dataclass
+class Totals:
+    """Sums over some tiles."""
+
+    points: int = 0
+    seconds: float = 0.0
+    by: Counter[str] = field(default_factory=Counter)  # tiles by the processes that computed them
+    reused: Counter[str] = field(default_factory=Counter)  # points by the earlier atlas
+    tally: Tally = field(default_factory=Tally)
+
+    def add(self, header: Mapping[str, Any]) -> None:
+        """Add a tile."""
+        self.points += header["points"]
+        self.seconds += header["seconds"]
+        self.by[header["by"]] += 1
+        self.reused.update(header["reused"])
+        self.tally.add(**header["tally"])
+
+    def merge(self, other: Totals) -> None:
+        """Add the tiles of other totals."""
+        self.points += other.points
+        self.seconds += other.seconds
+        self.by.update(other.by)
+        self.reused.update(other.reused)
+        self.tally.add(**vars(other.tally))
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> Totals:
+        """The totals that `table` gave."""
+        totals = cls(table["points"], table["seconds"], Counter(table["by"]), Counter(table["reused"]))
+        totals.tally.add(**table["tally"])
+        return totals
+
+    def table(self) -> dict[str, Any]:
+        """The sums as JSON has them."""
+        counts = {name: dict(sorted(number.items())) for name, number in sorted(self.tally.counts.items())}
+        return vars(self) | {"tally": {"counts": counts, "largest": dict(sorted(self.tally.largest.items()))}}

@@ -1,0 +1,199 @@
+"""The tile, the one object of which a run is made: some columns and a line of facts about them, whole or not at all.
+
+    {"key": ..., "tile": 12, "points": 8192, ..., "columns": {"label": ["|i1", 371], ...}}
+    the columns one after the other, each compressed by itself: the first bytes of all values, then the second ones, and so on
+    SHA-256 of all that
+
+A tile that is there is written. Whoever reads it finds out whether it is as it was written.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import re
+import socket
+import zlib
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..files import check_types, one_line
+from ..scene.model import Scene
+from ..variables import variables
+from .place import Folder, Place
+from .tally import Tally, Totals
+from .tiling import Tiling
+
+SUFFIX = ".tile"
+LEVEL = 1  # of zlib: higher ones take more time than they save room
+HASH_BYTES = hashlib.sha256().digest_size
+MAX_TILE_BYTES = 1 << 31
+TILES_PER_FOLDER = 1000
+TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
+HEADER_TYPES = {"computed": int, "seconds": (int, float), "by": str, "reused": dict, "tally": dict}
+# Tiles of fewer points in a folder are read one after the other: threads would take turns.
+MIN_PARALLEL_POINTS = 4096
+
+
+class DamagedTile(Exception):
+    """A tile that exists but cannot be used; the message gives the reason."""
+
+
+def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> bytes:
+    """A tile of flat columns of one length."""
+    parts, table = list[bytes](), {}
+    for name, values in columns.items():
+        planes = np.ascontiguousarray(values).view(np.uint8).reshape(values.size, -1).T
+        parts.append(zlib.compress(np.ascontiguousarray(planes).data, LEVEL))
+        table[name] = values.dtype.str, len(parts[-1])
+    line = json.dumps({**header, "points": values.size, "columns": table}).encode()
+    content = b"".join([line, b"\n", *parts])
+    return content + hashlib.sha256(content).digest()
+
+
+def decode(
+    content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Header and columns of these types; DamagedTile if a tile was changed, has other facts in its header, or more than so many points."""
+    whole = memoryview(content)[:-HASH_BYTES]
+    if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
+        raise DamagedTile("its hash differs")
+    try:
+        place = content.index(b"\n") + 1
+        header = json.loads(content[:place])
+        if any(header.get(name) != fact for name, fact in facts.items()):
+            raise ValueError("it is a tile of another run or place")
+        columns, size = dict[str, np.ndarray](), header["points"]
+        if type(size) is not int or not 0 < size <= most:
+            raise ValueError("its number of points is not allowed")
+        for name, (kind, length) in header["columns"].items():
+            if name in types:
+                dtype = np.dtype(types[name])
+                limit = size * dtype.itemsize
+                planes = zlib.decompressobj().decompress(whole[place : place + length], limit + 1)
+                if dtype.str != kind or len(planes) != limit:
+                    raise ValueError("its shape or type is wrong")
+                values = np.frombuffer(planes, np.uint8).reshape(dtype.itemsize, size).T
+                columns[name] = np.ascontiguousarray(values).view(dtype)[:, 0]
+            place += length
+        return header, {name: columns[name] for name in types}
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError, zlib.error) as error:
+        raise DamagedTile(one_line(error)) from None
+
+
+def tile_types(scene: Scene) -> dict[str, str]:
+    """Names and types of the columns of a tile: its variables, and the parameters the family is solved for."""
+    registry = variables(scene.system)
+    return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
+
+
+@dataclass(eq=False)
+class Tiles:
+    """The tiles of a run, or of one level of it. Of two processes that write the same tile the last one wins."""
+
+    place: Place
+    key: str
+    types: Mapping[str, str]
+    tiling: Tiling
+    points: np.ndarray | None = None  # flat indices in the grid, where the tiles do not cover all of it
+    listed: tuple[int, set[int]] | None = None  # number of a folder, and the tiles written in it
+
+    def name(self, tile: int, suffix: str = SUFFIX) -> str:
+        """Name of a tile, or of its claim."""
+        folder = f"{tile // TILES_PER_FOLDER:05d}/" if self.tiling.count > TILES_PER_FOLDER else ""
+        return f"{folder}{tile:08d}{suffix}"
+
+    def indices(self, tile: int) -> np.ndarray:
+        """Flat indices in the grid of the points of a tile."""
+        indices = self.tiling.indices(tile)
+        return indices if self.points is None else self.points[indices]
+
+    def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
+        """Write a tile and give its header; OSError if it reads back otherwise.
+
+        Its facts are `computed`, the number of points where the family exists, `seconds`, `by`, what computed it, and `reused`, the
+        numbers of points of earlier atlases by what these are.
+        """
+        columns = {
+            name: columns[name].ravel().astype(dtype, copy=False) for name, dtype in self.types.items()
+        }
+        header = {
+            "key": self.key, "tile": tile, "host": socket.gethostname(), "reused": {}, **facts, "tally": vars(Tally.of(columns)),
+        }  # fmt: skip
+        name, content = self.name(tile), encode(header, columns)
+        self.place.write(name, content)
+        if self.place.read(name, MAX_TILE_BYTES) != content:
+            raise OSError(errno.EIO, "read back otherwise than it was written", name)
+        return header | {"points": self.tiling.size_of(tile)}
+
+    def read(
+        self, tile: int, names: Collection[str] | None = None
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Header and some variables of a tile, default all; FileNotFoundError, DamagedTile if it is not as it was written."""
+        types = self.types if names is None else {name: self.types[name] for name in names}
+        size = self.tiling.size_of(tile)
+        facts = {"key": self.key, "tile": tile, "points": size}
+        try:
+            header, columns = decode(self.place.read(self.name(tile), MAX_TILE_BYTES), facts, types, size)
+            check_types(header, HEADER_TYPES)
+            if header["columns"].keys() != self.types.keys():
+                raise ValueError("it has other columns")
+            check_types(header["reused"], dict.fromkeys(header["reused"], int))
+            Tally().add(**header["tally"])
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise DamagedTile(one_line(error)) from None
+        shape = self.tiling.shape_of(tile)
+        return header, {name: column.reshape(shape) for name, column in columns.items()}
+
+    def read_all(self) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
+        """Header and variables of one tile after the other; DamagedTile if one is missing or damaged."""
+        for tile in range(self.tiling.count):
+            try:
+                yield self.read(tile)
+            except (FileNotFoundError, DamagedTile) as error:
+                raise DamagedTile(f"tile {tile}: {error}") from None
+
+    def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
+        """Read tiles: totals of those that are as they were written, and the reasons why others are not; absent ones count for nothing."""
+        chosen, totals, damaged = list(tiles), Totals(), dict[int, str]()
+
+        def header(tile: int) -> dict[str, Any] | Exception:
+            try:
+                return self.read(tile, ())[0]
+            except (FileNotFoundError, DamagedTile) as error:
+                return error
+
+        small = isinstance(self.place, Folder) and self.tiling.size_of(0) < MIN_PARALLEL_POINTS
+        with ThreadPoolExecutor(8) as pool:
+            for tile, result in zip(chosen, (map if small else pool.map)(header, chosen), strict=True):
+                if isinstance(result, dict):
+                    totals.add(result)
+                elif isinstance(result, DamagedTile):
+                    damaged[tile] = str(result)
+        return totals, damaged
+
+    def written(self) -> set[int]:
+        """Tiles that are written."""
+        return {int(match[1]) for name in self.place.walk() if (match := TILE.fullmatch(name))}
+
+    def missing(self) -> list[int]:
+        """Tiles that are not written."""
+        written = self.written()
+        return [tile for tile in range(self.tiling.count) if tile not in written]
+
+    def is_written(self, tile: int) -> bool:
+        """Whether some process has finished a tile."""
+        return self.place.stamp(self.name(tile)) is not None
+
+    def was_written(self, tile: int) -> bool:
+        """Whether a tile was there when its folder was last listed; this needs no look at each tile."""
+        part = tile // TILES_PER_FOLDER
+        if self.listed is None or self.listed[0] != part:
+            names = self.place.names(self.name(tile).rpartition("/")[0])
+            self.listed = part, {int(match[1]) for name in names if (match := TILE.fullmatch(name))}
+        return tile in self.listed[1]

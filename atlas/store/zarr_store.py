@@ -1,0 +1,258 @@
+"""The finished atlas as a Zarr store, written by xarray and zarr.
+
+Each object has a CRC-32C, which any program compares when it reads. The attribute HASH is written last, so that a part of a store is
+never taken for an atlas: a hash of the root metadata, which is compared when the store is opened, and one of all other objects by
+their names, which `verify` compares: an object that is gone reads as fill values elsewhere, and one in the place of another as data.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import math
+import warnings
+from collections.abc import AsyncIterator, Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from google_crc32c import value as crc32c
+from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
+from zarr.codecs import BloscCodec, Crc32cCodec
+from zarr.core.buffer import Buffer
+from zarr.errors import ZarrUserWarning
+
+from .._version import __version__
+from ..errors import BadInput
+from ..files import MAX_RATIO, MIN_CLAIM, atomic_folder, check_claim, is_temporary, one_line
+from .dataset import HASH, VERSION, Block
+from .finished import EARLIER_HASHES, MAX_OBJECT_BYTES, METADATA, attributes_of
+from .place import Folder, Place, place_at
+
+MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
+MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store with a long axis opens at once
+CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
+
+
+class PlaceStore(Store):
+    """Contents of a place for the package zarr; of a whole store a missing object is an error, no fill values."""
+
+    supports_writes = supports_deletes = supports_listing = True
+
+    def __init__(
+        self, place: Place, *, read_only: bool = True, is_whole: bool = False, has_crc: bool = False
+    ):
+        super().__init__(read_only=read_only)
+        self.place, self.hashes = place, dict[str, str]()
+        self.is_whole, self.has_crc = (
+            is_whole,
+            has_crc,
+        )  # whether no object may be missing, and objects end with their CRC
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PlaceStore) and str(self.place) == str(other.place)
+
+    def with_read_only(self, read_only: bool = False) -> PlaceStore:
+        return PlaceStore(self.place, read_only=read_only, is_whole=self.is_whole, has_crc=self.has_crc)
+
+    async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
+        try:
+            content = await asyncio.to_thread(self.place.read, key, MAX_OBJECT_BYTES)
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+            if self.is_whole and "/c" in key:
+                raise BadInput(
+                    f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key} is lost"
+                ) from None
+            return None
+        except ValueError as error:
+            raise BadInput(f"{self.place}/{key}: {error}") from None
+        if self.has_crc and "/c" in key and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
+            # The error of the codec would not name the object.
+            raise BadInput(
+                f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key}"
+            )
+        match byte_range:
+            case RangeByteRequest():
+                content = content[byte_range.start : byte_range.end]
+            case OffsetByteRequest():
+                content = content[byte_range.offset :]
+            case SuffixByteRequest():
+                content = content[-byte_range.suffix :]
+        return prototype.buffer.from_bytes(content)
+
+    async def get_partial_values(
+        self, prototype: Any, key_ranges: Iterable[tuple[str, Any]]
+    ) -> list[Buffer | None]:
+        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
+
+    async def exists(self, key: str) -> bool:
+        return await asyncio.to_thread(self.place.stamp, key) is not None
+
+    async def set(self, key: str, value: Buffer) -> None:
+        content = value.to_bytes()
+        self.hashes[key] = hashlib.sha256(content).hexdigest()
+        await asyncio.to_thread(self.place.write, key, content, durable=False)
+
+    async def delete(self, key: str) -> None:
+        await asyncio.to_thread(self.place.remove, key)
+
+    async def list(self) -> AsyncIterator[str]:
+        for name in self.place.walk():
+            yield name
+
+    async def list_prefix(self, prefix: str) -> AsyncIterator[str]:
+        for name in self.place.walk():
+            if name.startswith(prefix):
+                yield name
+
+    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
+        start = prefix.rstrip("/") + "/" if prefix else ""
+        for name in {n[len(start) :].partition("/")[0] for n in self.place.walk() if n.startswith(start)}:
+            yield name
+
+
+def write_blocks(
+    ds: xr.Dataset,
+    chunk: Mapping[str, int],
+    names: Collection[str],
+    blocks: Iterator[Block],
+    path: Path | str,
+) -> None:
+    """Write an atlas, whole or, on an object store, so that a part of it is known; see `finished.write_blocks`."""
+    if isinstance(path, Path):
+        with atomic_folder(path) as temporary:
+            _write(ds, chunk, names, blocks, Folder(temporary))
+        return
+    place = place_at(path)
+    place.remove(METADATA)
+    place.clear()
+    _write(ds, chunk, names, blocks, place)
+
+
+def _write(
+    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], place: Place
+) -> None:
+    store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
+    for name, variable in ds.variables.items():
+        lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
+        if name not in names and variable.size <= MAX_WHOLE:
+            lengths = list(variable.shape)
+        encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
+        if name in names or variable.chunks is not None:
+            lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
+    template = ds.drop_attrs(deep=False).assign_attrs({VERSION: __version__})
+    template = template.assign_coords({n: v for n, v in lazy.items() if n in ds.coords})
+    template = template.assign({n: v for n, v in lazy.items() if n not in ds.coords})
+    with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
+        warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
+        zarr.create_group(
+            store, attributes=template.attrs
+        )  # so that a part of it is known from the first object on
+        template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
+        group = zarr.open_group(store, mode="r+", use_consolidated=False)
+        for name, variable in ds.variables.items():  # parameters too large for memory
+            if variable.chunks is not None and name not in names:
+                lazy[name].data.store(group[str(name)], lock=False, scheduler="synchronous")
+        arrays: dict[str, Any] = {name: group[name] for name in names}
+        with ThreadPoolExecutor(8) as pool:
+            for box, values in blocks:
+                for done in [
+                    pool.submit(arrays[name].__setitem__, box, part) for name, part in values.items()
+                ]:
+                    done.result()
+        zarr.consolidate_metadata(store)
+    metadata = json.loads(place.read(METADATA))
+    metadata["attributes"] = {
+        str(n): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for n, v in ds.attrs.items()
+    }
+    metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
+    place.write(METADATA, json.dumps(metadata).encode())
+
+
+def _root_hash(metadata: dict[str, Any]) -> str:
+    """Hash of the root metadata but HASH."""
+    attributes = {name: value for name, value in metadata["attributes"].items() if name != HASH}
+    content = json.dumps(metadata | {"attributes": attributes}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def _objects_hash(hashes: Mapping[str, str]) -> str:
+    """One hash of all objects but the root metadata by their names."""
+    content = json.dumps({name: each for name, each in hashes.items() if name != METADATA}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def open_store(path: Path | str) -> xr.Dataset:
+    """Open a store lazily; BadInput if it is none, unfinished, damaged or too large for its objects.
+
+    A store of another program is read as it is.
+    """
+    place = place_at(path)
+    try:
+        metadata = json.loads(place.read(METADATA))
+        attributes = metadata["attributes"]
+        is_own = HASH in attributes
+        if is_own and attributes[HASH].partition("-")[0] != _root_hash(metadata):
+            raise ValueError("its metadata were changed since it was written")
+        if attributes.keys() == {VERSION}:
+            raise BadInput(
+                f"{path}: unfinished: the command that wrote it was ended; the same command finishes it"
+            )
+        is_whole = is_own or "atlas_seal" in attributes
+        is_consolidated = "consolidated_metadata" in metadata
+        store = PlaceStore(place, is_whole=is_whole, has_crc=is_own)
+        group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
+        claimed = 0
+        for name, array in group.arrays():
+            size = math.prod(array.shape) * array.dtype.itemsize
+            claimed += size
+            for chunk in (array.chunks, array.shards or ()):
+                if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):
+                    raise ValueError(f"the chunks of {name} are larger than the array")
+        if claimed > MIN_CLAIM and isinstance(place, Folder):
+            stored = 0
+            for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
+                if stored * MAX_RATIO >= claimed:  # a large store has many files
+                    break
+            check_claim(claimed, stored)
+        ds = xr.open_zarr(store, consolidated=is_consolidated, chunks=None)
+    except BadInput:
+        raise
+    except FileNotFoundError:
+        raise BadInput(f"{path}: not a Zarr store: there is no {METADATA} in it") from None
+    except Exception as error:  # damaged metadata may raise any error
+        raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
+    for variable in ds.variables.values():
+        if "flag_values" in variable.attrs:
+            variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
+    for name in (HASH, *EARLIER_HASHES):
+        ds.attrs.pop(name, None)
+    return ds
+
+
+def verify(path: Path | str) -> None:
+    """Read all objects of a store; BadInput if one is not what was written, or if the store has no hash."""
+    place = place_at(path)
+    expected = attributes_of(place).get(HASH)
+    if expected is None:
+        raise BadInput(
+            f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
+        )
+    with open_store(path):  # compares its metadata
+        pass
+    names = [name for name in place.walk() if name != METADATA and not is_temporary(name.rpartition("/")[2])]
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            contents = pool.map(
+                lambda name: hashlib.sha256(place.read(name, MAX_OBJECT_BYTES)).hexdigest(), names
+            )
+            actual = _objects_hash(dict(zip(names, contents, strict=True)))
+    except (FileNotFoundError, ValueError) as error:
+        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+    if expected.partition("-")[2] != actual:
+        raise BadInput(f"{path}: damaged: its objects are not those that were written")

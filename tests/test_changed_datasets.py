@@ -216,10 +216,10 @@ def test_halves_of_an_axis_joined_are_the_whole(name, axis):
             place = {d: float(rng.choice(ds[d])) for d in ds.dims}
             np.testing.assert_array_equal(motion(ds, **place), motion(whole, **place))
     if len(whole.dims) == 2:
-        expected, found = recomputed(whole), recomputed(joined)
-        assert isinstance(found["families"], dict) == isinstance(expected["families"], dict)
+        expected, result = recomputed(whole), recomputed(joined)
+        assert isinstance(result["families"], dict) == isinstance(expected["families"], dict)
         if isinstance(expected["boundary"], xr.Dataset):
-            xr.testing.assert_allclose(found["boundary"], expected["boundary"])
+            xr.testing.assert_allclose(result["boundary"], expected["boundary"])
     *_, (of, change) = CHANGES[name].items()
     first, second, _ = halves(name, axis, change)
     joined = xr.concat([first, second], axis, **DIFFERENT).isel({axis: slice(None, None, -1)})
@@ -284,8 +284,8 @@ def test_figures_show_the_same_values_of_a_reordered_axis(monkeypatch):
     whole = made("cylindrical")
     monkeypatch.setattr(select, "MAX_CELLS", 5)
     shuffled = REORDERED["shuffled"](whole, np.random.default_rng(6))
-    expected, found = (select.plane_of(ds, None, None, {})[0] for ds in (whole, shuffled))
-    xr.testing.assert_identical(found, expected)
+    expected, result = (select.plane_of(ds, None, None, {})[0] for ds in (whole, shuffled))
+    xr.testing.assert_identical(result, expected)
     xr.testing.assert_identical(layout(shuffled, 20).ds, layout(whole, 20).ds)
 
 

@@ -84,7 +84,7 @@ def label_status(
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
     rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
-    0; step_sensitive: whether the step decides the label or a tenth of a statistic's size, see `_recheck` and `_step_decides`.
+    0; step_sensitive: whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,

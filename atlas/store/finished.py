@@ -30,6 +30,11 @@ def is_store(path: Path | str) -> bool:
     return str(path).lower().endswith(SUFFIX)
 
 
+def _is_netcdf(path: Path | str) -> bool:
+    """Whether an atlas is to be read as a NetCDF file: a store may have any name."""
+    return not is_store(path) and Path(path).is_file()
+
+
 def attributes_of(place: Place) -> dict[str, Any]:
     """Attributes of a Zarr store; none without one, or if they cannot be read."""
     try:
@@ -57,19 +62,15 @@ def stamp(path: Path | str) -> object:
 
 def open_finished(path: Path | str) -> xr.Dataset:
     """Open an atlas lazily; BadInput if it cannot be read, or claims more than it can hold."""
-    return (
-        _zarr().open_store(path)
-        if is_store(path) or not Path(path).is_file()
-        else netcdf.open_file(Path(path))
-    )
+    return netcdf.open_file(Path(path)) if _is_netcdf(path) else _zarr().open_store(path)
 
 
 def verify(path: Path | str) -> None:
     """Read all of an atlas; BadInput if it is not as it was written, or has no hash."""
-    if is_store(path) or not Path(path).is_file():
-        _zarr().verify(path)
-    else:
+    if _is_netcdf(path):
         netcdf.verify(Path(path))
+    else:
+        _zarr().verify(path)
 
 
 def write_blocks(

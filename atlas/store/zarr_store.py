@@ -49,10 +49,8 @@ class PlaceStore(Store):
     ):
         super().__init__(read_only=read_only)
         self.place, self.hashes = place, dict[str, str]()
-        self.is_whole, self.has_crc = (
-            is_whole,
-            has_crc,
-        )  # whether no object may be missing, and objects end with their CRC
+        # Whether no object may be missing, and whether objects end with their CRC.
+        self.is_whole, self.has_crc = is_whole, has_crc
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, PlaceStore) and str(self.place) == str(other.place)

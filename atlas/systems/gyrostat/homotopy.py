@@ -73,11 +73,11 @@ def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Ar
         size = np.abs(ends.imag).max(0)
         upper = np.take_along_axis(ends.imag, np.abs(ends.imag).argmax(0)[None], 0)[0] > 0
         real = (size < np.where(complete, _REAL, _MERGED)) & arrived
-        vectors, once = ends[:, :, ~complete].real, real[:, ~complete]
+        vectors, distinct = ends[:, :, ~complete].real, real[:, ~complete]
         for path in range(1, PATHS):
-            again = np.abs(vectors[:, [path]] - vectors[:, :path]).max(0) < _MERGED
-            once[path] &= ~(again & once[:path]).any(0)
-        real[:, ~complete] = once
+            merged = np.abs(vectors[:, [path]] - vectors[:, :path]).max(0) < _MERGED
+            distinct[path] &= ~(merged & distinct[:path]).any(0)
+        real[:, ~complete] = distinct
     nearly = (size >= _REAL) & (size < _NEARLY_REAL) & upper & complete
     return ends[:3].real, ends[3:].real, real, nearly, complete
 

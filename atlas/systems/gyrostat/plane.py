@@ -52,12 +52,12 @@ class Mean(NamedTuple):
     def of(cls, modulus: Array, complement: Array) -> Mean:
         """modulus, complement: k^2 and 1 - k^2."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
-        while (apart := c[-1] > 1e-9 * a[-1]).any():
+        while (unequal := c[-1] > 1e-9 * a[-1]).any():
             # Further levels leave means that have met as they are to the bit, lest they depend on the other points.
-            b[-1] = np.where(apart, b[-1], a[-1])
+            b[-1] = np.where(unequal, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))
-            c.append(np.where(apart, c[-1] ** 2 / (4 * a[-1]), 0.0))
+            c.append(np.where(unequal, c[-1] ** 2 / (4 * a[-1]), 0.0))
         return cls(a, b, c)
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
@@ -212,8 +212,8 @@ class PlaneMotions(NamedTuple):
         root = np.sqrt(t**2 / 4 - s + 2 * one**2 + 0j)
         rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
         # The product of roots, unlike the root of rho^2 - 4, has the sign with which the multiplier is the larger of the pair.
-        twice = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
-        exponent = np.maximum(log_scale + np.log(twice / 2), 0.0)
+        doubled = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
+        exponent = np.maximum(log_scale + np.log(doubled / 2), 0.0)
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:

@@ -65,64 +65,60 @@ class Expression:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")  # Python only warns of texts such as 1if
-                self._tree = ast.parse(self.text, mode="eval").body
+                tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
-        parts: list[ast.AST] = [self._tree]
-        for _ in range(MAX_DEPTH):
-            parts = [child for part in parts for child in ast.iter_child_nodes(part)]
+        parts, depth = list[ast.AST]([tree]), 0
+        while parts and depth < MAX_DEPTH:
+            parts, depth = [child for part in parts for child in ast.iter_child_nodes(part)], depth + 1
         if parts:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
-        calls = [] if seed is None else [part for part in ast.walk(self._tree) if isinstance(part, ast.Call)]
-        self._draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
-        self.names = frozenset(self._names_in(self._tree))
-        self.drawn = {name for call in self._draws for name in self._names_in(call)}
+        calls = [] if seed is None else [part for part in ast.walk(tree) if isinstance(part, ast.Call)]
+        draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
+        # Numbers, names, and functions with the number of their arguments, each after its arguments.
+        self._program, self.drawn = list[tuple[Any, int]](), set[str]()
+        self._compile(tree, draws)
+        self.names = frozenset(part for part, _ in self._program if isinstance(part, str))
 
     def value(self, values: Mapping[str, Array]) -> Array:
         """Value for values of the names; inf or nan where the arithmetic has no finite one."""
+        stack: list[Any] = []
         with np.errstate(all="ignore"):
-            return self._evaluate(self._tree, values)
+            for part, count in self._program:
+                if count:
+                    stack[-count:] = [np.asarray(part(*stack[-count:]))]
+                else:
+                    stack.append(values[part] if isinstance(part, str) else part)
+        return stack[0]
 
-    def _operation(self, node: ast.expr) -> tuple[Callable[..., Any], list[ast.expr]]:
-        """Operator or function of a part of the expression, and its arguments; BadInput if it is not arithmetic."""
-        match node:
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-                return _OPERATORS[type(op)], [left, right]
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
-                return _OPERATORS[type(op)], [operand]
-            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-                return FUNCTIONS[name], [argument]
-            case ast.Call(func=ast.Name(id=name), args=[_, *_], keywords=[]) if node in self._draws:
-                key = f"{self.seed} {self.key} {self._draws.index(node)}"
-                return partial(DRAWS[name], key), node.args
-        hint = next((f"{sentence}; " for sign, sentence in _HINTS.items() if sign in self.text), "")
-        raise BadInput(
-            f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not arithmetic;"
-            f" {hint}{_ALLOWED}{_ALLOWED_DRAWS if self.seed is not None else ''}"
-        )
-
-    def _names_in(self, node: ast.expr) -> set[str]:
-        """Names in a part of the expression; BadInput if the part is not arithmetic."""
+    def _compile(self, node: ast.expr, draws: list[ast.Call]) -> None:
+        """Append a part of the expression to the program; BadInput if it is not arithmetic."""
+        start, arguments, function = len(self._program), list[ast.expr](), None
         match node:
             case ast.Constant(value=value) if type(value) in (int, float):
-                return set()
+                function = np.asarray(float(str(value)))  # inf where float(value) would overflow
             case ast.Name(id=name):
-                return set() if name in CONSTANTS else {name}
-        _, arguments = self._operation(node)
-        return {name for argument in arguments for name in self._names_in(argument)}
-
-    def _evaluate(self, node: ast.expr, values: Mapping[str, Array]) -> Array:
-        """Value of a part of the expression."""
-        match node:
-            case ast.Constant(value=int() | float() as value):
-                try:
-                    return np.asarray(float(value))
-                except OverflowError:
-                    return np.asarray(math.inf)
-            case ast.Name(id=name):
-                return np.asarray(CONSTANTS[name]) if name in CONSTANTS else values[name]
-        function, arguments = self._operation(node)
-        return np.asarray(function(*(self._evaluate(argument, values) for argument in arguments)))
+                function = np.asarray(CONSTANTS[name]) if name in CONSTANTS else name
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                function, arguments = _OPERATORS[type(op)], [left, right]
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+                function, arguments = _OPERATORS[type(op)], [operand]
+            case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
+                function, arguments = FUNCTIONS[name], [argument]
+            case ast.Call(func=ast.Name(id=name), args=[_, *_], keywords=[]) if node in draws:
+                key = f"{self.seed} {self.key} {draws.index(node)}"
+                function, arguments = partial(DRAWS[name], key), node.args
+            case _:
+                hint = next((f"{sentence}; " for sign, sentence in _HINTS.items() if sign in self.text), "")
+                raise BadInput(
+                    f"{self.key} = {shown(self.text)}: {shown(ast.get_source_segment(self.text, node))} is not"
+                    f" arithmetic; {hint}{_ALLOWED}{_ALLOWED_DRAWS if self.seed is not None else ''}"
+                )
+        for argument in arguments:
+            self._compile(argument, draws)
+        if node in draws:
+            self.drawn |= {part for part, _ in self._program[start:] if isinstance(part, str)}
+        self._program.append((function, len(arguments)))
 
 
 @dataclass(frozen=True, eq=False)

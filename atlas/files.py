@@ -188,7 +188,7 @@ def is_temporary(name: str) -> bool:
 
 def sealed(content: Mapping[str, Any]) -> str:
     """JSON text of some entries with a checksum of them, for `unsealed`."""
-    return json.dumps({**content, "checksum": _checksum(content)}, indent=1)
+    return json.dumps({**content, "checksum": hash_of(content)}, indent=1)
 
 
 def unsealed(text: str | bytes) -> dict[str, Any]:
@@ -202,7 +202,7 @@ def parsed(text: str | bytes, *, is_sealed: bool = False) -> dict[str, Any]:
         content = json.loads(text)
         if not isinstance(content, dict):
             raise ValueError("it is no table")
-        if is_sealed and content.pop("checksum", None) != _checksum(content):
+        if is_sealed and content.pop("checksum", None) != hash_of(content):
             raise ValueError("its checksum does not match its content")
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
@@ -244,8 +244,8 @@ def check_claim(claimed: int, stored: int) -> None:
         raise ValueError(f"it claims {claimed:.3g} bytes of numbers, more than {stored} bytes can hold")
 
 
-def _checksum(content: Mapping[str, Any]) -> str:
-    """Hash of some entries of a JSON text."""
+def hash_of(content: Any) -> str:
+    """Hash of what JSON holds, whatever the order of its entries."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

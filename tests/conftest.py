@@ -142,7 +142,7 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     scene = load_scene(tmp_path / "scene.toml")
     with monkeypatch.context() as patched:
         patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
-        run = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run", [])
+        run = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run")
     assert run.tiling.count == 18
     return tmp_path, run, whole
 

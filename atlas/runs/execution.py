@@ -11,9 +11,9 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from itertools import chain
 from pathlib import Path
 from threading import Event, Lock
@@ -67,73 +67,36 @@ Advance = Callable[[float], None]  # takes a number of finished points
 Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # what tiles are computed from
 
 
-@dataclass(frozen=True)
-class _Options:
-    """Processes and threads that compute the tiles, and the shard that they compute; see `run`."""
+@dataclass(frozen=True, eq=False)
+class _Execution:
+    """A plan, the earlier atlases whose points it takes, and the processes and threads that compute its tiles; see `run`."""
 
+    plan: ScenePlan
+    earlier: list[Earlier]
     threads: int | None = None
-    shard: tuple[int, int] | None = None
+    shard: tuple[int, int] = (1, 1)
     scheduler: str | None = None
     workers: int | None = None
     stop_after: float | None = None
     progress: bool = True
     began: float = field(default_factory=time.monotonic)
-
-    @property
-    def on_cluster(self) -> bool:
-        """Whether dask workers compute the tiles."""
-        return bool(self.scheduler or self.workers)
-
-    def check(self, out: str | Path | None) -> None:
-        """Raise BadInput for values and combinations that are not allowed."""
-        if out is None and (self.shard or self.on_cluster or self.stop_after is not None):
-            raise BadInput(
-                "shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc"
-            )
-        if self.on_cluster and self.threads:
-            raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
-        if self.scheduler and self.workers:
-            raise BadInput("scheduler and workers are both given; a run has one of them")
-        for name, value in (("threads", self.threads), ("workers", self.workers)):
-            if value is not None:
-                whole_number(name, value, 1, MAX_THREADS)
-        if self.shard is not None:
-            if len(self.shard) != 2:
-                raise BadInput(f"shard = {shown(self.shard)}: must be (i, n)")
-            whole_number("shard: i", self.shard[0], 1, whole_number("shard: n", self.shard[1], 1))
-        if self.stop_after is not None and not self.stop_after > 0:
-            raise BadInput(f"stop_after = {shown(self.stop_after)}: must be a number of seconds above 0")
-
-
-@dataclass(frozen=True, eq=False)
-class _Execution:
-    """A plan, the earlier atlases whose points it takes, and who computes it."""
-
-    plan: ScenePlan
-    options: _Options
-    earlier: list[Earlier]
-    client: Any = None  # of the dask workers, if these compute the tiles
+    stack: ExitStack = field(default_factory=ExitStack)  # which ends the dask workers
 
     @property
     def time_is_up(self) -> bool:
         """Whether no tile may begin any more."""
-        limit = self.options.stop_after
-        return limit is not None and time.monotonic() - self.options.began >= limit
+        return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
 
-    @contextmanager
-    def connected(self) -> Iterator[_Execution]:
-        """The same with dask workers, if these compute the tiles, while the context is open."""
-        if not self.options.on_cluster:
-            yield self
-            return
-        if self.options.workers:
+    @cached_property
+    def client(self) -> Any:
+        """Client of the dask workers, which are started when the first tile is to be computed."""
+        if self.workers:
             # Compile the kernel by one step at one point: each new process would compile it otherwise.
             sample = self.plan.sample
             points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
                 evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
-        with cluster.connect(self.options.scheduler, self.options.workers) as client:
-            yield replace(self, client=client)
+        return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
 
 
 @typed
@@ -199,10 +162,24 @@ def run(
         If `stop_after` is over before the run is; the same call continues it.
     """
     scene = scene if isinstance(scene, Scene) else load_scene(scene)
-    options = _Options(threads, shard, scheduler, workers, stop_after, progress)
-    options.check(out)
+    began, on_cluster = time.monotonic(), bool(scheduler or workers)
+    if out is None and (shard or on_cluster or stop_after is not None):
+        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc")
+    if on_cluster and threads:
+        raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
+    if scheduler and workers:
+        raise BadInput("scheduler and workers are both given; a run has one of them")
+    for name, value in (("threads", threads), ("workers", workers)):
+        if value is not None:
+            whole_number(name, value, 1, MAX_THREADS)
+    if shard is not None:
+        if len(shard) != 2:
+            raise BadInput(f"shard = {shown(shard)}: must be (i, n)")
+        whole_number("shard: i", shard[0], 1, whole_number("shard: n", shard[1], 1))
+    if stop_after is not None and not stop_after > 0:
+        raise BadInput(f"stop_after = {shown(stop_after)}: must be a number of seconds above 0")
     origin = systems.origin(scene.system)
-    if options.on_cluster and origin is not None and not origin.package:
+    if on_cluster and origin is not None and not origin.package:
         raise BadInput(
             f"the system {scene.system.name} is registered in this process alone, where dask workers cannot find it; run it in"
             " threads, or install it as a package with an entry point in the group atlas.systems"
@@ -211,23 +188,25 @@ def run(
     if shard and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and finished.stamp(file) is not None:
-        if MANIFEST not in place_at(_folder_of(file)).names() and not _is_left_over(_folder_of(file)):
+        left = _folder_of(file)  # it may be what a run left that was killed while it was removed
+        if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return _finished(ScenePlan.of(scene), file)
     if scheduler:
         cluster.check(scheduler)
     plan = ScenePlan.of(scene)
     earlier = [Earlier.of(each, scene) for each in ([reuse] if isinstance(reuse, str | Path) else reuse)]
-    execution = _Execution(plan, options, earlier)
-    warnings = [*grid.warnings(scene, plan.sample), *plan.chaos_warnings()]
-    log_warnings(warnings)
+    execution = _Execution(
+        plan, earlier, threads, shard or (1, 1), scheduler, workers, stop_after, progress, began
+    )
+    log_warnings(plan.warnings)
     if path is None:
-        return _run_in_memory(warnings, execution)
+        return _run_in_memory(execution)
     if force:
         RunFolder.discard(plan, path)
     if file is not None:
-        return _run_to_file(file, warnings, execution)
-    folder = RunFolder.prepare(plan, path, warnings)
+        return _run_to_file(file, execution)
+    folder = RunFolder.prepare(plan, path)
     with _complete(folder, execution, is_kept=True):
         explain_kept(None)
     return folder.dataset()
@@ -270,31 +249,25 @@ def _folder_of(path: Path | str) -> Path | str:
     return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
 
 
-def _is_left_over(path: Path | str) -> bool:
-    """Whether there is a folder, of a run that was killed while it was removed."""
-    return isinstance(path, Path) and path.exists()
-
-
 @contextmanager
 def _complete(folder: RunFolder, execution: _Execution, *, is_kept: bool) -> Iterator[Progress]:
     """Compute what is missing in a run or shard, which is kept or else joined; this process counts as at work while the context is open."""
     explain_kept(folder.progress_text)
-    options, unfinished = execution.options, folder.tiles.missing()
-    part, parts = options.shard or (1, 1)
-    if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in unfinished):
+    part, parts = execution.shard
+    if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
         check_folder(folder.place.path / "tiles" / "tile")
     facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
     folder.forget_processes(facts["shard"])
     save = partial(folder.place.write, progress_name(process_name()), durable=False)
-    bar = Progress(0, show=options.progress, save=save, facts=facts)
+    bar = Progress(0, show=execution.progress, save=save, facts=facts)
     try:
-        with execution.connected() as connected:
+        with execution.stack:
             if folder.scene.refine is not None:
-                _compute_levels(folder, bar, connected)
+                _compute_levels(folder, bar, execution)
             else:
                 own = range(part - 1, folder.tiling.count, parts)
-                totals = _Job(folder, folder.tiles, own, connected).compute(bar)
-                _complete_notes(folder, connected, totals if parts == 1 else None, is_kept)
+                totals = _Job(folder, folder.tiles, own, execution).compute(bar)
+                _complete_notes(folder, execution, totals if parts == 1 else None, is_kept)
         yield bar
     except (BadInput, OSError):
         folder.check_kept()
@@ -320,7 +293,7 @@ def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | N
         totals = saved
     if not attributes:
         plan = execution.plan
-        attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.options.threads)
+        attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
     elif (saved and saved.table()) == (totals and totals.table()):
         return
     folder.save_notes(attributes, totals)
@@ -329,7 +302,7 @@ def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | N
 def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> None:
     """Compute the levels of a refined scene one after the other, then the tiles of its finest grid from them."""
     plan, levels, every = execution.plan, list[Level](), range(folder.tiling.count)
-    tiles, totals, options = folder.tiles, Totals(), execution.options
+    tiles, totals = folder.tiles, Totals()
     _, damaged = tiles.check(tiles.written())
     _warn_and_remove(tiles, damaged)
     with suppress(BadInput):  # of damaged notes, which are written anew
@@ -341,14 +314,13 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
         before = levels[-1].tiles.key if levels else ""
         level = folder.level(len(levels), before, indices, math.prod(plan.tiling.tile))
         levels.append(level)
-        totals.merge(
-            _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number).compute(bar)
-        )
+        job = _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number)
+        totals.add(job.compute(bar).table())
         yield from level.read(indices)
 
     scratch = folder.place.path if isinstance(folder.place, Folder) else Path(tempfile.gettempdir())
     fine, attributes = refine.refined(
-        integrate, plan, scratch, threads=options.threads, progress=options.progress
+        integrate, plan, scratch, threads=execution.threads, progress=execution.progress
     )
     folder.check_kept()
     for tile in tiles.missing():
@@ -365,14 +337,14 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
     folder.save_notes(attributes, replace(totals, tally=result.tally))
 
 
-def _run_to_file(path: Path | str, warnings: list[str], execution: _Execution) -> xr.Dataset:
+def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder.
 
     If another process did the same, it may have removed the folder; the error then means a finished file.
     """
     before, plan, is_joined = finished.stamp(path), execution.plan, False
     try:
-        folder = RunFolder.prepare(plan, _folder_of(path), warnings)
+        folder = RunFolder.prepare(plan, _folder_of(path))
         if finished.stamp(path) == before:
             with _complete(folder, execution, is_kept=False) as bar:
                 if finished.stamp(path) == before:
@@ -417,58 +389,58 @@ def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
     return open_atlas(path)
 
 
-def _run_in_memory(warnings: list[str], execution: _Execution) -> xr.Dataset:
+def _run_in_memory(execution: _Execution) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    plan, threads, earlier = execution.plan, execution.options.threads, execution.earlier
-    scene, points, stopwatch, reused = plan.scene, 0, Stopwatch(), Counter[str]()
-
-    def integrate(indices: np.ndarray) -> Iterator[Part]:
-        nonlocal points
-        for (chunk,) in Tiling.of(indices.shape, grid.MAX_POINTS_PER_TILE):
-            values, computed, taken = evaluate_at(
-                plan.points, scene, indices[chunk], earlier, threads=threads
-            )
-            points += computed
-            reused.update(taken)
-            yield indices[chunk], values
-
-    if scene.refine is not None:
-        with announced(execution.options.progress):
-            fine, attributes = refine.refined(
-                integrate, plan, None, threads=threads, progress=execution.options.progress
-            )
-        ds = dataset.dataset(scene, fine.values(())).assign_attrs(attributes)
-    else:
-        with closing(Progress(scene.size, show=execution.options.progress)) as bar:
-            columns, reused = columns_of(plan, bar, threads, earlier)
-        ds, points = dataset.dataset(scene, columns), scene.size
-    attributes = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=warnings
-    )
+    plan, threads, progress = execution.plan, execution.threads, execution.progress
+    scene, stopwatch, reused = plan.scene, Stopwatch(), Counter[str]()
     if scene.refine is None:
-        attributes |= half_step.half_step_sample(scene, plan.points, threads=threads)
-    return ds.assign_attrs(attributes | ds.attrs | history_text(reused))
+        with closing(Progress(scene.size, show=progress)) as bar:
+            columns, reused = columns_of(plan, bar, threads, execution.earlier)
+        ds, points = dataset.dataset(scene, columns), scene.size
+        attributes = half_step.half_step_sample(scene, plan.points, threads=threads)
+    else:
+        silent = Progress(scene.size, show=False)
+
+        def integrate(indices: np.ndarray) -> Iterator[Part]:
+            columns, taken = columns_of(plan, silent, threads, execution.earlier, indices)
+            reused.update(taken)
+            yield indices, columns
+
+        with announced(progress):
+            fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
+        ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
+    provenance = scene_provenance(
+        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=plan.warnings
+    )
+    return ds.assign_attrs(provenance | attributes | history_text(reused))
 
 
 def columns_of(
-    plan: ScenePlan, bar: Progress, threads: int | None = None, earlier: Sequence[Earlier] = ()
+    plan: ScenePlan,
+    bar: Progress,
+    threads: int | None = None,
+    earlier: Sequence[Earlier] = (),
+    points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
-    """Variables and solved parameters of all points of a scene, tile by tile; the numbers of points of earlier atlases."""
+    """Variables and solved parameters of the points of a scene, or of some by their flat indices; the numbers of points of earlier atlases."""
     scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
-    columns = {name: np.empty(scene.size, dtype) for name, dtype in tile_types(scene).items()}
+    if points is not None:
+        tiles = Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
+    size = math.prod(tiles.shape)
+    columns = {name: np.empty(size, dtype) for name, dtype in tile_types(scene).items()}
 
     def compute(tile: int, advance: Advance) -> None:
-        indices = tiles.indices(tile)
+        part = tiles.indices(tile)
+        indices = part if points is None else points[part]
         values, computed, reused = evaluate_at(
             plan.points, scene, indices, earlier, threads=threads, progress=advance
         )
         for name, column in columns.items():
-            column[indices] = values[name]
+            column[part] = values[name]
         all_reused.update(reused)
         bar.skip(indices.size - computed + reused.total())
 
-    in_flight = plan.tiles_in_flight(threads)
-    for_each_tile(range(tiles.count), compute, bar.advance, in_flight, Event())
+    for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads), Event())
     return columns, all_reused
 
 
@@ -508,32 +480,27 @@ def for_each_tile(
             stop.set()
 
 
+@dataclass(eq=False)
 class _Job:
     """Some tiles of a run that this process has to compute, unless other ones do.
 
     No shard goes on to the next level before this one is complete, so that it computes the tiles of the others too, after its own.
     """
 
-    def __init__(
-        self, run: RunFolder, tiles: Tiles, chosen: range, execution: _Execution, level: int | None = None
-    ):
-        self.run, self.tiles, self.chosen, self.execution, self.level = run, tiles, chosen, execution, level
-        self.part, self.parts = execution.options.shard or (1, 1)
-        self.stop = Event()  # set when an error or Ctrl-C ends the job
-        self.totals, self.own = (
-            Totals(),
-            set[int](),
-        )  # of the tiles that this process wrote, which it has read back
+    run: RunFolder
+    tiles: Tiles
+    chosen: range
+    execution: _Execution
+    level: int | None = None
+    stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
+    totals: Totals = field(default_factory=Totals)  # of the tiles that this process wrote
+    own: set[int] = field(default_factory=set)  # these tiles, which it has read back
 
     def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
         """Unfinished tiles one by one, from a random one on, so that parallel processes share the work; Stopped if the time is over."""
-        first = random.randrange(len(unfinished))
-        tiles, files, size_of = (
-            [*unfinished[first:], *unfinished[:first]],
-            self.tiles,
-            self.tiles.tiling.size_of,
-        )
-        tiles.sort(key=lambda tile: tile % self.parts != self.part - 1)
+        first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
+        files, size_of = self.tiles, self.tiles.tiling.size_of
+        tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
         pause = CLAIM_POLL
         while tiles:
             claimed, files.listed = [], None
@@ -544,11 +511,9 @@ class _Job:
                     return
                 elif claims.claim_tile(files, tile):
                     if files.is_written(tile):
-                        with claims.held(
-                            files, tile
-                        ):  # written since the folder was listed, perhaps with others
+                        with claims.held(files, tile):
                             bar.skip(size_of(tile))
-                        files.listed = None
+                        files.listed = None  # written since the folder was listed, perhaps with others
                     else:
                         yield tile
                 else:
@@ -561,7 +526,7 @@ class _Job:
 
     def compute(self, bar: Progress) -> Totals:
         """Compute the tiles that are not there, and again those that are not as they were written; Stopped if the time is over before."""
-        size_of, written, done = self.tiles.tiling.size_of, self.tiles.written(), 0
+        size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.chosen if tile not in written]
         done = sum(size_of(tile) for tile in self.chosen if tile in written)
         bar.add(sum(map(size_of, self.chosen)), done=done)
@@ -570,7 +535,7 @@ class _Job:
                 self._compute(unfinished, bar)
             totals, damaged = self.tiles.check(tile for tile in self.chosen if tile not in self.own)
             if not damaged:
-                totals.merge(self.totals)
+                totals.add(self.totals.table())
                 return totals
             _warn_and_remove(self.tiles, damaged)
             unfinished = sorted(damaged)
@@ -578,28 +543,27 @@ class _Job:
 
     def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
         """Compute some tiles that are not there."""
-        self.stop = Event()
-        execution, run, size_of = self.execution, self.run, self.tiles.tiling.size_of
+        execution, run = self.execution, self.run
         if isinstance(run.place, Folder):
-            path, points = run.place.path, sum(map(size_of, unfinished))
+            path, points = run.place.path, sum(map(self.tiles.tiling.size_of, unfinished))
             estimate.check_disk(execution.plan, path, points, is_joined=path.suffix == RUN_SUFFIX)
+        self.stop = Event()
+        remaining = self.remaining_tiles(unfinished, bar)
         try:
-            remaining = self.remaining_tiles(unfinished, bar)
-            if execution.client is not None:
+            if execution.scheduler or execution.workers:
                 self._compute_on_cluster(remaining, bar)
             else:
                 self._compute_in_threads(remaining, bar)
         finally:
             run.remove_leftovers()
         if execution.time_is_up and not all(map(self.tiles.is_written, unfinished)):
-            limit = execution.options.stop_after or 0
-            raise Stopped(f"stopped after {clock(limit)}; {run.progress_text()}")
+            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {run.progress_text()}")
 
     def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
-        plan, threads = self.execution.plan, self.execution.options.threads
+        plan, threads, (part, parts) = self.execution.plan, self.execution.threads, self.execution.shard
         source = self.run, self.tiles, plan.points, self.execution.earlier
         by = f"{threads or blocks.available_threads()} threads"
-        by += f", shard {self.part}/{self.parts}" if self.parts > 1 else ""
+        by += f", shard {part}/{parts}" if parts > 1 else ""
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
         def seconds() -> float:
@@ -619,8 +583,6 @@ class _Job:
         for_each_tile(tiles, compute, bar.advance, plan.tiles_in_flight(threads), self.stop)
 
     def _compute_on_cluster(self, tiles: Iterator[int], bar: Progress) -> None:
-        run, client = self.run, self.execution.client
-
         def on_result(tile: int) -> None:
             if not self.tiles.is_written(tile):
                 raise BadInput(
@@ -628,7 +590,7 @@ class _Job:
                 )
             bar.advance(self.tiles.tiling.size_of(tile))
 
-        place = str(run.path), self.level, self.tiles.key
+        client, place = self.execution.client, (str(self.run.path), self.level, self.tiles.key)
         reuse = tuple(str(each.path) for each in self.execution.earlier)
         cluster.check_workers(client, check_worker, (*place, reuse))
         cluster.for_each(client, compute_tile, ((*place, tile, reuse) for tile in tiles), on_result)

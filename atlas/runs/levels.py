@@ -10,7 +10,6 @@ it, finds the same levels; the key of a level is a hash of run, points and key b
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import TypeAlias
@@ -18,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from ..errors import BadInput
-from ..files import one_line
+from ..files import hash_of, one_line
 from ..scene.model import Scene
 from ..store.place import Place
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
@@ -53,8 +52,7 @@ class Level:
         self.number, self.before, self.points, self.length = number, before, points, length
         self.scene, self.run, self.place = scene, run, run.inside(f"{LEVELS}/{number:04d}")
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
-        content = [run_key, number, before, length, digest]
-        self.key = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        self.key = hash_of([run_key, number, before, length, digest])
         outputs = {*scene.outputs, "label"} - {"growth_rate"}
         measured = (v for v in variables(scene.system).values() if v.name in MEASURED or not v.flags)
         types = {variable.name: variable.dtype for variable in measured if variable.name in outputs}
@@ -115,16 +113,3 @@ class Level:
             except DamagedTile as error:
                 raise OSError(f"{self.place}: tile {tile}: {error}; run the scene again") from None
             yield self.tiles.indices(tile)[inside], {name: column[inside] for name, column in values.items()}
-
-
-def levels_of(run: Place, scene: Scene, run_key: str) -> Iterator[Level | BadInput]:
-    """The levels that have begun; in place of damaged ones, which the next run writes anew, the reason."""
-    number = 0
-    while True:
-        try:
-            yield Level.open(run, scene, run_key, number)
-        except FileNotFoundError:
-            return
-        except BadInput as error:
-            yield error
-        number += 1

@@ -151,6 +151,11 @@ class ScenePlan:
             )
         return warnings
 
+    @cached_property
+    def warnings(self) -> list[str]:
+        """What is said of a scene before it runs."""
+        return [*grid.warnings(self.scene, self.sample), *self.chaos_warnings()]
+
     def chaos_warnings(self) -> list[str]:
         """One sentence if the runs are too short to tell regular motions from chaotic ones."""
         exists, system = self.sample.exists, self.scene.system

@@ -7,9 +7,9 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import repeat
+from itertools import count, repeat
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -50,18 +50,12 @@ MAX_BOX_POINTS = 2**20
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder.
+    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder; its attributes.
 
-    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of
-    two points with different flags are integrated, until every boundary runs between integrated points. On
-    the finest grid two more sets of points are integrated, and boundaries that appear in them are traced in
-    the same way: first the points near boundaries of what theory predicts (it is evaluated at every point),
-    and the points where an instability has hardly time to grow; then the probe, a random share of all others.
-
-    Where the variable `computed` is `interpolated`, measured flags are copied from neighbours and measured
-    numbers are nan. Attributes: atlas_computed_share, the share of points integrated among the points where
-    the family exists; atlas_probe_points and atlas_probe_missed, the size of the probe and how many of its
-    points had unexpected flags.
+    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of two points with
+    different flags are integrated, until every boundary runs between integrated points. On the finest grid two more sets are
+    integrated and traced in the same way: the points near boundaries of what theory predicts and those where an instability has
+    hardly time to grow; then the probe, a random share of all others. Elsewhere flags are copied from neighbours.
     """
     scene = plan.scene
     assert scene.refine is not None
@@ -72,25 +66,18 @@ def refined(
             line = f"level {level} of {scene.refine.levels}: {fine.n_integrated} of {fine.n_existing} points"
             say(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
     fine.trace_predicted_boundary()
-    probe_points, probe_missed = fine.probe(scene.refine.probe)
-    attributes = {
-        "atlas_computed_share": fine.n_integrated / fine.n_existing,
-        "atlas_probe_points": probe_points,
-        "atlas_probe_missed": probe_missed,
-    }
+    size, missed = fine.probe(scene.refine.probe)
+    share = fine.n_integrated / fine.n_existing
+    attributes = {"atlas_computed_share": share, "atlas_probe_points": size, "atlas_probe_missed": missed}
     return fine, attributes | half_step.half_step_sample(scene, plan.points, threads=threads)
 
 
 class FineGrid:
     """The finest grid of a scene: predictions at every point, measured flags where points are integrated.
 
-    It holds of each point `flag_code`, the measured flags as one number (one byte, or two or four if they have many values):
-    measured where `computed` is true (integrated, or without motion), assumed elsewhere; `computed` and `slowly_unstable` (a byte
-    each); `predicted`, the predicted flags as one number; and growth rate and solved parameters (eight bytes each), if the scene
-    has them. With a folder these are in files there, which have no names and are read and written as memory, so that the system
-    keeps in memory what there is room for, and measured numbers are in the tiles of the run alone; without, they are held as well.
-    All else is derived for boxes of MAX_BOX_POINTS or from the indices of the points that are integrated, but for a probe of more
-    than 2 %, which NumPy draws from a list of eight bytes a point.
+    With a folder its arrays are in files there, which have no names and are read and written as memory, so that the system keeps in
+    memory what there is room for, and measured numbers are in the tiles of the run alone. All else is derived for boxes of
+    MAX_BOX_POINTS or from the indices of the points that are integrated.
     """
 
     def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
@@ -106,6 +93,7 @@ class FineGrid:
         held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
         codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
         arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
+        # The flags as one number, measured where `computed` is true, assumed elsewhere; the predicted flags; two masks.
         self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
@@ -127,7 +115,7 @@ class FineGrid:
         self.n_existing += int(points.exists.sum())
         self.computed.reshape(-1)[chunk] = ~points.exists
         status = np.where(points.exists, 0, grid.status_of(points.reason))
-        initial = {name: status * (name == "status") for name in self.flags}
+        initial = [status * (name == "status") for name in self.flags]
         self.flag_code.reshape(-1)[chunk] = _encode(initial, self.flag_counts)
         for name in self.scene.solve:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
@@ -138,7 +126,7 @@ class FineGrid:
             prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
             for name in self.numbers.keys() & {"growth_rate"}:
                 self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
-            flags = {name: prediction.variables[name] for name in self.predicted_flags}
+            flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
             slow = prediction.log_growth < self.growth_needed
             slow &= prediction.variables["stable"] == Stability.UNSTABLE
@@ -146,10 +134,8 @@ class FineGrid:
 
     def refine_to(self, level: int) -> None:
         """Compute all of the grid at level 0; later, new points first assume the flags of a neighbour."""
-        coarsening = self.scene.coarsening
-        subgrid, before = (
-            tuple(slice(None, None, max(k * n >> level, 1)) for n in coarsening) for k in (1, 2)
-        )
+        steps = [[max(k * n >> level, 1) for n in self.scene.coarsening] for k in (1, 2)]
+        subgrid, before = (tuple(slice(None, None, step) for step in each) for each in steps)
         if level == 0:
             self._integrate(self._not_computed(subgrid, repeat(True)))
             return
@@ -174,8 +160,8 @@ class FineGrid:
 
     def probe(self, share: float) -> tuple[int, int]:
         """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
-        count, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
-        places = np.random.default_rng(SEED).choice(count, math.ceil(share * count), replace=False)
+        rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
+        places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
         for indices in self._not_computed(self.finest, repeat(True)):
             inside = slice(*np.searchsorted(places, (first, first + indices.size)))
@@ -193,9 +179,8 @@ class FineGrid:
         reach = [BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         for box in Tiling.of(code.shape, MAX_BOX_POINTS):
             around = tuple(slice(max(a.start - n, 0), a.stop + n) for a, n in zip(box, reach, strict=True))
-            inside = tuple(
-                slice(a.start - b.start, a.stop - b.start) for a, b in zip(box, around, strict=True)
-            )
+            pairs = zip(box, around, strict=True)
+            inside = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in pairs)
             yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
     def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
@@ -212,7 +197,7 @@ class FineGrid:
         if not indices.size:
             return 0
         for some, values in self.integrate(indices):
-            flags = {name: values[name] - self.registry[name].missing for name in self.flags}
+            flags = [values[name] - self.registry[name].missing for name in self.flags]
             self.flag_code.reshape(-1)[some] = _encode(flags, self.flag_counts)
             for name in self.measured:
                 self.numbers[name].reshape(-1)[some] = values[name]
@@ -235,25 +220,22 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Expected number of points that `refined` integrates, from the boundaries that theory predicts.
+    """Expected number of points that `refined` integrates: those near the boundaries that theory predicts, and the probe.
 
-    The refinement is simulated on a grid of at most MAX_PREDICTED points, with predictions in place of
-    measurements. On each finer grid the points near boundaries grow like the length (area, ...) of the
-    boundaries in units of the spacing, and the points of slow instabilities like the number of all points. A
-    boundary that theory does not predict is not counted.
+    The refinement is simulated on a grid of at most MAX_PREDICTED points. On each finer grid the points near boundaries grow like the
+    length (area, ...) of the boundaries in units of the spacing, and the points of slow instabilities like the number of all points.
     """
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
-    finer = 0  # levels between the grid of the simulation and the finest one
-    while scene.size / 2 ** (n_axes * finer) > MAX_PREDICTED:
-        finer += 1
-    # The scene with 2^finer times the spacing.
+    # Levels between the grid of the simulation, with 2^finer times the spacing, and the finest one.
+    finer = next(i for i in count() if scene.size / 2 ** (n_axes * i) <= MAX_PREDICTED)
     axes = {
         name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
         for name, axis in scene.axes.items()
     }
-    coarser = replace(scene.refine, levels=max(levels - finer, 0))
+    simulated_levels = max(levels - finer, 0)
+    coarser = replace(scene.refine, levels=simulated_levels)
     outputs = tuple(name for name in scene.outputs if name in MEASURED)
 
     def predictions(indices: np.ndarray) -> Iterator[Part]:
@@ -264,22 +246,19 @@ def expected_points(plan: ScenePlan) -> float:
 
     simulated = replace(scene, axes=axes, refine=coarser, outputs=outputs)
     predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
-    for level in range(max(levels - finer, 0) + 1):
+    for level in range(simulated_levels + 1):
         predicted.refine_to(level)
     predicted.trace_predicted_boundary()
     # Points of the finest grid near a boundary of the flags.
     near = sum(map(np.count_nonzero, predicted._near_boundary(predicted.flag_code)))
-    slow = int(predicted.slowly_unstable.sum())
-    existing_share = predicted.n_existing / predicted.scene.size
-    expected = float(predicted.n_integrated)
+    existing_share, expected = predicted.n_existing / predicted.scene.size, float(predicted.n_integrated)
     if finer > levels:  # not even the coarse grid is small enough
-        expected = existing_share * math.prod(
-            -(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True)
-        )
+        coarse = (-(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True))
+        expected = existing_share * math.prod(coarse)
     new_share = 1 - 2.0**-n_axes  # share of the points of a level that no coarser level has
     first = max(finer - levels, 0) + 1
     expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
-    expected += slow * (2 ** (n_axes * finer) - 1)
+    expected += int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
     existing = existing_share * scene.size
     return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
 
@@ -306,16 +285,16 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 
 
-def _encode(flags: Mapping[str, Flags], counts: Sequence[int]) -> np.ndarray:
+def _encode(flags: Iterable[Flags], counts: Sequence[int]) -> np.ndarray:
     """Several flags of each point as one number; counts: how many values each flag has."""
     kind = np.min_scalar_type(-math.prod(counts))  # signed, and as short as may be
     code = np.zeros(1, kind)
-    for values, count in zip(flags.values(), counts, strict=True):
-        code = (code * count + values).astype(kind)
+    for values, number in zip(flags, counts, strict=True):
+        code = (code * number + values).astype(kind)
     return code
 
 
 def _decode(code: np.ndarray, counts: Sequence[int]) -> list[Flags]:
     """Inverse of `_encode`."""
-    steps = [math.prod(counts[i + 1 :]) for i in range(len(counts))]
-    return [(code // n % count).astype(np.int8) for n, count in zip(steps, counts, strict=True)]
+    steps = (math.prod(counts[i + 1 :]) for i in range(len(counts)))
+    return [(code // step % n).astype(np.int8) for step, n in zip(steps, counts, strict=True)]

@@ -13,8 +13,6 @@ which nothing computed depends, carries a hash.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import logging
 import math
 import os
@@ -25,6 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -36,6 +35,7 @@ from ..files import (
     PROCESS_NAME,
     check_folder,
     check_types,
+    hash_of,
     is_temporary,
     one_line,
     parsed,
@@ -53,7 +53,7 @@ from ..store.tile import DamagedTile, Tiles, tile_types
 from ..store.tiling import Tiling
 from ..variables import COMPUTED, variables
 from .claims import claim, claimants
-from .levels import LEVELS, Level, levels_of
+from .levels import LEVELS, Level
 from .plan import ScenePlan, differences, identity
 
 FORMAT = 4
@@ -131,7 +131,7 @@ class RunFolder:
             raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
-    def prepare(cls, plan: ScenePlan, path: Path | str, warnings: list[str]) -> RunFolder:
+    def prepare(cls, plan: ScenePlan, path: Path | str) -> RunFolder:
         """Create the run of a scene, or open it to be continued; BadInput for anything else in its place."""
         path = located(path)
         place = place_at(path)
@@ -145,7 +145,9 @@ class RunFolder:
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
-            attributes = scene_provenance(scene, kernel, seconds=0.0, points=scene.size, warnings=warnings)
+            attributes = scene_provenance(
+                scene, kernel, seconds=0.0, points=scene.size, warnings=plan.warnings
+            )
             # The tiles of a refined atlas are written, not computed.
             finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
             manifest = {
@@ -242,12 +244,14 @@ class RunFolder:
         return Level.of(self.place, self.scene, self.key, number, before, points, most)
 
     def levels(self) -> Iterator[Level]:
-        """The levels that have begun, without damaged ones, which are logged."""
-        for level in levels_of(self.place, self.scene, self.key):
-            if isinstance(level, Level):
-                yield level
-            else:
-                logging.getLogger("atlas").warning("%s", level)
+        """The levels that have begun, without damaged ones, which are logged and written anew by the next run."""
+        for number in count():
+            try:
+                yield Level.open(self.place, self.scene, self.key, number)
+            except FileNotFoundError:
+                return
+            except BadInput as error:
+                logging.getLogger("atlas").warning("%s", error)
 
     def tile_sets(self) -> dict[str, Tiles]:
         """The tiles that are integrated, by the name of their part of the run."""
@@ -283,9 +287,9 @@ class RunFolder:
             if not self.path.is_dir():
                 return ""
             path = os.path.relpath(self.path)
-        count = sum(tiles.tiling.count for tiles in sets)
-        written = count - sum(len(tiles.missing()) for tiles in sets)
-        return f"{written} of {count} tiles are in {path if path[0] != '.' else self.path}/"
+        total = sum(tiles.tiling.count for tiles in sets)
+        missing = sum(len(tiles.missing()) for tiles in sets)
+        return f"{total - missing} of {total} tiles are in {path if path[0] != '.' else self.path}/"
 
     def dataset(self) -> xr.Dataset:
         """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
@@ -328,10 +332,9 @@ class RunFolder:
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= history_text(totals.reused)
         # All levels of a refined run are there when it is read.
-        count = self.tiling.count if self.scene.refine is None else totals.by.total()
-        attributes["atlas_run"] = f"{totals.by.total()} of {count} tiles" + "".join(
-            f"; {count} by {by}" for by, count in sorted(totals.by.items())
-        )
+        tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
+        shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]
+        attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])
         return attributes | self.notes()[0]
 
     def save_notes(self, attributes: dict[str, Any], totals: Totals | None) -> None:
@@ -349,7 +352,11 @@ class RunFolder:
             check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:
                 raise ValueError("it belongs to another run")
-            return content["attributes"], Totals.of(content["totals"]) if content["totals"] else None
+            if not content["totals"]:
+                return content["attributes"], None
+            totals = Totals()
+            totals.add(content["totals"])
+            return content["attributes"], totals
         except FileNotFoundError:
             return {}, None
         except OSError as error:
@@ -430,11 +437,6 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
     """The attribute with the numbers of points from earlier atlases, by what these are; none without such points."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
-
-
-def hash_of(content: dict[str, Any]) -> str:
-    """Hash of the entries of a table."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _key(manifest: dict[str, Any]) -> str:

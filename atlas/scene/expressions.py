@@ -93,7 +93,8 @@ class Expression:
 
     def _compile(self, node: ast.expr, draws: list[ast.Call]) -> None:
         """Append a part of the expression to the program; BadInput if it is not arithmetic."""
-        start, arguments, function = len(self._program), list[ast.expr](), None
+        function: Any
+        start, arguments = len(self._program), list[ast.expr]()
         match node:
             case ast.Constant(value=value) if type(value) in (int, float):
                 function = np.asarray(float(str(value)))  # inf where float(value) would overflow

@@ -51,9 +51,7 @@ class Tally:
     def add(self, counts: Mapping[str, Mapping[str, int]], largest: Mapping[str, float]) -> None:
         """Add the entries of the tally of other points."""
         for name, number in counts.items():
-            total = self.counts[name]
-            for flag, n in number.items():
-                total[flag] += int(n)
+            self.counts[name].update({flag: int(n) for flag, n in number.items()})
         for name, value in largest.items():
             self.largest[name] = max(self.largest.get(name, float(value)), float(value))
 
@@ -69,27 +67,12 @@ class Totals:
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:
-        """Add a tile."""
+        """Add a tile by its header, or other totals by their `table`."""
         self.points += header["points"]
         self.seconds += header["seconds"]
-        self.by[header["by"]] += 1
+        self.by.update([header["by"]] if isinstance(header["by"], str) else header["by"])
         self.reused.update(header["reused"])
         self.tally.add(**header["tally"])
-
-    def merge(self, other: Totals) -> None:
-        """Add the tiles of other totals."""
-        self.points += other.points
-        self.seconds += other.seconds
-        self.by.update(other.by)
-        self.reused.update(other.reused)
-        self.tally.add(**vars(other.tally))
-
-    @classmethod
-    def of(cls, table: Mapping[str, Any]) -> Totals:
-        """The totals that `table` gave."""
-        totals = cls(table["points"], table["seconds"], Counter(table["by"]), Counter(table["reused"]))
-        totals.tally.add(**table["tally"])
-        return totals
 
     def table(self) -> dict[str, Any]:
         """The sums as JSON has them."""

@@ -29,7 +29,7 @@ from zarr.errors import ZarrUserWarning
 
 from .._version import __version__
 from ..errors import BadInput
-from ..files import MAX_RATIO, MIN_CLAIM, atomic_folder, check_claim, is_temporary, one_line
+from ..files import MAX_RATIO, MIN_CLAIM, atomic_folder, check_claim, hash_of, is_temporary, one_line
 from .dataset import HASH, VERSION, Block
 from .finished import EARLIER_HASHES, MAX_OBJECT_BYTES, METADATA, attributes_of
 from .place import Folder, Place, place_at
@@ -175,14 +175,12 @@ def _write(
 def _root_hash(metadata: dict[str, Any]) -> str:
     """Hash of the root metadata but HASH."""
     attributes = {name: value for name, value in metadata["attributes"].items() if name != HASH}
-    content = json.dumps(metadata | {"attributes": attributes}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return hash_of(metadata | {"attributes": attributes})
 
 
 def _objects_hash(hashes: Mapping[str, str]) -> str:
     """One hash of all objects but the root metadata by their names."""
-    content = json.dumps({name: each for name, each in hashes.items() if name != METADATA}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()
+    return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
 def open_store(path: Path | str) -> xr.Dataset:

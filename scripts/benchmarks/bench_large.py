@@ -59,9 +59,8 @@ def prepare(path: Path, names: list[str], rows: int, columns: int) -> tuple[RunF
     """An empty run of a grid, and the values of its first tile."""
     text = SCENE.format(rows=rows, columns=columns, layers=1, duration=1.0)
     listed = ", ".join(f'"{name}"' for name in names)
-    run = RunFolder.prepare(
-        ScenePlan.of(atlas.load_scene(text.replace('"label", "status", "theta_dot_rms"', listed))), path, []
-    )
+    scene = atlas.load_scene(text.replace('"label", "status", "theta_dot_rms"', listed))
+    run = RunFolder.prepare(ScenePlan.of(scene), path)
     rng, size = np.random.default_rng(0), run.tiling.size_of(0)
     values = {
         name: rng.random(size) if np.dtype(dtype).kind == "f" else np.ones(size, dtype)

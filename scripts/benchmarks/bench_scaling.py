@@ -74,7 +74,7 @@ def points(folder: Path, max_points: int) -> None:
     while count <= max_points:
         case = scene(folder, count)
         name = f"points{count}"
-        run = RunFolder.prepare(ScenePlan.of(case), folder / name, [])
+        run = RunFolder.prepare(ScenePlan.of(case), folder / name)
         seconds, memory = command(folder, "run", "scene.toml", "-o", f"{name}/", "--quiet")
         joined, join_memory = command(folder, "join", name, "-o", f"{name}.nc")
         size = (folder / f"{name}.nc").stat().st_size / 1e6
@@ -95,7 +95,7 @@ def tiles(folder: Path, max_points: int) -> None:
     case, usual, fewest = scene(folder, count), grid.MAX_POINTS_PER_TILE, None
     for points in (usual, 8192, 1024):
         grid.MAX_POINTS_PER_TILE = points
-        run = RunFolder.prepare(ScenePlan.of(case), folder / f"tiles{points}", [])
+        run = RunFolder.prepare(ScenePlan.of(case), folder / f"tiles{points}")
         grid.MAX_POINTS_PER_TILE = usual
         seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
         fewest = fewest or (run.tiling.count, seconds)

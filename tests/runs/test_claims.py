@@ -23,7 +23,7 @@ from atlas.store import place as places
 def folder(small_scene, tmp_path, monkeypatch):
     """An empty run folder of 9 tiles."""
     monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
-    return RunFolder.prepare(ScenePlan.of(load_scene(small_scene)), tmp_path / "run", [])
+    return RunFolder.prepare(ScenePlan.of(load_scene(small_scene)), tmp_path / "run")
 
 
 @pytest.fixture
@@ -85,15 +85,15 @@ def test_one_of_several_processes_creates_a_run(
     def sleep(seconds):
         waits.append(seconds)
         claim.unlink()
-        RunFolder.prepare(ScenePlan.of(load_scene(scene_text({"fixed.m": 0.6}))), tmp_path / "run", [])
+        RunFolder.prepare(ScenePlan.of(load_scene(scene_text({"fixed.m": 0.6}))), tmp_path / "run")
 
     monkeypatch.setattr("atlas.runs.run.time.sleep", sleep)
     plan = ScenePlan.of(load_scene(small_scene))
     if creator == "slow":
         with pytest.raises(BadInput, match=r"holds another run.*fixed\.m \(0\.6 in the folder, 0\.5 now\)"):
-            RunFolder.prepare(plan, tmp_path / "run", [])
+            RunFolder.prepare(plan, tmp_path / "run")
     else:
-        RunFolder.prepare(plan, tmp_path / "run", [])
+        RunFolder.prepare(plan, tmp_path / "run")
     assert len(waits) == (creator == "slow")
     assert {path.name for path in claim.parent.iterdir()} == {"manifest.json", "tiles"}
 
@@ -145,8 +145,7 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
 
 def job_of(folder):
     """All tiles of a run, by one thread."""
-    options = execution._Options(threads=1)
-    run = execution._Execution(ScenePlan.of(folder.scene), options, [])
+    run = execution._Execution(ScenePlan.of(folder.scene), [], threads=1)
     return execution._Job(folder, folder.tiles, range(9), run)
 
 

@@ -58,7 +58,7 @@ def small_tiles(monkeypatch):
 
 def empty_run_folder(scene, path) -> RunFolder:
     """A run folder without tiles; its manifest fixes the tiling for every process that continues it."""
-    return RunFolder.prepare(ScenePlan.of(scene), Path(path), [])
+    return RunFolder.prepare(ScenePlan.of(scene), Path(path))
 
 
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=4).map(tuple), st.integers(1, 500))

@@ -31,7 +31,7 @@ def scene(small_scene):
 @pytest.fixture
 def run(scene, tmp_path):
     """An empty run folder."""
-    return RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run", [])
+    return RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run")
 
 
 @pytest.fixture

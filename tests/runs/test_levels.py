@@ -153,7 +153,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     tile_path(folder.tiles, 3).write_bytes(b"no atlas")
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
     # A level of another run is none of this one.
-    other = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "other", [])
+    other = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "other")
     (other.path / LEVELS).mkdir()
     damaged.place.path.rename(other.path / LEVELS / "0000")
     evaluated.clear()
@@ -193,7 +193,7 @@ def test_the_command_stops_and_continues_a_refined_run(
 
 
 def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_path):
-    folder = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "night", [])
+    folder = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "night")
     level = folder.level(0, "", np.arange(0, 825, 8), 1000)
     execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
     assert state(level.tiles).done == [0]

@@ -120,7 +120,7 @@ def test_a_run_is_interrupted_and_continued(
 
 
 def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):
-    RunFolder.prepare(ScenePlan.of(scene), place, [])
+    RunFolder.prepare(ScenePlan.of(scene), place)
     other = load_scene(scene_text(FEW | {"fixed.m": 0.6}))
     with pytest.raises(BadInput, match=r"holds another run.*fixed\.m \(0\.5 in the folder, 0\.6 now\)"):
         atlas.run(other, place, progress=False)
@@ -135,7 +135,7 @@ def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):
 @pytest.mark.parametrize("sign", ["progress", "claim"])
 def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whole, place, evaluated, sign):
     other = load_scene(scene_text(FEW | {"fixed.m": 0.6}))
-    run = RunFolder.prepare(ScenePlan.of(other), place, [])
+    run = RunFolder.prepare(ScenePlan.of(other), place)
     process = process_name()
     if sign == "claim":  # of a job on another machine, whose progress nobody sees
         process = process.replace(process[:8], "0" * 8)
@@ -164,7 +164,7 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
 
 
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
-    run = RunFolder.prepare(ScenePlan.of(scene), place, [])
+    run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.tiles.indices(3))
     foreign = run.tiles_with(run.key_with(run.manifest["identity"] | {"cpu": "another"}))
     foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")
@@ -184,7 +184,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
 
 
 def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
-    run = RunFolder.prepare(ScenePlan.of(scene), place, [])
+    run = RunFolder.prepare(ScenePlan.of(scene), place)
     other = process_name().replace(process_name()[:8], "0" * 8).encode()  # on another machine
     run.tiles.place.write("00000003.claim", other)
     assert claims.claim_tile(run.tiles, 2)

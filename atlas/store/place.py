@@ -153,7 +153,7 @@ class Objects:
         return Objects(self.address, f"{self.prefix}{name}/")
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        def request(obstore: Any, path: str) -> bytes:
+        def content(path: str, obstore: Any) -> bytes:
             result = obstore.get(self.store, path)
             if result.meta["size"] > most:
                 raise ValueError(f"more than {most} bytes")
@@ -162,48 +162,45 @@ class Objects:
                 raise obstore.exceptions.GenericError("the answer ended early")
             return content
 
-        return bytes(self._answer(name, request))
+        return self._answer(content, name)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
-        self._answer(name, lambda obstore, path: obstore.put(self.store, path, content))
+        self._answer("put", name, content)
 
     def create(self, name: str, content: bytes) -> bool:
         with suppress(FileExistsError):
-            self._answer(name, lambda obstore, path: obstore.put(self.store, path, content, mode="create"))
+            self._answer("put", name, content, mode="create")
             return True
         return False
 
     def walk(self) -> list[str]:
-        listed = self._answer("", lambda obstore, path: obstore.list(self.store, path).collect())
+        listed = self._answer(lambda path, obstore: obstore.list(self.store, path).collect())
         return [each["path"].removeprefix(self.prefix) for each in listed]
 
     def remove(self, name: str) -> None:
         with suppress(FileNotFoundError):
-            self._answer(name, lambda obstore, path: obstore.delete(self.store, path))
+            self._answer("delete", name)
 
     def clear(self) -> None:
         if names := [self.prefix + name for name in self.walk()]:
-            self._answer("", lambda obstore, _: obstore.delete(self.store, names))
+            self._answer(lambda path, obstore: obstore.delete(self.store, names))
 
     def make(self) -> None:
         pass
 
     def names(self, folder: str = "") -> list[str]:
-        listed = self._answer(folder, lambda obstore, path: obstore.list_with_delimiter(self.store, path))
+        listed = self._answer("list_with_delimiter", folder)
         return [each["path"].rpartition("/")[2] for each in listed["objects"]]
 
     def stamp(self, name: str) -> object:
         with suppress(FileNotFoundError):
-            head = self._answer(name, lambda obstore, path: obstore.head(self.store, path))
+            head = self._answer("head", name)
             return head["e_tag"], head["last_modified"]
         return None
 
     def age(self, name: str) -> float:
         self.write(CLOCK, b"")
-        written, now = (
-            self._answer(each, lambda obstore, path: obstore.head(self.store, path))["last_modified"]
-            for each in (name, CLOCK)
-        )
+        written, now = (self._answer("head", each)["last_modified"] for each in (name, CLOCK))
         return float((now - written).total_seconds())
 
     def remove_leftovers(self) -> None:
@@ -212,26 +209,28 @@ class Objects:
     def __str__(self) -> str:
         return f"{self.address}/{self.prefix}".rstrip("/")
 
-    def _answer(self, name: str, request: Callable[[Any, str], Any]) -> Any:
-        """What a request gives, which is repeated while the store does not answer; FileNotFoundError, FileExistsError or another OSError."""
+    def _answer(
+        self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
+    ) -> Any:
+        """What a function of obstore gives, which is repeated while the store does not answer; FileNotFoundError, FileExistsError or another OSError."""
         import obstore
 
-        began, pause, warned = time.monotonic(), FIRST_PAUSE, False
+        path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False
         while True:
             try:
-                return request(obstore, self.prefix + name)
+                if callable(request):
+                    return request(path, obstore)
+                return getattr(obstore, request)(self.store, path, *arguments, **options)
             except obstore.exceptions.AlreadyExistsError:
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), name) from None
             except obstore.exceptions.BaseError as error:
-                reason, waited = (
-                    one_line(Exception(str(error).partition("\n\n")[0])),
-                    time.monotonic() - began,
-                )
+                reason = one_line(Exception(str(error).partition("\n\n")[0]))
+                waited = time.monotonic() - began
                 final = not isinstance(error, obstore.exceptions.GenericError) or FINAL.search(str(error))
                 if final or waited > PATIENCE:
                     raise OSError(
                         errno.EIO, f"the object store does not do what is asked ({reason}); what is finished is kept, and the"
-                        " same command continues", f"{self.address}/{self.prefix}{name}",
+                        " same command continues", f"{self.address}/{path}",
                     ) from None  # fmt: skip
                 if waited > QUIET and not warned:
                     warned = True

@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import AsyncIterator, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import accumulate
 from pathlib import Path
@@ -22,10 +22,11 @@ import numpy as np
 import xarray as xr
 import zarr
 from google_crc32c import value as crc32c
-from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
+from zarr.abc.store import OffsetByteRequest, RangeByteRequest, SuffixByteRequest
 from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.core.buffer import Buffer
 from zarr.errors import ZarrUserWarning
+from zarr.storage import LocalStore, ObjectStore, WrapperStore
 
 from .._version import __version__
 from ..errors import BadInput
@@ -39,21 +40,21 @@ MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store wit
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
 
-class PlaceStore(Store):
+class PlaceStore(WrapperStore[Any]):
     """Contents of a place for the package zarr; of a whole store a missing object is an error, no fill values."""
-
-    supports_writes = supports_deletes = supports_listing = True
 
     def __init__(
         self, place: Place, *, read_only: bool = True, is_whole: bool = False, has_crc: bool = False
     ):
-        super().__init__(read_only=read_only)
+        local = isinstance(place, Folder)
+        super().__init__(
+            LocalStore(place.path, read_only=read_only)
+            if local
+            else ObjectStore(place.store, read_only=read_only)
+        )
         self.place, self.hashes = place, dict[str, str]()
         # Whether no object may be missing, and whether objects end with their CRC.
         self.is_whole, self.has_crc = is_whole, has_crc
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, PlaceStore) and str(self.place) == str(other.place)
 
     def with_read_only(self, read_only: bool = False) -> PlaceStore:
         return PlaceStore(self.place, read_only=read_only, is_whole=self.is_whole, has_crc=self.has_crc)
@@ -83,35 +84,10 @@ class PlaceStore(Store):
                 content = content[-byte_range.suffix :]
         return prototype.buffer.from_bytes(content)
 
-    async def get_partial_values(
-        self, prototype: Any, key_ranges: Iterable[tuple[str, Any]]
-    ) -> list[Buffer | None]:
-        return [await self.get(key, prototype, byte_range) for key, byte_range in key_ranges]
-
-    async def exists(self, key: str) -> bool:
-        return await asyncio.to_thread(self.place.stamp, key) is not None
-
     async def set(self, key: str, value: Buffer) -> None:
         content = value.to_bytes()
         self.hashes[key] = hashlib.sha256(content).hexdigest()
         await asyncio.to_thread(self.place.write, key, content, durable=False)
-
-    async def delete(self, key: str) -> None:
-        await asyncio.to_thread(self.place.remove, key)
-
-    async def list(self) -> AsyncIterator[str]:
-        for name in self.place.walk():
-            yield name
-
-    async def list_prefix(self, prefix: str) -> AsyncIterator[str]:
-        for name in self.place.walk():
-            if name.startswith(prefix):
-                yield name
-
-    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
-        start = prefix.rstrip("/") + "/" if prefix else ""
-        for name in {n[len(start) :].partition("/")[0] for n in self.place.walk() if n.startswith(start)}:
-            yield name
 
 
 def write_blocks(

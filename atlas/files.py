@@ -13,7 +13,6 @@ import os
 import re
 import secrets
 import shutil
-import socket
 import stat
 import sys
 import tempfile
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from .errors import BadInput, option
+from .process import PROCESS_NAME, is_running, process_name
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
@@ -32,63 +32,9 @@ TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 MAX_CHARACTERS = 6_000_000  # of the text of a scene
-# The name of a process is machine-boot-pid-start. On the same machine the name decides exactly whether the process runs, because a number
-# that is used again belongs to a process with another start, and a machine that was started again has no process of
-# before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
-# machine nothing is known.
-PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
-
-
-def process_name() -> str:
-    """Name of this process, made of hexadecimal digits and hyphens."""
-    pid = os.getpid()
-    machine, boot = _machine_and_boot()
-    return f"{machine}-{boot}-{pid}-{_start(pid) or 0}"
-
-
-def is_running(process: str) -> bool | None:
-    """Whether a process runs, by its `process_name`; None for one of another machine, where this cannot be known."""
-    match = PROCESS_NAME.fullmatch(process)
-    machine, boot = _machine_and_boot()
-    if match is None or match[1] != machine:
-        return None
-    if match[2] != boot:
-        return False
-    pid, start = int(match[3]), int(match[4])
-    try:
-        os.kill(pid, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        pass  # it exists and belongs to another user
-    start_now = _start(pid)
-    return start_now is None or start == 0 or start_now == start
-
-
-def _machine_and_boot() -> tuple[str, str]:
-    """Short hashes of the host with the container whose processes can be seen, and of its last start where Linux tells."""
-    machine, boot = [socket.gethostname()], ""
-    with suppress(OSError):
-        machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))
-    with suppress(OSError):
-        machine.append(os.readlink("/proc/self/ns/pid"))
-    with suppress(OSError):
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
-    first, second = (hashlib.sha256(text.encode()).hexdigest()[:8] for text in ("\n".join(machine), boot))
-    return first, second
-
-
-def _start(pid: int) -> int | None:
-    """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
-        fields = text.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks
-        return -1 if fields[0] in "ZX" else int(fields[19])
-    except (OSError, ValueError, IndexError):
-        return None
 
 
 def exists_message(path: Path | str) -> str:
@@ -103,12 +49,9 @@ def foreign_message(path: Path | str) -> str:
 
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """Give a temporary name, whose file appears at `path` whole or not at all, if `durable` also after a power cut.
-
-    It is a new, empty file in the folder of `path` with the permissions of any new file, never a link that
-    somebody else put there. An existing `path` is replaced.
-    """
+    """Give the name of a new, empty file, which appears at `path` whole or not at all, if `durable` also after a power cut."""
     temporary = temporary_path(path)
+    # Never a link that somebody else put there.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -123,10 +66,7 @@ def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder, which appears at `path` whole or not at all.
-
-    An existing one is replaced: a kill in the moment between may leave none.
-    """
+    """Give a temporary folder, which appears at `path` whole or, where a kill falls between two moves, not at all."""
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
     try:
@@ -152,28 +92,19 @@ def age(path: Path) -> float:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files in a folder whose writers are gone; errors are ignored.
-
-    The file of a process that runs, or may run, is kept; on the same machine this is certain. The file of
-    another machine goes FOREIGN_LEFTOVER_AGE after it was last written, by the clock of the file system.
-    Should its process have slept so long, it fails in one line and can be started again: what it has finished
-    is not in temporary files.
-    """
+    """Remove the temporary files in a folder whose writers are gone: certain on the same machine, else by FOREIGN_LEFTOVER_AGE."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            match = TEMPORARY.fullmatch(entry.name)
-            if match is None:
+            if not (match := TEMPORARY.fullmatch(entry.name)):
                 continue
-            running = is_running(match[1])
-            if running is None:  # its age is known by the clock of the file system
-                with suppress(OSError):
+            with suppress(OSError):
+                running = is_running(match[1])
+                if running is None:  # its age is known by the clock of the file system
                     running = age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
-            if running is False:
-                if entry.is_dir(follow_symlinks=False):
+                if not running and entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)
-                else:
-                    with suppress(OSError):
-                        os.unlink(entry)
+                elif not running:
+                    os.unlink(entry)
 
 
 def temporary_path(path: Path) -> Path:
@@ -345,11 +276,7 @@ def without_suffix(name: str | Path, *suffixes: str) -> Path:
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """Check the path of a file before anything is computed.
-
-    Raises BadInput for another suffix, a place that cannot be written, an existing file without `force`, and
-    one of the inputs, which are never replaced, also not under another name, such as a link.
-    """
+    """The path of a file that may be written; BadInput for another suffix, for an input, and without `force` for what exists."""
     path = Path(name)
     if path.suffix.lower() not in suffixes:
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))

@@ -76,7 +76,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     """
     # Here, because xarray imports this module in every process that opens any file.
     from ..store import finished
-    from ..store.place import located, place_at
+    from ..store.place import located
 
     place = located(path)
     path = Path(path) if isinstance(place, Path) else place
@@ -84,8 +84,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
         raise BadInput(f"{path}: there is no such file")
     if str(path).lower().endswith(".toml"):
         raise BadInput(f"{path}: this is a scene, not an atlas; `atlas run {path}` makes its atlas")
-    is_file = isinstance(place, Path) and not place.is_dir()
-    if not is_file and finished.METADATA not in place_at(place).names():
+    if not finished.is_finished(place):
         from .run import RunFolder
 
         folder = RunFolder.open(path)
@@ -96,7 +95,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
                 path, missing_tiles, folder.tiling.count,
             )  # fmt: skip
         return folder.dataset()
-    ds = finished.open_finished(path)
+    ds = finished.form(path).open_dataset(path)
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:
         ds.close()

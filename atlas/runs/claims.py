@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from ..files import is_running, process_name
+from ..process import is_running, process_name
 from ..store.place import Place
 from ..store.tile import Tiles
 

@@ -26,10 +26,11 @@ from .. import systems
 from ..compiling import Stopwatch, announced
 from ..engine import blocks
 from ..errors import BadInput, shown
-from ..files import check_folder, check_name, exists_message, process_name
+from ..files import check_folder, check_name, exists_message
 from ..interruption import Stopped, explain_kept
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
+from ..process import process_name
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
@@ -384,7 +385,7 @@ def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
     except BadInput:
         remove_empty(folder_path)  # unless it holds something else
     else:
-        finished.verify(path)
+        finished.form(path).verify(path)
         folder.remove()
     return open_atlas(path)
 

@@ -17,7 +17,7 @@ from ..scene import grid
 from ..scene.model import Scene, Settings
 from ..scene.read import parse_scene
 from ..store import dataset, finished
-from ..store.place import located, place_at
+from ..store.place import located
 from ..store.tile import DamagedTile
 from ..store.tiling import Tiling
 from ..systems.base import Mask, derived_values
@@ -53,8 +53,7 @@ class Earlier:
             )
         old = parse_scene(text)
         own, folder = identity(Plan.of(old)), None
-        is_file = isinstance(path, Path) and path.is_file()
-        if not is_file and finished.METADATA not in place_at(path).names():
+        if not finished.is_finished(path):
             folder = RunFolder.open(path)
             programs = differences(folder.manifest["identity"], own, "there", "now")
         else:
@@ -86,7 +85,7 @@ class Earlier:
         if folder is not None:
             tiles = folder.tiles
             return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names)[1], history)
-        finished.verify(path)
+        finished.form(path).verify(path)
         tiling = Tiling.of(old.shape, grid.MAX_POINTS_PER_TILE)
 
         def read(tile: int) -> dict[str, np.ndarray]:

@@ -32,7 +32,6 @@ import xarray as xr
 
 from ..errors import BadInput, option, shown
 from ..files import (
-    PROCESS_NAME,
     check_folder,
     check_types,
     hash_of,
@@ -43,6 +42,7 @@ from ..files import (
     sealed,
     unsealed,
 )
+from ..process import PROCESS_NAME
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..store import dataset, finished, progress
@@ -378,7 +378,7 @@ class RunFolder:
         lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         try:
-            finished.write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
+            finished.form(out).write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
         except DamagedTile as error:
             raise BadInput(f"{self.path}: {error}; run its scene again first") from None
 

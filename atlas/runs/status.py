@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import MAX_MESSAGE, MAX_TEXT, printable
 from ..files import check_name, remove_leftovers
 from ..store import finished, progress
-from ..store.place import located, place_at
+from ..store.place import located
 from .backend import open_atlas
 from .run import RunFolder
 
@@ -18,14 +18,13 @@ def status(path: str | Path, *, verify: bool = False) -> str:
     place = located(path)
     if isinstance(place, Path):
         check_name(place)
-    is_file = isinstance(place, Path) and place.is_file()
-    if not is_file and finished.METADATA not in place_at(place).names():
+    if not finished.is_finished(place):
         return _status_of(RunFolder.open(path), verify)
     with open_atlas(path) as ds:
         size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
         lines = [f"{printable(str(ds.attrs.get('title', '')), MAX_TEXT)}: finished atlas, {size}"]
     if verify:
-        finished.verify(place)
+        finished.form(place).verify(place)
         lines.append("all of it is as it was written")
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
 

@@ -26,6 +26,8 @@ from ..variables import COMPUTED, data_variables
 
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of all that it holds, written last
 VERSION = "atlas_version"  # attribute of every atlas
+METADATA = "zarr.json"  # of a Zarr store
+EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
 # A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
 MAX_EAGER_VALUES = 4_000_000
 Box: TypeAlias = tuple[slice, ...]

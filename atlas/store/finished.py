@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import netCDF4
-import xarray as xr
 
 from ..errors import BadInput
 from ..files import check_not_input, exists_message, foreign_message, is_temporary
 from . import netcdf
-from .dataset import HASH, VERSION, Block
+from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION
 from .place import Folder, Place, place_at
 
-METADATA, SUFFIX = "zarr.json", ".zarr"
-EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # of stores of version 0.1.0
-MAX_OBJECT_BYTES = 1 << 31
+SUFFIX = ".zarr"
 # Names in a store; those of the group `atlas` are of version 0.1.0.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 
@@ -30,9 +27,20 @@ def is_store(path: Path | str) -> bool:
     return str(path).lower().endswith(SUFFIX)
 
 
-def _is_netcdf(path: Path | str) -> bool:
-    """Whether an atlas is to be read as a NetCDF file: a store may have any name."""
-    return not is_store(path) and Path(path).is_file()
+def is_finished(path: Path | str) -> bool:
+    """Whether what `located` gives is read as a finished atlas: it is a file, or a store of any name; else as a run."""
+    return (isinstance(path, Path) and path.is_file()) or METADATA in place_at(path).names()
+
+
+def form(path: Path | str) -> Any:
+    """The module that reads and writes an atlas, as a NetCDF file or a Zarr store; BadInput if the package zarr is not installed."""
+    if isinstance(path, Path) and not is_store(path) and not path.is_dir():
+        return netcdf
+    try:
+        from . import zarr_store
+    except ImportError:
+        raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
+    return zarr_store
 
 
 def attributes_of(place: Place) -> dict[str, Any]:
@@ -60,36 +68,6 @@ def stamp(path: Path | str) -> object:
     return Folder(Path(path).parent).stamp(Path(path).name)
 
 
-def open_finished(path: Path | str) -> xr.Dataset:
-    """Open an atlas lazily; BadInput if it cannot be read, or claims more than it can hold."""
-    return netcdf.open_file(Path(path)) if _is_netcdf(path) else _zarr().open_store(path)
-
-
-def verify(path: Path | str) -> None:
-    """Read all of an atlas; BadInput if it is not as it was written, or has no hash."""
-    if _is_netcdf(path):
-        netcdf.verify(Path(path))
-    else:
-        _zarr().verify(path)
-
-
-def write_blocks(
-    ds: xr.Dataset,
-    chunk: Mapping[str, int],
-    names: Collection[str],
-    blocks: Iterator[Block],
-    path: Path | str,
-) -> None:
-    """Write an atlas larger than memory; blocks hold `names`, whatever the dataset has.
-
-    The attributes of the dataset are written last, because the blocks may set them.
-    """
-    if is_store(path):
-        _zarr().write_blocks(ds, chunk, names, blocks, path)
-    else:
-        netcdf.write_blocks(ds, chunk, names, blocks, Path(path))
-
-
 def writable(
     path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path | str:
@@ -97,13 +75,11 @@ def writable(
 
     An unfinished or damaged atlas may be there.
     """
+    form(path)  # is installed
     if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
-        if is_store(path):
-            _zarr()
         return netcdf.writable(path, suffixes, force=force, inputs=inputs)
     if not is_store(path):
         raise BadInput(f"{path}: the name must end in {SUFFIX}")
-    _zarr()
     check_not_input(Path(path), inputs)
     place = place_at(path)
     contents = place.walk()
@@ -118,12 +94,3 @@ def writable(
     if stamp(path) is not None and not force:
         raise BadInput(exists_message(path))
     return path
-
-
-def _zarr() -> Any:
-    """The module for Zarr stores; BadInput if the package zarr is not installed."""
-    try:
-        from . import zarr_store
-    except ImportError:
-        raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
-    return zarr_store

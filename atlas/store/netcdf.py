@@ -61,50 +61,28 @@ def _hashed(path: Path) -> Iterator[Path]:
 def write_blocks(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
 ) -> None:
-    """Write an atlas larger than memory as one NetCDF file, whole or not at all; blocks hold `names`, whatever the dataset has.
-
-    The attributes of the dataset are written last, because the blocks may set them.
-    """
+    """Write an atlas larger than memory, whole or not at all: blocks hold `names`, and may set the attributes of the dataset."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    # Read without the lock, which they may need.
-    small = {
-        name: array.values
-        for name, array in ds.variables.items()
-        if name not in names and array.chunks is None
-    }
-    with _hashed(path) as temporary:
-        with NETCDF_LOCK:
-            file = netCDF4.Dataset(temporary, "w", format="NETCDF4")
-        try:
-            with NETCDF_LOCK:
-                for dim, length in ds.sizes.items():
-                    file.createDimension(str(dim), length)
-                for name, array in ds.variables.items():
-                    is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
-                    options: dict[str, Any] = {
-                        "fill_value": np.nan if is_data and array.dtype.kind == "f" else False
-                    }
-                    if dimensions:
-                        options |= COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
-                    variable = file.createVariable(str(name), array.dtype, dimensions, **options)
-                    variable.set_auto_maskandscale(False)
-                    variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
-                    if dimensions:
-                        _limit_cache(variable)
-                    if name in small:
-                        variable[...] = small[name]
-            for name, array in ds.variables.items():  # parameters too large for memory
-                if array.chunks is not None and name not in names:
-                    array.data.store(file[str(name)], lock=NETCDF_LOCK, scheduler="synchronous")
-            for box, values in blocks:
-                with NETCDF_LOCK:
-                    for name, part in values.items():
-                        file[name][box] = part
-            with NETCDF_LOCK:
-                file.setncatts(ds.attrs)
-        finally:
-            with NETCDF_LOCK:
-                file.close()
+    with _hashed(path) as temporary, NETCDF_LOCK, netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
+        for dim, length in ds.sizes.items():
+            file.createDimension(str(dim), length)
+        for name, array in ds.variables.items():
+            is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
+            options: dict[str, Any] = {"fill_value": np.nan if is_data and array.dtype.kind == "f" else False}
+            if dimensions:
+                options |= COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
+            variable = file.createVariable(str(name), array.dtype, dimensions, **options)
+            variable.set_auto_maskandscale(False)
+            variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
+            _limit_cache(variable)
+            if name not in names and array.chunks is None:
+                variable[...] = array.values
+            elif name not in names:  # a parameter too large for memory
+                array.data.store(variable, lock=False, scheduler="synchronous")
+        for box, values in blocks:
+            for name, part in values.items():
+                file[name][box] = part
+        file.setncatts(ds.attrs)
 
 
 def writable(
@@ -211,7 +189,7 @@ class _Array(NetCDF4ArrayWrapper):
             ) from None
 
 
-def open_file(path: Path) -> xr.Dataset:
+def open_dataset(path: Path) -> xr.Dataset:
     """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
     check_path(path)
     try:

@@ -12,7 +12,8 @@ from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from .. import compiling, files
+from .. import compiling
+from ..process import is_running, process_name
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.
 PLAIN_INTERVAL = 10.0
@@ -101,7 +102,7 @@ class Progress:
             "points_per_second": speed,
             "seconds_left": seconds_left,
             "running": running,
-            "process": files.process_name(),
+            "process": process_name(),
             "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }
         # On a full disk the run fails where it writes a tile, with a better message.
@@ -113,7 +114,7 @@ def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
     """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides, by the clock of its storage."""
     if not content["running"]:
         return "ended"
-    running = files.is_running(str(content["process"]))
+    running = is_running(str(content["process"]))
     if running is None:
         running = age() < SILENCE
         return AT_WORK if running else f"no progress for more than {SILENCE / 60:.0f} minutes"

@@ -31,11 +31,11 @@ from zarr.storage import LocalStore, ObjectStore, WrapperStore
 from .._version import __version__
 from ..errors import BadInput
 from ..files import MAX_RATIO, MIN_CLAIM, atomic_folder, check_claim, hash_of, is_temporary, one_line
-from .dataset import HASH, VERSION, Block
-from .finished import EARLIER_HASHES, MAX_OBJECT_BYTES, METADATA, attributes_of
+from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION, Block
 from .place import Folder, Place, place_at
 
 MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
+MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store with a long axis opens at once
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
@@ -97,7 +97,7 @@ def write_blocks(
     blocks: Iterator[Block],
     path: Path | str,
 ) -> None:
-    """Write an atlas, whole or, on an object store, so that a part of it is known; see `finished.write_blocks`."""
+    """Write an atlas as `netcdf.write_blocks` does, whole or, on an object store, so that a part of it is known."""
     if isinstance(path, Path):
         with atomic_folder(path) as temporary:
             _write(ds, chunk, names, blocks, Folder(temporary))
@@ -159,7 +159,7 @@ def _objects_hash(hashes: Mapping[str, str]) -> str:
     return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
-def open_store(path: Path | str) -> xr.Dataset:
+def open_dataset(path: Path | str) -> xr.Dataset:
     """Open a store lazily; BadInput if it is none, unfinished, damaged or too large for its objects.
 
     A store of another program is read as it is.
@@ -202,21 +202,19 @@ def open_store(path: Path | str) -> xr.Dataset:
     for variable in ds.variables.values():
         if "flag_values" in variable.attrs:
             variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
-    for name in (HASH, *EARLIER_HASHES):
-        ds.attrs.pop(name, None)
+    ds.encoding[HASH] = ds.attrs.pop(HASH, None)
+    ds.attrs = {name: value for name, value in ds.attrs.items() if name not in EARLIER_HASHES}
     return ds
 
 
 def verify(path: Path | str) -> None:
     """Read all objects of a store; BadInput if one is not what was written, or if the store has no hash."""
-    place = place_at(path)
-    expected = attributes_of(place).get(HASH)
+    with open_dataset(path) as ds:  # compares its metadata
+        expected, place = ds.encoding[HASH], place_at(path)
     if expected is None:
         raise BadInput(
             f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
         )
-    with open_store(path):  # compares its metadata
-        pass
     names = [name for name in place.walk() if name != METADATA and not is_temporary(name.rpartition("/")[2])]
     try:
         with ThreadPoolExecutor(8) as pool:

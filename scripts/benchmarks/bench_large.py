@@ -83,7 +83,9 @@ def large_store(path: Path, gigabytes: float) -> None:
     chunk = dict(zip(dims(run.scene), lengths.tile, strict=True))
     first = {name: value.reshape(lengths.shape_of(0)) for name, value in values.items()}
     blocks = iter([(lengths.slices(0), first)])
-    finished.write_blocks(run.template().assign_attrs(run.attributes(Totals())), chunk, names, blocks, path)
+    finished.form(path).write_blocks(
+        run.template().assign_attrs(run.attributes(Totals())), chunk, names, blocks, path
+    )
     objects = [
         "/".join(str(part.start // size) for part, size in zip(box, lengths.tile, strict=True))
         for box in lengths

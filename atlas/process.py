@@ -1,0 +1,65 @@
+"""Which process this is, and whether one runs whose name is known."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import socket
+from contextlib import suppress
+from pathlib import Path
+
+# The name of a process is machine-boot-pid-start. On the same machine the name decides exactly whether the process runs, because a number
+# that is used again belongs to a process with another start, and a machine that was started again has no process of
+# before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
+# machine nothing is known.
+PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
+
+
+def process_name() -> str:
+    """Name of this process, made of hexadecimal digits and hyphens."""
+    pid = os.getpid()
+    machine, boot = _machine_and_boot()
+    return f"{machine}-{boot}-{pid}-{_start(pid) or 0}"
+
+
+def is_running(process: str) -> bool | None:
+    """Whether a process runs, by its `process_name`; None for one of another machine, where this cannot be known."""
+    match = PROCESS_NAME.fullmatch(process)
+    machine, boot = _machine_and_boot()
+    if match is None or match[1] != machine:
+        return None
+    if match[2] != boot:
+        return False
+    pid, start = int(match[3]), int(match[4])
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass  # it exists and belongs to another user
+    start_now = _start(pid)
+    return start_now is None or start == 0 or start_now == start
+
+
+def _machine_and_boot() -> tuple[str, str]:
+    """Short hashes of the host with the container whose processes can be seen, and of its last start where Linux tells."""
+    machine, boot = [socket.gethostname()], ""
+    with suppress(OSError):
+        machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))
+    with suppress(OSError):
+        machine.append(os.readlink("/proc/self/ns/pid"))
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii")
+    first, second = (hashlib.sha256(text.encode()).hexdigest()[:8] for text in ("\n".join(machine), boot))
+    return first, second
+
+
+def _start(pid: int) -> int | None:
+    """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+        fields = text.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks
+        return -1 if fields[0] in "ZX" else int(fields[19])
+    except (OSError, ValueError, IndexError):
+        return None

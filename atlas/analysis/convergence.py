@@ -61,9 +61,10 @@ def convergence(
         base, *others = (columns_of(plan, bar)[0] for plan in plans)
     varied = dict(zip(cases, others, strict=True))
     ds = dataset.dataset(scene, base)
-    ds.attrs = dataset.scene_provenance(
-        scene, plans[0].points.kernel_hash, seconds=stopwatch.seconds(), points=bar.points, warnings=[]
-    )
+    ds.attrs = dataset.provenance(
+        scene.system, scene.settings, plans[0].points.kernel_hash, scene=scene, points=bar.points, warnings=[],
+        seconds=stopwatch.seconds(),
+    )  # fmt: skip
     change = np.zeros(scene.shape, np.int8)
     for bit, name in enumerate(names):
         ds = ds.assign_coords({f"{name}_factor": list(FACTORS)})

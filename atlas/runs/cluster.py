@@ -47,10 +47,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of `workers` one-thread processes on this machine.
-
-    Processes on this machine accept connections from this machine only and have no dashboard.
-    """
+    """A client of the scheduler at an address, or of `workers` one-thread processes that only this machine can reach."""
     import distributed
 
     cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
@@ -119,10 +116,9 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task on the workers for each tuple of arguments, and `on_result` here as results come.
+    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` here as results come.
 
-    It must be harmless to run a task twice. Raises a task's error, or OSError if each attempt lost its
-    worker.
+    Raises a task's error, or OSError if each attempt lost its worker.
     """
     from distributed import wait
 

@@ -25,9 +25,8 @@ from ..systems.base import derived_values
 from .plan import ScenePlan
 from .refine import expected_points
 
-CALIBRATION_STEPS = (
-    1e8  # steps of the points that are integrated for the measurement, for each thread: about half a second
-)
+# Steps of the points that are integrated for the measurement, for each thread: about half a second.
+CALIBRATION_STEPS = 1e8
 HEADER_BYTES = 1000  # of a tile
 
 
@@ -70,10 +69,12 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     in_flight = 1 if workers else plan.tiles_in_flight(processors)
     memory = (workers or 1) * (cost.memory + (in_flight - 1) * cost.bytes_per_tile)
     phase_error = plan.step_sizes.dispersion_error[exists].max()
-    division, contents = "near the borders that theory predicts", ""
-    if scene.refine is None:
-        division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
-        contents = f"{tiles.count + 3} files, "
+    division, contents = (
+        f"{tiles.count} tiles of at most {math.prod(tiles.tile)}",
+        f"{tiles.count + 3} files, ",
+    )
+    if scene.refine is not None:
+        division, contents = "near the borders that theory predicts", ""
     stored = _stored_bytes(plan, cost, points)
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
@@ -131,15 +132,21 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
         sample = replace(plan.sample, duration=plan.sample.duration * fraction)
         plan = ScenePlan(replace(plan.scene, settings=settings), sample)
+
+    def most_memory() -> float:
+        """Bytes that this process took at most so far."""
+        unit = 1 if sys.platform == "darwin" else 1024
+        return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
+
     points, started = plan.sample, time.perf_counter()
     evaluate(plan.points, points.subset(np.zeros(1, np.int64)), threads=1)
-    compile_seconds, memory = time.perf_counter() - started, _most_memory()
+    compile_seconds, memory = time.perf_counter() - started, most_memory()
     began = time.process_time()  # which other programs at work do not lengthen
     predict_runs(plan.points, points, threads=threads)
     theory_seconds = (time.process_time() - began) / threads
     columns = evaluate(plan.points, points, threads=threads) | points.base
     seconds = (time.process_time() - began) / threads - theory_seconds
-    size, most = points.exists.size, _most_memory()
+    size, most = points.exists.size, most_memory()
     content = encode({}, {name: columns[name].astype(kind) for name, kind in tile_types(plan.scene).items()})
     return _Measurement(
         seconds_per_step=max(seconds - theory_seconds, 0.1 * seconds) / (size * plan.mean_work),
@@ -149,9 +156,3 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         bytes_per_tile=most - memory,
         stored_bytes_per_point=len(content) / size,
     )
-
-
-def _most_memory() -> float:
-    """Bytes that this process took at most so far."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)

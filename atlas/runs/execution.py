@@ -36,7 +36,7 @@ from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..store import dataset, finished
-from ..store.dataset import log_warnings, scene_provenance
+from ..store.dataset import log_warnings
 from ..store.place import Folder, located, place_at
 from ..store.progress import Progress, clock
 from ..store.tally import Totals
@@ -55,7 +55,6 @@ from .run import (
     RESULT,
     RunFolder,
     history_text,
-    progress_name,
     remove_empty,
     result_hash,
 )
@@ -208,7 +207,7 @@ def run(
     if file is not None:
         return _run_to_file(file, execution)
     folder = RunFolder.prepare(plan, path)
-    with _complete(folder, execution, is_kept=True):
+    with _complete(folder, execution):
         explain_kept(None)
     return folder.dataset()
 
@@ -251,15 +250,15 @@ def _folder_of(path: Path | str) -> Path | str:
 
 
 @contextmanager
-def _complete(folder: RunFolder, execution: _Execution, *, is_kept: bool) -> Iterator[Progress]:
-    """Compute what is missing in a run or shard, which is kept or else joined; this process counts as at work while the context is open."""
+def _complete(folder: RunFolder, execution: _Execution) -> Iterator[Progress]:
+    """Compute what is missing in a run or shard; this process counts as at work while the context is open."""
     explain_kept(folder.progress_text)
     part, parts = execution.shard
     if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
         check_folder(folder.place.path / "tiles" / "tile")
     facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
     folder.forget_processes(facts["shard"])
-    save = partial(folder.place.write, progress_name(process_name()), durable=False)
+    save = partial(folder.place.write, f"progress-{process_name()}.json", durable=False)
     bar = Progress(0, show=execution.progress, save=save, facts=facts)
     try:
         with execution.stack:
@@ -268,7 +267,7 @@ def _complete(folder: RunFolder, execution: _Execution, *, is_kept: bool) -> Ite
             else:
                 own = range(part - 1, folder.tiling.count, parts)
                 totals = _Job(folder, folder.tiles, own, execution).compute(bar)
-                _complete_notes(folder, execution, totals if parts == 1 else None, is_kept)
+                _complete_notes(folder, execution, totals if parts == 1 else None)
         yield bar
     except (BadInput, OSError):
         folder.check_kept()
@@ -277,7 +276,7 @@ def _complete(folder: RunFolder, execution: _Execution, *, is_kept: bool) -> Ite
         bar.close()
 
 
-def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | None, is_kept: bool) -> None:
+def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | None) -> None:
     """Write what only the finished run has, if all tiles are there."""
     if folder.tiles.missing():
         return
@@ -290,12 +289,10 @@ def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | N
     except BadInput as error:
         logging.getLogger("atlas").warning("%s", error)
         attributes, saved = {}, None
-    if not is_kept:
-        totals = saved
     if not attributes:
         plan = execution.plan
         attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
-    elif (saved and saved.table()) == (totals and totals.table()):
+    elif saved and saved.table() == totals.table():
         return
     folder.save_notes(attributes, totals)
 
@@ -313,8 +310,10 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
 
     def integrate(indices: np.ndarray) -> Iterator[Part]:
         before = levels[-1].tiles.key if levels else ""
-        level = folder.level(len(levels), before, indices, math.prod(plan.tiling.tile))
-        levels.append(level)
+        folder.check_kept()
+        most = math.prod(plan.tiling.tile)
+        levels.append(Level.of(folder.place, folder.scene, folder.key, len(levels), before, indices, most))
+        level = levels[-1]
         job = _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number)
         totals.add(job.compute(bar).table())
         yield from level.read(indices)
@@ -347,7 +346,7 @@ def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
     try:
         folder = RunFolder.prepare(plan, _folder_of(path))
         if finished.stamp(path) == before:
-            with _complete(folder, execution, is_kept=False) as bar:
+            with _complete(folder, execution) as bar:
                 if finished.stamp(path) == before:
                     folder.join(path)
                     bar.close()  # so that it leaves nothing where the run was
@@ -410,9 +409,10 @@ def _run_in_memory(execution: _Execution) -> xr.Dataset:
         with announced(progress):
             fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
         ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
-    provenance = scene_provenance(
-        scene, plan.points.kernel_hash, seconds=stopwatch.seconds(), points=points, warnings=plan.warnings
-    )
+    provenance = dataset.provenance(
+        scene.system, scene.settings, plan.points.kernel_hash, scene=scene, points=points, warnings=plan.warnings,
+        seconds=stopwatch.seconds(),
+    )  # fmt: skip
     return ds.assign_attrs(provenance | attributes | history_text(reused))
 
 
@@ -646,15 +646,13 @@ def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...])
         opened = None if level is None else Level.open(run.place, run.scene, run.key, level)
     except FileNotFoundError:
         raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
-    if (run.key if opened is None else opened.key) != key:
+    tiles = run.tiles if opened is None else opened.tiles
+    if tiles.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(run.scene)
-    own = identity(plan)
-    if different := differences(run.manifest["identity"], own, "in the run", "in the worker"):
+    if different := differences(run.manifest["identity"], identity(plan), "in the run", "in the worker"):
         raise BadInput(
             f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
             f" same programs. It differs in {different}"
         )
-    own_key = run.key_with(own)  # the key of what this process computes
-    tiles = run.tiles_with(own_key) if opened is None else opened.with_key(own_key).tiles
     return run, tiles, plan, [Earlier.of(each, run.scene) for each in reuse]

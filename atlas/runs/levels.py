@@ -99,10 +99,6 @@ class Level:
                 f"{place}: damaged: {one_line(error)}; run the scene again, which writes it anew"
             ) from None
 
-    def with_key(self, run_key: str) -> Level:
-        """This level of a run with another key."""
-        return Level(self.run, self.scene, run_key, self.number, self.before, self.points, self.length)
-
     def read(self, indices: np.ndarray) -> Iterator[Part]:
         """The points between the first and the last of some flat indices, and their variables, tile by tile."""
         start, end = np.searchsorted(self.points, (indices[0], indices[-1] + 1))

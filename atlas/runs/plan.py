@@ -112,11 +112,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Number of tiles to compute at a time.
-
-        Usually two, so that the processors stay busy while one tile is prepared or written; more where a tile is
-        too small to give every thread a call of the kernel; one on a single processor.
-        """
+        """Number of tiles to compute at a time: two keep the processors busy, small ones give few threads a call of the kernel."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1
@@ -125,10 +121,9 @@ class ScenePlan:
 
     def step_warnings(self) -> list[str]:
         """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
-        exists, sizes = self.sample.exists, self.step_sizes
+        exists, sizes, warnings = self.sample.exists, self.step_sizes, list[str]()
         limited = float((sizes.steps < self.step_sizes_by(self.limited(MAX_STEPS)).steps)[exists].mean())
         unresolved = float((~sizes.resolved)[exists].mean())
-        warnings = []
         if limited > 0:
             warnings.append(
                 f"max_steps = {self.scene.settings.max_steps} cuts short {100 * limited:.3g} % of the points, whose errors are"
@@ -167,25 +162,23 @@ class ScenePlan:
                 rate = np.abs(system.frame_rate(self.sample.points))
                 least = np.where(rate > 0, MIN_ORBITS * 2 * np.pi / rate, least)
             share = (self.sample.duration / least)[exists]
-        if not (share < 1 - 1e-9).any():
+        short = share < 1 - 1e-9
+        if not short.any():
             return []
         return [
-            f"megno, lyapunov and regularity: {100 * (share < 1 - 1e-9).mean():.3g} % of the runs are too short to show most"
+            f"megno, lyapunov and regularity: {100 * short.mean():.3g} % of the runs are too short to show most"
             f" chaos (exponents below 10 / duration are invisible); take a duration {1 / share.min():.3g} times as long,"
             " which takes as many times the time"
         ]
 
     def relative_costs(self) -> dict[str, float]:
-        """Expected processor time of whole integrations by each other method at the tolerance of the scene, over that by its own.
-
-        Empty where the scene sets a step: with the same step, methods have different errors.
-        """
+        """Expected processor time by each other method over that of the scene's; none where it sets a step: errors would differ."""
         if self.scene.settings.step is not None:
             return {}
-        costs = {}
+        exists, costs = self.sample.exists, dict[str, float]()
         for name, method in METHODS.items():
             sizes = self.step_sizes_by(replace(self.limited(MAX_STEPS), method=name))
-            costs[name] = method.step_cost * float(sizes.steps[self.sample.exists].mean())
+            costs[name] = method.step_cost * float(sizes.steps[exists].mean())
         own = costs.pop(self.scene.settings.method)
         return {name: cost / own for name, cost in costs.items()}
 
@@ -208,19 +201,16 @@ def identity(plan: Plan) -> dict[str, str]:
 
     # The hash is computed from source files, so before the check whether these have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
-    changed: Any = next((sources.PACKAGE / name for name in sources.changed()), None)
-    if changed is None and origin is not None:
-        changed = origin.changed()
-    if changed is not None:
+    changed: Any = [sources.PACKAGE / name for name in sources.changed()] or [origin and origin.changed()]
+    if changed[0]:
         raise BadInput(
-            f"{changed} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
+            f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
     # The code of a system that is not of this package, as it was when it was registered.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package
-    versions = {module.__name__: str(module.__version__) for module in (np, numba, llvmlite, scipy, netCDF4)}
     return {
         "atlas": __version__,
         "code": sources.code(),
@@ -231,7 +221,7 @@ def identity(plan: Plan) -> dict[str, str]:
         "numpy_simd": " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", ())),
         "python": f"{sys.version_info.major}.{sys.version_info.minor}",
         "libc": " ".join(platform.libc_ver()) or platform.release(),
-        **versions,
+        **{module.__name__: str(module.__version__) for module in (np, numba, llvmlite, scipy, netCDF4)},
         "HDF5": str(netCDF4.__hdf5libversion__),
     }
 

@@ -52,13 +52,12 @@ class Earlier:
                 f"{path}: its points come from no scene; only the atlas of a scene can be extended"
             )
         old = parse_scene(text)
-        own, folder = identity(Plan.of(old)), None
+        own, programs, folder = identity(Plan.of(old)), "", None
         if not finished.is_finished(path):
             folder = RunFolder.open(path)
             programs = differences(folder.manifest["identity"], own, "there", "now")
-        else:
-            same = finished.has_hash(path) and ds.attrs.get(RESULT) == result_hash(text, own)
-            programs = "" if same else "the programs or the processor, or another program wrote the file"
+        elif not finished.has_hash(path) or ds.attrs.get(RESULT) != result_hash(text, own):
+            programs = "the programs or the processor, or another program wrote the file"
         if programs:
             raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
         own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
@@ -66,8 +65,7 @@ class Earlier:
             raise BadInput(
                 f"{path}: its points have other bits than those of the scene: it differs in {different}"
             )
-        system = scene.system
-        if missing := [name for name in scene.outputs if name not in {*old.outputs, *system.derived}]:
+        if missing := [name for name in scene.outputs if name not in {*old.outputs, *scene.system.derived}]:
             raise BadInput(f"{path}: has no {', '.join(missing)}, for which every point is integrated again")
         some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
         if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
@@ -76,10 +74,8 @@ class Earlier:
                 " equal values of all parameters"
             )
         names = (*(name for name in scene.outputs if name in old.outputs), *({COMPUTED.name} & ds.keys()))
-        history = "; ".join(
-            attribute_text(ds.attrs, name)
-            for name in ("title", "source", "date_created", "atlas_cpu", RESULT)
-        )
+        facts_told = ("title", "source", "date_created", "atlas_cpu", RESULT)
+        history = "; ".join(attribute_text(ds.attrs, name) for name in facts_told)
         if HISTORY in ds.attrs:
             history += f" (of these, {attribute_text(ds.attrs, HISTORY, limit=MAX_MESSAGE)})"
         if folder is not None:
@@ -102,10 +98,8 @@ class Earlier:
         registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
         along = np.unravel_index(np.maximum(places, 0), self.scene.shape)
-        tiles = np.ravel_multi_index(
-            [index // length for index, length in zip(along, self.tiling.tile, strict=True)],
-            self.tiling.counts,
-        )
+        inner = [index // length for index, length in zip(along, self.tiling.tile, strict=True)]
+        tiles = np.ravel_multi_index(inner, self.tiling.counts)
         taken = np.zeros(indices.size, bool)
         for tile in np.unique(tiles[places >= 0]):
             try:
@@ -132,10 +126,7 @@ def evaluate_at(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Variables and parameters of points of a scene by flat indices, and the number where the family exists.
-
-    The last result counts the points that were taken from earlier atlases, by their history.
-    """
+    """Variables and parameters of points of a scene, the number where the family exists, and those taken from earlier atlases."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)
@@ -151,9 +142,8 @@ def evaluate_at(
     if remaining.size:
         part = points.subset(remaining) if parts else points
         parts.append((remaining, evaluate(plan, part, threads=threads, progress=progress)))
-    if len(parts) == 1:
-        merged = dict(parts[0][1])
-    else:
+    merged = dict(parts[0][1])
+    if len(parts) > 1:
         registry = variables(scene.system)
         merged = {name: np.empty(indices.size, registry[name].dtype) for name in scene.outputs}
         for where, some in parts:
@@ -192,12 +182,9 @@ def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Gr
     candidates = np.flatnonzero(inside)
     if candidates.size:
         ours, theirs = points.subset(candidates), grid.points_at_indices(other, result[candidates])
+        columns, others = ([g.duration, *g.base.values(), *g.points.values()] for g in (ours, theirs))
         same = ours.reason == theirs.reason
-        for a, b in [
-            (ours.duration, theirs.duration),
-            *((ours.base[name], theirs.base[name]) for name in ours.base),
-            *((ours.points[name], theirs.points[name]) for name in ours.points),
-        ]:
+        for a, b in zip(columns, others, strict=True):
             same &= a.view(np.int64) == b.view(np.int64)
         result[candidates[~same]] = -1
     return result

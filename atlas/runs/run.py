@@ -46,7 +46,7 @@ from ..process import PROCESS_NAME
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..store import dataset, finished, progress
-from ..store.dataset import Block, scene_provenance
+from ..store.dataset import Block
 from ..store.place import CLOCK, located, place_at
 from ..store.tally import Totals
 from ..store.tile import DamagedTile, Tiles, tile_types
@@ -86,7 +86,7 @@ class RunFolder:
         self.tiling.check()
         computed = {} if self.scene.refine is None else {COMPUTED.name: COMPUTED.dtype}
         self.types = tile_types(self.scene) | computed
-        self.tiles = self.tiles_with(self.key)
+        self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling)
 
     def __reduce__(self) -> Any:
         return RunFolder.open, (self.path,)
@@ -116,7 +116,13 @@ class RunFolder:
             ) from None
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
-        _check_format(path, manifest)
+        if manifest.get("format") != FORMAT:
+            programs = manifest.get("identity")
+            version = shown(programs.get("atlas") if isinstance(programs, dict) else None)
+            raise BadInput(
+                f"{path}: not a run of this version of atlas (format {FORMAT}), which does not continue it;"
+                f" finish it with the version that began it, {version}, or remove it"
+            )
         try:
             check_types(manifest, MANIFEST_TYPES)
             check_types(manifest["identity"], dict.fromkeys(manifest["identity"], str))
@@ -145,9 +151,9 @@ class RunFolder:
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
-            attributes = scene_provenance(
-                scene, kernel, seconds=0.0, points=scene.size, warnings=plan.warnings
-            )
+            attributes = dataset.provenance(
+                scene.system, scene.settings, kernel, scene=scene, points=scene.size, warnings=plan.warnings, seconds=0.0
+            )  # fmt: skip
             # The tiles of a refined atlas are written, not computed.
             finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
             manifest = {
@@ -189,14 +195,14 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            names = [content["process"] for content, state in run.processes() if state == progress.AT_WORK]
-            if at_work := [*names, *filter(None, claimants(run.place).values())]:
-                match = PROCESS_NAME.fullmatch(at_work[0])
-                process = f"process {match[3]}" if match else at_work[0]
-                hosts = [c["host"] for c, _ in run.processes() if c["process"] == at_work[0]]
+            at_work = dict.fromkeys(filter(None, claimants(run.place).values()), "this or another machine")
+            at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
+            if at_work:
+                process, host = at_work.popitem()
+                match = PROCESS_NAME.fullmatch(process)
                 raise BadInput(
-                    f"{run.path}: is computed by {process} on {hosts[0] if hosts else 'this or another machine'}; wait for"
-                    " it, end it, or choose another name"
+                    f"{run.path}: is computed by {f'process {match[3]}' if match else process} on {host}; wait for it, end it,"
+                    " or choose another name"
                 ) from None
             run.remove()
 
@@ -222,26 +228,21 @@ class RunFolder:
                 f"{self.path}: another process has removed this run while it was computed; run its scene again"
             )
 
-    def processes(self) -> Iterator[tuple[dict[str, Any], str]]:
-        """Content of each progress file that can be read, and the state of its process."""
+    def processes(self) -> Iterator[tuple[str, dict[str, Any], str]]:
+        """Name and content of each progress file that can be read, and the state of its process."""
         for name in sorted(filter(PROGRESS.fullmatch, self.place.names())):
             # KeyError and TypeError: no entry `running`, or a time without a zone
             with suppress(OSError, ValueError, KeyError, TypeError):
                 content = parsed(self.place.read(name))
                 check_types(content, PROGRESS_TYPES)
-                yield content, progress.state(content, partial(self.place.age, name))
+                yield name, content, progress.state(content, partial(self.place.age, name))
 
     def forget_processes(self, shard: str) -> None:
         """Remove the progress files of processes of a shard that ended."""
-        for content, state in self.processes():
+        for name, content, state in self.processes():
             if content["shard"] == shard and state != progress.AT_WORK:
                 with suppress(OSError):
-                    self.place.remove(progress_name(content["process"]))
-
-    def level(self, number: int, before: str, points: np.ndarray, most: int) -> Level:
-        """A level of a refined run in tiles of at most so many points, which is written unless it is there."""
-        self.check_kept()
-        return Level.of(self.place, self.scene, self.key, number, before, points, most)
+                    self.place.remove(name)
 
     def levels(self) -> Iterator[Level]:
         """The levels that have begun, without damaged ones, which are logged and written anew by the next run."""
@@ -263,14 +264,6 @@ class RunFolder:
     def is_complete(self) -> bool:
         """Whether the atlas can be read as a whole."""
         return not self.tiles.missing() and (self.scene.refine is None or self.notes()[1] is not None)
-
-    def key_with(self, identity: dict[str, str]) -> str:
-        """Key of this run if programs and processors of another identity computed it."""
-        return _key(self.manifest | {"identity": identity})
-
-    def tiles_with(self, key: str) -> Tiles:
-        """The tiles of this run if it had this key."""
-        return Tiles(self.place.inside(TILES), key, self.types, self.tiling)
 
     def remove_leftovers(self) -> None:
         """Remove temporary files and claims of processes that were killed."""
@@ -377,21 +370,21 @@ class RunFolder:
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
         lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
-        try:
-            finished.form(out).write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
-        except DamagedTile as error:
-            raise BadInput(f"{self.path}: {error}; run its scene again first") from None
+        finished.form(out).write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
 
     def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
         """All points in boxes of these lengths, with the values of the tiles; then the dataset gets its attributes."""
-        boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, self.tiles.read_all()
-        totals = Totals()
+        boxes, types, tiles, totals = Tiling(self.scene.shape, lengths), self.types, count(), Totals()
         parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
         points = 0  # in the parts
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
             while points < size:
-                header, values = next(tiles)
+                tile = next(tiles)
+                try:
+                    header, values = self.tiles.read(tile)
+                except (FileNotFoundError, DamagedTile) as error:
+                    raise BadInput(f"{self.path}: tile {tile}: {error}; run its scene again first") from None
                 totals.add(header)
                 parts.append(values)
                 points += header["points"]
@@ -413,11 +406,6 @@ class RunFolder:
             self.place.remove(name)
         if isinstance(self.path, Path):
             remove_empty(self.path)
-
-
-def progress_name(process: str) -> str:
-    """Name of the progress file of a process."""
-    return f"progress-{process}.json"
 
 
 def remove_empty(path: Path | str) -> None:
@@ -442,17 +430,6 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
     return hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
-
-
-def _check_format(path: Path | str, manifest: Mapping[str, Any]) -> None:
-    """Raise BadInput for the run of a version that kept it in another form."""
-    if manifest.get("format") != FORMAT:
-        programs = manifest.get("identity")
-        version = programs.get("atlas") if isinstance(programs, dict) else None
-        raise BadInput(
-            f"{path}: not a run of this version of atlas (format {FORMAT}), which does not continue it;"
-            f" finish it with the version that began it, {shown(version)}, or remove it"
-        )
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

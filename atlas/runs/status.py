@@ -44,17 +44,12 @@ def _status_of(run: RunFolder, verify: bool) -> str:
         missing = tiles.missing()
         damaged = tiles.check({*range(tiles.tiling.count)} - {*missing})[1] if verify else {}
         done = tiles.tiling.count - len(missing) - len(damaged)
-        lines.append(
-            f"{name}done {done}, "
-            + (f"damaged {len(damaged)}, " if verify else "")
-            + f"missing {len(missing)}"
-        )
-        lines += [
-            f"{name}tile {tile} will be computed again: {reason}" for tile, reason in sorted(damaged.items())
-        ]
+        verified = f"damaged {len(damaged)}, " if verify else ""
+        lines.append(f"{name}done {done}, {verified}missing {len(missing)}")
+        lines += [f"{name}tile {tile} will be computed again: {why}" for tile, why in damaged.items()]
         points_left += sum(map(tiles.tiling.size_of, [*missing, *damaged]))
     total_speed, is_running = 0.0, False
-    for content, state in run.processes():
+    for _, content, state in run.processes():
         lines.append(
             f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
             f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"
@@ -62,13 +57,11 @@ def _status_of(run: RunFolder, verify: bool) -> str:
         if state == progress.AT_WORK:
             is_running, total_speed = True, total_speed + content["points_per_second"]
     if points_left and total_speed > 0:
-        lines.append(
-            f"{points_left} points left, {progress.clock(points_left / total_speed)} at the speed of the"
-            " processes at work"
-        )
+        left = progress.clock(points_left / total_speed)
+        lines.append(f"{points_left} points left, {left} at the speed of the processes at work")
     elif not is_running and (points_left or not run.is_complete):
-        more = " of the levels that have begun, and more levels may follow" if is_refined else ""
+        left = "left of the levels that have begun, and more levels may follow" if is_refined else "left"
         lines.append(
-            f"{points_left} points left{more}, no process is at work; `atlas run` with its scene continues"
+            f"{points_left} points {left}, no process is at work; `atlas run` with its scene continues"
         )
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)

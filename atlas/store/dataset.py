@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import platform
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
@@ -43,17 +44,10 @@ def dims(scene: Scene) -> tuple[str, ...]:
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
     """The atlas of a scene from its outputs and solved parameters; `chunks` make large ones dask arrays."""
     dimensions, system = dims(scene), scene.system
-    ds = xr.Dataset(
-        {
-            name: (
-                dimensions,
-                columns[name].reshape(scene.shape),
-                variable_attributes(system, name, scene.outputs),
-            )
-            for name in (*scene.outputs, *({COMPUTED.name} & columns.keys()))
-        }
-    )
-    coordinates: dict[str, tuple[Any, Any, dict[str, str]]] = {}
+    variables, coordinates = dict[str, Any](), dict[str, Any]()
+    for name in (*scene.outputs, *({COMPUTED.name} & columns.keys())):
+        attributes = variable_attributes(system, name, scene.outputs)
+        variables[name] = dimensions, columns[name].reshape(scene.shape), attributes
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
         attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
@@ -67,7 +61,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
         ):
             axes, values = _parameter_along_axes(scene, name, chunks)
             coordinates[name] = [dimensions[i] for i in axes], values, attributes
-    return ds.assign_coords(coordinates)
+    return xr.Dataset(variables, coordinates)
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
@@ -120,12 +114,10 @@ def with_parameters(
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
     """Axes, by number, on which a fixed or tied parameter depends, and its values along them; chunks: see `dataset`."""
-    names, pending = {name}, [name]
+    names, pending = {name}, {name}
     while pending:
-        current = pending.pop()
-        if current in scene.ties:
-            pending += scene.ties[current].names - names
-            names |= scene.ties[current].names
+        used = frozenset[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
+        names, pending = names | used, used - names
     axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 
     def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
@@ -169,31 +161,13 @@ def log_warnings(warnings: list[str]) -> None:
         logging.getLogger("atlas").warning(warning)
 
 
-def scene_provenance(
-    scene: Scene, kernel_hash: str, *, seconds: float, points: int, warnings: list[str]
-) -> dict[str, Any]:
-    """Global attributes of the atlas of a scene, see `provenance`."""
-    return provenance(
-        scene.system, scene.settings, kernel_hash, title=scene.title, seconds=seconds, points=points,
-        warnings=warnings, scene=scene,
-    )  # fmt: skip
-
-
 def provenance(
-    system: System,
-    settings: Settings,
-    kernel_hash: str,
-    *,
-    title: str,
-    seconds: float | None,
-    points: int,
-    warnings: list[str],
-    scene: Scene | None = None,
-) -> dict[str, Any]:
-    """CF and ACDD-1.3 attributes of an atlas, and the program's own, which begin with `atlas_`.
+    system: System, settings: Settings, kernel_hash: str, *, points: int, warnings: list[str],
+    seconds: float | None = None, title: str = "", scene: Scene | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """CF and ACDD-1.3 attributes of an atlas, and the program's own: of a scene, or of points given with a title.
 
-    `points` were integrated in `seconds` of wall-clock time, if it is known; there is no scene where points were given.
-    `atlas_tolerance` is nan where a step was given, `atlas_step` where it was not.
+    `points` were integrated in `seconds` of wall-clock time, if it is known.
     """
     from ..jit import cpu
 
@@ -203,7 +177,7 @@ def provenance(
     reference = system.reference + (f", https://doi.org/{system.doi}" if system.doi else "")
     attributes: dict[str, Any] = {
         "Conventions": "CF-1.12, ACDD-1.3",
-        "title": title,
+        "title": title if scene is None else scene.title,
         "source": f"Precession Atlas {__version__}: {system.title}, fixed-step {settings.method}",
         "references": "; ".join([*about.references, reference]),
         "date_created": now,
@@ -216,8 +190,8 @@ def provenance(
         "atlas_rate_tolerance": settings.rate_tolerance,
         "atlas_cylinder_tolerance": settings.cylinder,
         "atlas_drift_tolerance": settings.drift_tolerance,
-        "atlas_tolerance": settings.tolerance if settings.step is None else float("nan"),
-        "atlas_step": float("nan") if settings.step is None else settings.step,
+        "atlas_tolerance": settings.tolerance if settings.step is None else math.nan,
+        "atlas_step": math.nan if settings.step is None else settings.step,
         "atlas_kernel_hash": kernel_hash,
         "atlas_cpu": cpu(),
         "atlas_platform": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
@@ -225,17 +199,14 @@ def provenance(
     }
     if seconds is not None:
         attributes["atlas_seconds"] = seconds
-        attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else float("nan")
+        attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
     origin = systems.origin(system)
     if origin is not None:
-        attributes["atlas_system_package"] = (
-            origin.package or "registered in the process that computed the atlas"
-        )
-        attributes["atlas_system_code"] = origin.code
+        package = origin.package or "registered in the process that computed the atlas"
+        attributes |= {"atlas_system_package": package, "atlas_system_code": origin.code}
     if system.has_numeric_bound:
         attributes["atlas_frequency_bound"] = "numeric"
-    limits = std_tolerances(system, settings)
-    if limits:
+    if limits := std_tolerances(system, settings):
         attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit!r}" for name, limit in limits.items())
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)

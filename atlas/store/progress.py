@@ -26,16 +26,14 @@ AT_WORK = "at work"
 
 @dataclass(eq=False)
 class Progress:
-    """Counter of finished points, for any thread, that reports points per second and the time left.
-
-    Points done by earlier runs do not count for the speed, and `stopwatch` does not count the compilation
-    of kernels. `save` takes JSON for people and scripts, which no computation reads.
-    """
+    """Counter of finished points, for any thread, that reports points per second and the time left, without compilation of kernels."""
 
     points: int
     _: KW_ONLY
     show: bool = True
-    save: Callable[[bytes], object] | None = None
+    save: Callable[[bytes], object] | None = (
+        None  # takes JSON for people and scripts, which no computation reads
+    )
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -62,8 +60,8 @@ class Progress:
                 self._last_print = now
                 speed, seconds_left = self._speed()
                 rest = f"{speed:.3g} points/s  {clock(seconds_left)} left" if speed > 0 else "starting"
-                done = f"{100 * self._done / self.points:5.1f} %  {self._done:.0f} of {self.points} points"
-                text = f"{done}  {rest}"
+                share = 100 * self._done / self.points
+                text = f"{share:5.1f} %  {self._done:.0f} of {self.points} points  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
                 self.stream.flush()
             if now - self._last_save >= FILE_INTERVAL:
@@ -94,17 +92,11 @@ class Progress:
     def _save(self, *, running: bool) -> None:
         if self.save is None:
             return
-        speed, seconds_left = self._speed()
+        (speed, seconds_left), done = self._speed(), min(round(self._done), self.points)
         content = {
-            **self.facts,
-            "points": self.points,
-            "done": min(round(self._done), self.points),
-            "points_per_second": speed,
-            "seconds_left": seconds_left,
-            "running": running,
-            "process": process_name(),
-            "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        }
+            **self.facts, "points": self.points, "done": done, "points_per_second": speed, "seconds_left": seconds_left,
+            "running": running, "process": process_name(), "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        }  # fmt: skip
         # On a full disk the run fails where it writes a tile, with a better message.
         with suppress(OSError):
             self.save(json.dumps(content, indent=1).encode())
@@ -115,15 +107,12 @@ def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
     if not content["running"]:
         return "ended"
     running = is_running(str(content["process"]))
-    if running is None:
-        running = age() < SILENCE
-        return AT_WORK if running else f"no progress for more than {SILENCE / 60:.0f} minutes"
-    return AT_WORK if running else "died"
+    if running is None and age() >= SILENCE:
+        return f"no progress for more than {SILENCE / 60:.0f} minutes"
+    return "died" if running is False else AT_WORK
 
 
 def clock(seconds: float) -> str:
     """Seconds as 1:02:03 or 2:03; at most about 30 years."""
-    whole = round(min(seconds, 1e9))
-    hours, rest = divmod(whole, 3600)
-    minutes, secs = divmod(rest, 60)
-    return f"{hours}:{minutes:02d}:{secs:02d}" if hours else f"{minutes}:{secs:02d}"
+    minutes, rest = divmod(round(min(seconds, 1e9)), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"

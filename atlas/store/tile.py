@@ -15,7 +15,7 @@ import json
 import re
 import socket
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -35,6 +35,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
+# Number of points where the family exists, time, what computed the tile, numbers of points of earlier atlases by what these are.
 HEADER_TYPES = {"computed": int, "seconds": (int, float), "by": str, "reused": dict, "tally": dict}
 # Tiles of fewer points in a folder are read one after the other: threads would take turns.
 MIN_PARALLEL_POINTS = 4096
@@ -114,17 +115,10 @@ class Tiles:
         return indices if self.points is None else self.points[indices]
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
-        """Write a tile and give its header; OSError if it reads back otherwise.
-
-        Its facts are `computed`, the number of points where the family exists, `seconds`, `by`, what computed it, and `reused`, the
-        numbers of points of earlier atlases by what these are.
-        """
-        columns = {
-            name: columns[name].ravel().astype(dtype, copy=False) for name, dtype in self.types.items()
-        }
-        header = {
-            "key": self.key, "tile": tile, "host": socket.gethostname(), "reused": {}, **facts, "tally": vars(Tally.of(columns)),
-        }  # fmt: skip
+        """Write a tile and give its header, with facts of HEADER_TYPES; OSError if it reads back otherwise."""
+        columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
+        header = {"key": self.key, "tile": tile, "host": socket.gethostname(), "reused": {}, **facts}
+        header["tally"] = vars(Tally.of(columns))
         name, content = self.name(tile), encode(header, columns)
         self.place.write(name, content)
         if self.place.read(name, MAX_TILE_BYTES) != content:
@@ -150,32 +144,24 @@ class Tiles:
         shape = self.tiling.shape_of(tile)
         return header, {name: column.reshape(shape) for name, column in columns.items()}
 
-    def read_all(self) -> Iterator[tuple[dict[str, Any], dict[str, np.ndarray]]]:
-        """Header and variables of one tile after the other; DamagedTile if one is missing or damaged."""
-        for tile in range(self.tiling.count):
-            try:
-                yield self.read(tile)
-            except (FileNotFoundError, DamagedTile) as error:
-                raise DamagedTile(f"tile {tile}: {error}") from None
-
     def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
         """Read tiles: totals of those that are as they were written, and the reasons why others are not; absent ones count for nothing."""
-        chosen, totals, damaged = list(tiles), Totals(), dict[int, str]()
+        totals, damaged = Totals(), dict[int, str]()
 
-        def header(tile: int) -> dict[str, Any] | Exception:
+        def header(tile: int) -> dict[str, Any] | None:
             try:
                 return self.read(tile, ())[0]
-            except (FileNotFoundError, DamagedTile) as error:
-                return error
+            except DamagedTile as error:
+                damaged[tile] = str(error)
+            except FileNotFoundError:
+                pass
+            return None
 
         small = isinstance(self.place, Folder) and self.tiling.size_of(0) < MIN_PARALLEL_POINTS
         with ThreadPoolExecutor(8) as pool:
-            for tile, result in zip(chosen, (map if small else pool.map)(header, chosen), strict=True):
-                if isinstance(result, dict):
-                    totals.add(result)
-                elif isinstance(result, DamagedTile):
-                    damaged[tile] = str(result)
-        return totals, damaged
+            for each in filter(None, (map if small else pool.map)(header, tiles)):
+                totals.add(each)
+        return totals, dict(sorted(damaged.items()))
 
     def written(self) -> set[int]:
         """Tiles that are written."""

@@ -152,7 +152,9 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         bar.close()
     ds = _dataset(sample, results)
     kernel, seconds, points = Plan.of(scene).kernel_hash, stopwatch.seconds(), sample.indices.size
-    attributes = dataset.scene_provenance(scene, kernel, seconds=seconds, points=points, warnings=[])
+    attributes = dataset.provenance(
+        scene.system, scene.settings, kernel, scene=scene, points=points, warnings=[], seconds=seconds
+    )
     ds.attrs = attributes | ds.attrs
     return ds
 

@@ -479,8 +479,9 @@ def test_a_process_whose_folder_is_removed_says_so(
 
 def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text, tmp_path, monkeypatch):
     run = empty_run_folder(scene, tmp_path / "run")
-    assert run.key_with(run.manifest["identity"]) == run.key == run.manifest["key"]
-    keys = {run.key, run.key_with(run.manifest["identity"] | {"cpu": "abacus"})}
+    assert folder._key(run.manifest) == run.key == run.manifest["key"]
+    other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "abacus"}}
+    keys = {run.key, folder._key(other)}
     keys.add(empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "other").key)
     monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
     keys.add(empty_run_folder(scene, tmp_path / "small").key)

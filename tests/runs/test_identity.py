@@ -13,7 +13,6 @@ import numba
 import numpy as np
 import pytest
 import scipy
-from truth import state
 
 import atlas
 from atlas import BadInput, jit, sources
@@ -144,20 +143,6 @@ def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatc
             refusing()
         assert len(str(error.value).splitlines()) == 1
     assert list(run.tiles.place.path.iterdir()) == []
-
-
-def test_a_tile_carries_the_key_of_what_computed_it_and_is_refused_in_another_run(run, scene, monkeypatch):
-    """Even if a worker of other code were let through, what it writes would not be taken for a tile of the run."""
-    other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
-    monkeypatch.setattr(execution, "identity", lambda plan: other)
-    monkeypatch.setattr(execution, "differences", lambda *arguments: "")
-    execution._open_cached.cache_clear()
-    execution.compute_tile(str(run.path), None, run.key, 0)
-    assert state(run.tiles).damaged == {0: "it is a tile of another run or place"}
-    monkeypatch.undo()
-    execution._open_cached.cache_clear()
-    execution.compute_tile(str(run.path), None, run.key, 0)
-    assert state(run.tiles).done == [0]
 
 
 def test_a_worker_refuses_another_run_of_the_same_name(run):

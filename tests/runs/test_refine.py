@@ -3,6 +3,7 @@
 import os
 import re
 import tracemalloc
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -118,10 +119,10 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate_at(plan, scene, indices, earlier, *, threads=None):
+    def evaluate_at(plan, scene, indices, earlier, *, threads=None, progress=None):
         points = grid.points_at_indices(scene, indices)
         labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
-        return {"label": labels}, indices.size, {}
+        return dict.fromkeys(scene.outputs, 0) | {"label": labels}, indices.size, Counter()
 
     monkeypatch.setattr(execution, "evaluate_at", evaluate_at)
 

@@ -4,6 +4,7 @@ import json
 import logging
 import sys
 import urllib.request
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from atlas import BadInput, jit, load_scene
 from atlas.cli import main
 from atlas.files import process_name
 from atlas.runs import claims, execution
+from atlas.runs import run as folder
 from atlas.runs.plan import ScenePlan
 from atlas.runs.reuse import evaluate_at
 from atlas.runs.run import RunFolder
@@ -166,7 +168,8 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.tiles.indices(3))
-    foreign = run.tiles_with(run.key_with(run.manifest["identity"] | {"cpu": "another"}))
+    other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "another"}}
+    foreign = replace(run.tiles, key=folder._key(other))
     foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")
     assert state(run.tiles).damaged == {3: "it is a tile of another run or place"}
     before = run.place.walk()

@@ -11,6 +11,7 @@ from ..store.place import Place
 from ..store.tile import Tiles
 
 SUFFIX = ".claim"  # of the name of a tile that a process computes
+POLL = 0.5  # seconds between two attempts to claim
 # Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
 
@@ -37,22 +38,18 @@ def claimant(place: Place, name: str) -> str:
     return ""
 
 
-def claim_tile(tiles: Tiles, tile: int) -> bool:
-    """Whether this process may compute a tile, which it claims: no other one that is at work does."""
-    return claim(tiles.place, tiles.name(tile, SUFFIX))
-
-
 @contextmanager
-def held(tiles: Tiles, tile: int) -> Iterator[Callable[[], None]]:
-    """Keep the claim of a tile while it is computed, by calls of what this gives, and release it."""
+def held(tiles: Tiles, tile: int, advance: Callable[[float], None]) -> Iterator[Callable[[float], None]]:
+    """Keep the claim of a tile while it is computed, by calls of what this gives in place of `advance`, and release it."""
     name, renewed = tiles.name(tile, SUFFIX), time.monotonic()
 
-    def keep() -> None:
+    def keep(points: float) -> None:
         nonlocal renewed
         if time.monotonic() - renewed > CLAIM_INTERVAL:
             renewed = time.monotonic()
             with suppress(OSError):
                 tiles.place.write(name, process_name().encode(), durable=False)
+        advance(points)
 
     try:
         yield keep

@@ -47,32 +47,26 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of `workers` one-thread processes that only this machine can reach."""
+    """A client of the scheduler at an address, or of `workers` one-thread processes that only this machine can reach.
+
+    BadInput if only one of client and scheduler uses TLS, OSError if the scheduler is lost.
+    """
     import distributed
+    from distributed.comm.core import CommClosedError
+    from distributed.utils import silence_logging_cmgr
+    from distributed.versions import VersionMismatchWarning
 
     cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
         n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
         host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
         silence_logs=logging.CRITICAL,
     )  # fmt: skip
-    with cluster as server, _client(server) as client:
-        yield client
-
-
-@contextmanager
-def _client(cluster: Any) -> Iterator[Client]:
-    """A client of a scheduler; BadInput if only one of them uses TLS, OSError if the scheduler is lost."""
-    import distributed
-    from distributed.comm.core import CommClosedError
-    from distributed.utils import silence_logging_cmgr
-    from distributed.versions import VersionMismatchWarning
-
-    with silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
+    with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
                 # Never the default of the session, which a client that fails to connect would remain.
-                client = distributed.Client(cluster, set_as_default=False)
+                client = distributed.Client(server, set_as_default=False)
         except (TypeError, RuntimeError) as error:  # what dask raises for its settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
         except OSError:

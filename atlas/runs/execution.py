@@ -48,19 +48,10 @@ from .backend import open_atlas
 from .levels import Level, Part
 from .plan import ScenePlan, differences, identity
 from .reuse import Earlier, evaluate_at
-from .run import (
-    CLAIM_POLL,
-    LONGEST_NAME,
-    MANIFEST,
-    RESULT,
-    RunFolder,
-    history_text,
-    remove_empty,
-    result_hash,
-)
+from .run import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
 
 MAX_DAMAGE_WARNINGS = 5
-# Seconds between two checks whether tiles that other processes compute are done; between the first CLAIM_POLL.
+# Seconds between two checks whether tiles that other processes compute are done; between the first claims.POLL.
 MAX_CLAIM_POLL = 10.0
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
 Advance = Callable[[float], None]  # takes a number of finished points
@@ -338,10 +329,7 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
 
 
 def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
-    """Compute an atlas in its run folder, join it, and remove the folder.
-
-    If another process did the same, it may have removed the folder; the error then means a finished file.
-    """
+    """Compute an atlas in its run folder, join it, and remove the folder, unless another process did."""
     before, plan, is_joined = finished.stamp(path), execution.plan, False
     try:
         folder = RunFolder.prepare(plan, _folder_of(path))
@@ -371,14 +359,11 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
 
 
 def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
-    """Open a file that holds the result already, after removing its run folder; BadInput if it does not.
-
-    A run that is killed after it moved the file into place ends here when it is started again.
-    """
+    """Open an atlas that is finished, after removing what is left of its run; BadInput if it is the result of another one."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
     folder_path = _folder_of(path)
-    try:
+    try:  # a run that was killed after it moved the file into place
         folder = RunFolder.open(folder_path)
         folder.check_same(plan)
     except BadInput:
@@ -483,14 +468,11 @@ def for_each_tile(
 
 @dataclass(eq=False)
 class _Job:
-    """Some tiles of a run that this process has to compute, unless other ones do.
-
-    No shard goes on to the next level before this one is complete, so that it computes the tiles of the others too, after its own.
-    """
+    """Some tiles of a run that this process has to compute, unless other ones do."""
 
     run: RunFolder
     tiles: Tiles
-    chosen: range
+    chosen: range  # of a level all, because no shard goes on to the next one before it is complete
     execution: _Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
@@ -502,7 +484,7 @@ class _Job:
         first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
         files, size_of = self.tiles, self.tiles.tiling.size_of
         tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
-        pause = CLAIM_POLL
+        pause = claims.POLL
         while tiles:
             claimed, files.listed = [], None
             for tile in tiles:
@@ -510,10 +492,10 @@ class _Job:
                     bar.skip(size_of(tile))
                 elif self.execution.time_is_up:
                     return
-                elif claims.claim_tile(files, tile):
+                elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        with claims.held(files, tile):
-                            bar.skip(size_of(tile))
+                        with claims.held(files, tile, bar.skip) as keep:
+                            keep(size_of(tile))
                         files.listed = None  # written since the folder was listed, perhaps with others
                     else:
                         yield tile
@@ -613,14 +595,9 @@ def _compute_tile(
 ) -> dict[str, Any]:
     """Compute and write a tile; its header."""
     run, tiles, plan, earlier = source
-    with claims.held(tiles, tile) as keep:
-
-        def report(points: float) -> None:
-            keep()
-            advance(points)
-
+    with claims.held(tiles, tile, advance) as keep:
         columns, computed, reused = evaluate_at(
-            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=report
+            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=keep
         )
         run.check_kept()
         return tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)

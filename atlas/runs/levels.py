@@ -49,8 +49,8 @@ class Level:
         points: np.ndarray,
         length: int,
     ):
-        self.number, self.before, self.points, self.length = number, before, points, length
-        self.scene, self.run, self.place = scene, run, run.inside(f"{LEVELS}/{number:04d}")
+        self.number, self.points, self.length = number, points, length
+        self.place = run.inside(f"{LEVELS}/{number:04d}")
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
         self.key = hash_of([run_key, number, before, length, digest])
         outputs = {*scene.outputs, "label"} - {"growth_rate"}

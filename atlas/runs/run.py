@@ -30,18 +30,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import xarray as xr
 
+from .. import files
 from ..errors import BadInput, option, shown
-from ..files import (
-    check_folder,
-    check_types,
-    hash_of,
-    is_temporary,
-    one_line,
-    parsed,
-    remove_leftovers,
-    sealed,
-    unsealed,
-)
 from ..process import PROCESS_NAME
 from ..scene import grid
 from ..scene.read import parse_scene
@@ -52,7 +42,7 @@ from ..store.tally import Totals
 from ..store.tile import DamagedTile, Tiles, tile_types
 from ..store.tiling import Tiling
 from ..variables import COMPUTED, variables
-from .claims import claim, claimants
+from . import claims
 from .levels import LEVELS, Level
 from .plan import ScenePlan, differences, identity
 
@@ -60,7 +50,6 @@ FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
 CREATION = "manifest.claim"  # of the process that creates the manifest
-CLAIM_POLL = 0.5  # seconds between two attempts to claim
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
@@ -103,16 +92,16 @@ class RunFolder:
         file = f"{place}/{MANIFEST}"
         try:
             try:
-                manifest = unsealed(place.read(MANIFEST))
+                manifest = files.unsealed(place.read(MANIFEST))
             except FileNotFoundError:  # a store of version 0.1.0 had its run in a group
-                manifest = unsealed(place.read(f"atlas/{MANIFEST}"))
+                manifest = files.unsealed(place.read(f"atlas/{MANIFEST}"))
         except FileNotFoundError:
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
             raise BadInput(f"{path}: not a run folder but a file") from None
         except ValueError as error:
             raise BadInput(
-                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {one_line(error)}"
+                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {files.one_line(error)}"
             ) from None
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
@@ -124,9 +113,9 @@ class RunFolder:
                 f" finish it with the version that began it, {version}, or remove it"
             )
         try:
-            check_types(manifest, MANIFEST_TYPES)
-            check_types(manifest["identity"], dict.fromkeys(manifest["identity"], str))
-            check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
+            files.check_types(manifest, MANIFEST_TYPES)
+            files.check_types(manifest["identity"], dict.fromkeys(manifest["identity"], str))
+            files.check_types(manifest["provenance"], dict.fromkeys(manifest["provenance"], ATTRIBUTE | None))
             if manifest["key"] != _key(manifest):
                 raise ValueError("its key does not match its content")
             return cls(path, manifest)
@@ -134,7 +123,7 @@ class RunFolder:
             version = manifest["identity"].get("atlas")
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
         except ValueError as error:
-            raise BadInput(f"{file}: damaged: {one_line(error)}") from None
+            raise BadInput(f"{file}: damaged: {files.one_line(error)}") from None
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str) -> RunFolder:
@@ -145,9 +134,10 @@ class RunFolder:
             if isinstance(path, Path):
                 if path.exists() and not path.is_dir():
                     raise BadInput(f"{path}: this is a file, not a run folder")
-                check_folder(path / MANIFEST if path.exists() else path)
+                files.check_folder(path / MANIFEST if path.exists() else path)
             if not all(
-                name in (CREATION, CLOCK) or is_temporary(name) or PROGRESS.fullmatch(name) for name in names
+                name in (CREATION, CLOCK) or files.is_temporary(name) or PROGRESS.fullmatch(name)
+                for name in names
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
@@ -170,11 +160,11 @@ class RunFolder:
             manifest["key"] = _key(manifest)
             place.make()
             while MANIFEST not in place.names():  # of several processes one creates it
-                if not claim(place, CREATION):
-                    time.sleep(CLAIM_POLL)
+                if not claims.claim(place, CREATION):
+                    time.sleep(claims.POLL)
                     continue
                 if MANIFEST not in place.names():
-                    place.write(MANIFEST, sealed(manifest).encode())
+                    place.write(MANIFEST, files.sealed(manifest).encode())
                 place.remove(CREATION)
         run = cls.open(path)
         run.check_same(plan)
@@ -195,7 +185,9 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            at_work = dict.fromkeys(filter(None, claimants(run.place).values()), "this or another machine")
+            at_work = dict.fromkeys(
+                filter(None, claims.claimants(run.place).values()), "this or another machine"
+            )
             at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
             if at_work:
                 process, host = at_work.popitem()
@@ -220,7 +212,7 @@ class RunFolder:
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
         try:
-            kept = unsealed(self.place.read(MANIFEST)).get("key") == self.key
+            kept = files.unsealed(self.place.read(MANIFEST)).get("key") == self.key
         except (FileNotFoundError, NotADirectoryError, ValueError):
             kept = False
         if not kept:
@@ -233,8 +225,8 @@ class RunFolder:
         for name in sorted(filter(PROGRESS.fullmatch, self.place.names())):
             # KeyError and TypeError: no entry `running`, or a time without a zone
             with suppress(OSError, ValueError, KeyError, TypeError):
-                content = parsed(self.place.read(name))
-                check_types(content, PROGRESS_TYPES)
+                content = files.parsed(self.place.read(name))
+                files.check_types(content, PROGRESS_TYPES)
                 yield name, content, progress.state(content, partial(self.place.age, name))
 
     def forget_processes(self, shard: str) -> None:
@@ -268,7 +260,7 @@ class RunFolder:
     def remove_leftovers(self) -> None:
         """Remove temporary files and claims of processes that were killed."""
         self.place.remove_leftovers()
-        for name, process in claimants(self.place).items():
+        for name, process in claims.claimants(self.place).items():
             if not process:
                 with suppress(OSError):
                     self.place.remove(name)
@@ -334,15 +326,15 @@ class RunFolder:
         """Save attributes that only the finished run has, and sums over its tiles if it is read where it is."""
         self.check_kept()
         content = {"key": self.key, "attributes": attributes, "totals": totals.table() if totals else {}}
-        self.place.write(NOTES, sealed(content).encode())
+        self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
         """What `save_notes` saved, or nothing; BadInput if it is damaged."""
         file = f"{self.place}/{NOTES}"
         try:
-            content = unsealed(self.place.read(NOTES))
-            check_types(content, {"key": str, "attributes": dict, "totals": dict})
-            check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
+            content = files.unsealed(self.place.read(NOTES))
+            files.check_types(content, {"key": str, "attributes": dict, "totals": dict})
+            files.check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:
                 raise ValueError("it belongs to another run")
             if not content["totals"]:
@@ -356,14 +348,11 @@ class RunFolder:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise BadInput(
-                f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+                f"{file}: damaged: {files.one_line(error)}; run the scene again, which writes it anew"
             ) from None
 
     def join(self, out: Path | str) -> None:
-        """Write the atlas as a NetCDF file or as a Zarr store, box by box, in memory of constant size.
-
-        `out` is replaced, or kept after BadInput (a tile or the package zarr is missing) and OSError.
-        """
+        """Write the atlas as a NetCDF file or a Zarr store, box by box, in memory of constant size; an error keeps what is there."""
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
         ds = self.template().assign_attrs(self.notes()[0])  # damaged ones end it before it begins
@@ -395,10 +384,8 @@ class RunFolder:
         ds.attrs |= self.attributes(totals if self.scene.refine is None else self.notes()[1] or totals)
 
     def remove(self) -> None:
-        """Remove the run, and its folder if nothing else is in it; the manifest last.
-
-        The tiles go by one move, so that a process which still computes some cannot leave any behind.
-        """
+        """Remove the run, and its folder if nothing else is in it; the manifest last."""
+        # Tiles go by one move, so that a process which still computes some cannot leave any behind.
         for part in (TILES, LEVELS):
             with suppress(OSError):
                 self.place.inside(part).clear()
@@ -411,14 +398,14 @@ class RunFolder:
 def remove_empty(path: Path | str) -> None:
     """Remove the folder of a run that was removed, if it contains nothing but temporary files."""
     if isinstance(path, Path):
-        remove_leftovers(path)
+        files.remove_leftovers(path)
         with suppress(OSError):
             path.rmdir()
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
-    return hash_of({"scene": scene, "identity": programs})
+    return files.hash_of({"scene": scene, "identity": programs})
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
@@ -429,7 +416,7 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
 
 def _key(manifest: dict[str, Any]) -> str:
     """Hash of the scene, the programs and the tiling of a manifest."""
-    return hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
+    return files.hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:

@@ -85,11 +85,7 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
 def with_parameters(
     ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
 ) -> xr.Dataset:
-    """A dataset with the parameters of a system as coordinates, those without arrays as their defaults.
-
-    A parameter that is absent at every point is none. A dimension without coordinate, along which a single array in memory
-    lies, has its values as coordinate. BadInput if an index with the name of a parameter has other values.
-    """
+    """A dataset with the parameters of a system as coordinates; BadInput if an index with the name of one has other values."""
     for name, parameter in system.parameters.items():
         if name in leave_out:
             continue
@@ -103,6 +99,7 @@ def with_parameters(
             ds[name].attrs = attributes
         elif array.chunks is not None or not np.isnan(array).all():
             ds = ds.assign_coords({name: (array.dims, array.data, attributes)})
+    # A dimension without coordinate gets the values of the only array in memory along it.
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
             case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:

@@ -71,10 +71,7 @@ def stamp(path: Path | str) -> object:
 def writable(
     path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path | str:
-    """Check the place of an atlas before it is computed; BadInput as `files.writable`, also if it holds anything else.
-
-    An unfinished or damaged atlas may be there.
-    """
+    """Check the place of an atlas, also of a part of one; BadInput as `files.writable`, also if it holds anything else."""
     form(path)  # is installed
     if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
         return netcdf.writable(path, suffixes, force=force, inputs=inputs)

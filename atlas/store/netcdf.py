@@ -12,7 +12,7 @@ import json
 import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -89,13 +89,12 @@ def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
     """Check a path as `files.writable`; BadInput also if it holds NetCDF data of another program."""
-    path, is_own = files.writable(name, suffixes, force=force, inputs=inputs), True
+    path = files.writable(name, suffixes, force=force, inputs=inputs)
     if path.suffix.lower() == ".nc":
         check_path(path)
         with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
-            is_own = GROUP in file.groups or VERSION in file.ncattrs()
-    if not is_own:
-        raise BadInput(foreign_message(path))
+            if GROUP not in file.groups and VERSION not in file.ncattrs():
+                raise BadInput(foreign_message(path))
     return path
 
 
@@ -193,20 +192,16 @@ def open_dataset(path: Path) -> xr.Dataset:
     """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
     check_path(path)
     try:
-        store = _Store.open(str(path))
-        try:
+        with ExitStack() as stack:
+            store = _Store.open(str(path))
+            stack.callback(store.close)
             file = store.ds  # which takes the lock as well
             with NETCDF_LOCK:
-                claimed = sum(
-                    math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8)
-                    for group in (file, *file.groups.values())
-                    for variable in group.variables.values()
-                )
-                check_claim(claimed, path.stat().st_size)
+                variables = [v for group in (file, *file.groups.values()) for v in group.variables.values()]
+                claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)
+                check_claim(sum(claimed), path.stat().st_size)
             ds = xr.open_dataset(store, chunks=None)
-        except Exception:
-            store.close()
-            raise
+            stack.pop_all()
     except BadInput:
         raise
     except Exception as error:  # reading a damaged file may raise any error

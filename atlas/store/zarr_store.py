@@ -46,12 +46,8 @@ class PlaceStore(WrapperStore[Any]):
     def __init__(
         self, place: Place, *, read_only: bool = True, is_whole: bool = False, has_crc: bool = False
     ):
-        local = isinstance(place, Folder)
-        super().__init__(
-            LocalStore(place.path, read_only=read_only)
-            if local
-            else ObjectStore(place.store, read_only=read_only)
-        )
+        form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
+        super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
         # Whether no object may be missing, and whether objects end with their CRC.
         self.is_whole, self.has_crc = is_whole, has_crc
@@ -101,11 +97,10 @@ def write_blocks(
     if isinstance(path, Path):
         with atomic_folder(path) as temporary:
             _write(ds, chunk, names, blocks, Folder(temporary))
-        return
-    place = place_at(path)
-    place.remove(METADATA)
-    place.clear()
-    _write(ds, chunk, names, blocks, place)
+    else:
+        place_at(path).remove(METADATA)
+        place_at(path).clear()
+        _write(ds, chunk, names, blocks, place_at(path))
 
 
 def _write(
@@ -119,14 +114,12 @@ def _write(
         encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
         if name in names or variable.chunks is not None:
             lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
-    template = ds.drop_attrs(deep=False).assign_attrs({VERSION: __version__})
-    template = template.assign_coords({n: v for n, v in lazy.items() if n in ds.coords})
-    template = template.assign({n: v for n, v in lazy.items() if n not in ds.coords})
+    template = ds.drop_attrs(deep=False).assign_attrs({VERSION: __version__}).assign(lazy)
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
         zarr.create_group(
             store, attributes=template.attrs
-        )  # so that a part of it is known from the first object on
+        )  # which tell a part of it from the first object on
         template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
         group = zarr.open_group(store, mode="r+", use_consolidated=False)
         for name, variable in ds.variables.items():  # parameters too large for memory
@@ -135,10 +128,9 @@ def _write(
         arrays: dict[str, Any] = {name: group[name] for name in names}
         with ThreadPoolExecutor(8) as pool:
             for box, values in blocks:
-                for done in [
-                    pool.submit(arrays[name].__setitem__, box, part) for name, part in values.items()
-                ]:
-                    done.result()
+                writes = [pool.submit(arrays[name].__setitem__, box, part) for name, part in values.items()]
+                for write in writes:
+                    write.result()
         zarr.consolidate_metadata(store)
     metadata = json.loads(place.read(METADATA))
     metadata["attributes"] = {
@@ -160,10 +152,7 @@ def _objects_hash(hashes: Mapping[str, str]) -> str:
 
 
 def open_dataset(path: Path | str) -> xr.Dataset:
-    """Open a store lazily; BadInput if it is none, unfinished, damaged or too large for its objects.
-
-    A store of another program is read as it is.
-    """
+    """Open a store, also of another program, lazily; BadInput if it is none, unfinished, damaged or too large for its objects."""
     place = place_at(path)
     try:
         metadata = json.loads(place.read(METADATA))

@@ -101,11 +101,11 @@ def test_one_of_several_processes_creates_a_run(
 def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):
     monkeypatch.setattr("atlas.runs.claims.CLAIM_INTERVAL", 0.0)
     path = tile_path(folder.tiles, 3, SUFFIX)
-    assert claims.claim_tile(folder.tiles, 3)
+    assert claim(folder.tiles.place, folder.tiles.name(3, SUFFIX))
     age(path, 100)
     before = path.stat().st_mtime
-    with claims.held(folder.tiles, 3) as keep:
-        keep()
+    with claims.held(folder.tiles, 3, lambda points: None) as keep:
+        keep(0.0)
         assert path.stat().st_mtime > before + 90
     assert not path.exists()
 
@@ -135,7 +135,7 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
     monkeypatch.setattr(execution, "evaluate_at", counted)
     monkeypatch.setattr(execution, "Event", type("Event", (Event,), {"wait": wait}))
     ds = atlas.run(folder.scene, folder.path, threads=1, progress=False)
-    assert waits == [execution.CLAIM_POLL]
+    assert waits == [claims.POLL]
     assert computed[8:] == ([] if end == "written" else [3])
     assert ("1 by the other one" in ds.attrs["atlas_run"]) == (end == "written")
     monkeypatch.undo()

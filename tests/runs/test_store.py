@@ -190,10 +190,10 @@ def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     other = process_name().replace(process_name()[:8], "0" * 8).encode()  # on another machine
     run.tiles.place.write("00000003.claim", other)
-    assert claims.claim_tile(run.tiles, 2)
-    assert not claims.claim_tile(run.tiles, 3)
+    assert claims.claim(run.tiles.place, run.tiles.name(2, claims.SUFFIX))
+    assert not claims.claim(run.tiles.place, run.tiles.name(3, claims.SUFFIX))
     monkeypatch.setattr(claims, "CLAIM_AGE", -1.0)
-    assert claims.claim_tile(run.tiles, 3)
+    assert claims.claim(run.tiles.place, run.tiles.name(3, claims.SUFFIX))
     run.remove_leftovers()
     assert {*run.tiles.place.names()} <= {"clock"}
 

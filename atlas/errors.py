@@ -140,6 +140,11 @@ _SHORT.maxstring = _SHORT.maxother = 120
 _SHORT.maxlevel = 3
 
 
+def one_line(error: Exception) -> str:
+    """Message of an error in one line of at most 200 characters."""
+    return " ".join(str(error).split())[:200]
+
+
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
     """Rows of cells as lines with columns of equal width, if `right` all but the first flush right."""
     signs = ["<", *(">" if right else "<" for _ in rows[0][1:])]

@@ -14,14 +14,13 @@ import re
 import secrets
 import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from .errors import BadInput, option
+from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
@@ -31,7 +30,6 @@ TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 # makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
-MAX_CHARACTERS = 6_000_000  # of the text of a scene
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
@@ -110,11 +108,6 @@ def remove_leftovers(folder: Path) -> None:
 def temporary_path(path: Path) -> Path:
     """A new name in the folder of `path`, by which `remove_leftovers` recognises what this process leaves there."""
     return path.with_name(f".atlas-{process_name()}-{secrets.token_hex(4)}.tmp")
-
-
-def is_temporary(name: str) -> bool:
-    """Whether a file has a name that `atomic_write` gives."""
-    return TEMPORARY.fullmatch(name) is not None
 
 
 def sealed(content: Mapping[str, Any]) -> str:
@@ -230,31 +223,6 @@ def check_folder(path: Path, *, replace: str | None = None) -> None:
         raise BadInput(f"{path}: this is a folder")
 
 
-@contextmanager
-def open_text(path: Path | None) -> Iterator[TextIO]:
-    """Open a file in UTF-8, or standard input, for reading; BadInput if it cannot be read, also while it is."""
-    name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # its number may be that of another file now
-        raise BadInput(f"{name}: is closed")
-    try:
-        with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:
-            yield file
-    except FileNotFoundError:
-        raise BadInput(f"{name}: there is no such file") from None
-    except IsADirectoryError:
-        raise BadInput(f"{name}: this is a folder") from None
-    except UnicodeDecodeError:
-        raise BadInput(f"{name}: not text in UTF-8") from None
-    except OSError as error:
-        raise BadInput(f"{name}: cannot be read: {error.strerror}") from None
-
-
-def read_text(path: Path | None) -> str:
-    """Text in UTF-8, cut where it is longer than a scene may be, as of a device; BadInput if it cannot be read."""
-    with open_text(path) as file:
-        return file.read(MAX_CHARACTERS + 1)
-
-
 def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
     """Raise BadInput if `path` is one of the inputs, under any name, or in an input that is a folder."""
     for each in map(Path, inputs):
@@ -288,8 +256,3 @@ def writable(
     if path.exists() and not force:
         raise BadInput(exists_message(path))
     return path
-
-
-def one_line(error: Exception) -> str:
-    """Message of an error in one line of at most 200 characters."""
-    return " ".join(str(error).split())[:200]

@@ -41,7 +41,8 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from .compiling import compilation
-from .files import atomic_write, cache_folder, one_line, remove_leftovers
+from .errors import one_line
+from .files import atomic_write, cache_folder, remove_leftovers
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
 OPTIONS = {"fastmath": {"contract"}, "error_model": "numpy", "boundscheck": False}

@@ -113,7 +113,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     path = tmp_path / "store"
     for content in ("first", "second"):
         with files.atomic_folder(path) as temporary:
-            assert files.is_temporary(temporary.name)
+            assert files.TEMPORARY.fullmatch(temporary.name)
             (temporary / "inner").mkdir()
             (temporary / "inner" / "file").write_text(content)
         assert (path / "inner" / "file").read_text() == content

@@ -11,8 +11,9 @@ import atlas
 
 from .. import systems
 from ..errors import BadInput, attribute_text, say
-from ..files import open_text, without_suffix, writable
+from ..files import atomic_write, without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
+from ..scene.text import open_text
 from .options import (
     ATLAS,
     FIGURES,
@@ -69,7 +70,6 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     """Label points of a file, which names their parameters."""
     from ..scene import tables
     from ..store import netcdf
-    from ..store.dataset import write_csv
 
     from_input = options.points == STANDARD_INPUT
     inputs = [] if from_input else [options.points]
@@ -90,8 +90,24 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     given = {name: getattr(options, name) for name in same}
     ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
-    (write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
+    (_write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
+
+
+def _write_csv(ds: Dataset, path: Path) -> None:
+    """Write the coordinates, then the variables of labelled points as a CSV file, whole or not at all."""
+    import numpy as np
+    import pandas as pd
+
+    columns: dict[str, list[Any]] = {}
+    for name in [*ds.coords, *ds.data_vars]:
+        array = ds[name]
+        if set(array.dims) <= {"point"}:
+            flags = str(array.attrs.get("flag_meanings", "")).split()
+            values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()
+            columns[str(name)] = [flags[value] for value in values] if flags else values
+    with atomic_write(path) as temporary:
+        pd.DataFrame(columns).to_csv(temporary, index=False, na_rep="nan", lineterminator="\n")
 
 
 @command(

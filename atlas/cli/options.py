@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
-from ..files import check_name, read_text, without_suffix
+from ..files import check_name, without_suffix
+from ..scene.text import read_text
 
 if TYPE_CHECKING:
     from ..scene.model import Scene

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +25,11 @@ class AtlasBackend(BackendEntrypoint):
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Whether a path leads to a run folder."""
-        if not isinstance(filename_or_obj, str | os.PathLike):
-            return False
-        try:
-            return {"scene", "identity", "tile"} <= parsed(
-                read_bytes(Path(filename_or_obj, "manifest.json"))
-            ).keys()
-        except (OSError, ValueError):
-            return False
+        with suppress(OSError, ValueError):
+            if isinstance(filename_or_obj, str | os.PathLike):
+                manifest = parsed(read_bytes(Path(filename_or_obj, "manifest.json")))
+                return {"scene", "identity", "tile"} <= manifest.keys()
+        return False
 
     def open_dataset(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None

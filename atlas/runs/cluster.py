@@ -14,8 +14,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from ..errors import BadInput
-from ..files import one_line
+from ..errors import BadInput, one_line
 
 if TYPE_CHECKING:
     from distributed import Client, Future

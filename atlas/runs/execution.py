@@ -349,25 +349,22 @@ def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
 
 def _is_result(plan: ScenePlan, path: Path | str) -> bool:
     """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
-    try:
-        with open_atlas(path) as ds:
-            result = ds.attrs.get(RESULT)
-    except BadInput:
-        return False
-    # A dataset that a user derives from an atlas has its attributes but no hash.
-    return finished.has_hash(path) and result == result_hash(plan.scene.toml(), identity(plan.points))
+    expected = result_hash(plan.scene.toml(), identity(plan.points))
+    with suppress(BadInput), open_atlas(path) as ds:
+        # A dataset that a user derives from an atlas has its attributes but no hash.
+        return finished.has_hash(path) and ds.attrs.get(RESULT) == expected
+    return False
 
 
 def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
     """Open an atlas that is finished, after removing what is left of its run; BadInput if it is the result of another one."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
-    folder_path = _folder_of(path)
     try:  # a run that was killed after it moved the file into place
-        folder = RunFolder.open(folder_path)
+        folder = RunFolder.open(_folder_of(path))
         folder.check_same(plan)
     except BadInput:
-        remove_empty(folder_path)  # unless it holds something else
+        remove_empty(_folder_of(path))  # unless it holds something else
     else:
         finished.form(path).verify(path)
         folder.remove()
@@ -409,11 +406,9 @@ def columns_of(
     points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
     """Variables and solved parameters of the points of a scene, or of some by their flat indices; the numbers of points of earlier atlases."""
-    scene, tiles, all_reused = plan.scene, plan.tiling, Counter[str]()
-    if points is not None:
-        tiles = Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
-    size = math.prod(tiles.shape)
-    columns = {name: np.empty(size, dtype) for name, dtype in tile_types(scene).items()}
+    scene, all_reused = plan.scene, Counter[str]()
+    tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
+    columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in tile_types(scene).items()}
 
     def compute(tile: int, advance: Advance) -> None:
         part = tiles.indices(tile)

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 
-from ..errors import BadInput
-from ..files import hash_of, one_line
+from ..errors import BadInput, one_line
+from ..files import hash_of
 from ..scene.model import Scene
 from ..store.place import Place
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
@@ -67,11 +68,9 @@ class Level:
         """A level in tiles of at most so many points, which is written unless it is there."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         level = cls(run, scene, run_key, number, before, points, *Tiling.of(points.shape, most).tile)
-        try:
+        with suppress(BadInput, FileNotFoundError):
             if cls.open(run, scene, run_key, number).key == level.key:
                 return level
-        except (BadInput, FileNotFoundError):
-            pass
         run.inside(LEVELS).make()  # not the run, which may have been removed
         level.place.make()
         header = {"key": level.key, "level": number, "before": before, "length": level.length}

@@ -31,7 +31,7 @@ import numpy as np
 import xarray as xr
 
 from .. import files
-from ..errors import BadInput, option, shown
+from ..errors import BadInput, one_line, option, shown
 from ..process import PROCESS_NAME
 from ..scene import grid
 from ..scene.read import parse_scene
@@ -101,7 +101,7 @@ class RunFolder:
             raise BadInput(f"{path}: not a run folder but a file") from None
         except ValueError as error:
             raise BadInput(
-                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {files.one_line(error)}"
+                f"{file}: damaged, or not of this version of atlas (format {FORMAT}): {one_line(error)}"
             ) from None
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
@@ -123,7 +123,7 @@ class RunFolder:
             version = manifest["identity"].get("atlas")
             raise BadInput(f"{file}: its scene, of atlas {version}, cannot be read: {error}") from None
         except ValueError as error:
-            raise BadInput(f"{file}: damaged: {files.one_line(error)}") from None
+            raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str) -> RunFolder:
@@ -136,7 +136,7 @@ class RunFolder:
                     raise BadInput(f"{path}: this is a file, not a run folder")
                 files.check_folder(path / MANIFEST if path.exists() else path)
             if not all(
-                name in (CREATION, CLOCK) or files.is_temporary(name) or PROGRESS.fullmatch(name)
+                name in (CREATION, CLOCK) or files.TEMPORARY.fullmatch(name) or PROGRESS.fullmatch(name)
                 for name in names
             ):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
@@ -287,12 +287,11 @@ class RunFolder:
             )
         if totals is None or not is_complete:
             totals = self.tiles.check(self.tiles.written())[0]
-        chunks, nothing = (
-            da.core.normalize_chunks(self.tiling.tile, self.scene.shape),
-            (0,) * len(self.scene.shape),
-        )
+        chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
         arrays = {
-            name: da.map_blocks(_read_chunk, self, name, chunks=chunks, meta=np.empty(nothing, kind))
+            name: da.map_blocks(
+                _read_chunk, self, name, chunks=chunks, meta=np.empty([0] * len(chunks), kind)
+            )
             for name, kind in self.types.items()
         }
         ds = dataset.dataset(self.scene, arrays, self.tiling.tile).assign_attrs(self.attributes(totals))
@@ -322,10 +321,10 @@ class RunFolder:
         attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])
         return attributes | self.notes()[0]
 
-    def save_notes(self, attributes: dict[str, Any], totals: Totals | None) -> None:
-        """Save attributes that only the finished run has, and sums over its tiles if it is read where it is."""
+    def save_notes(self, attributes: dict[str, Any], totals: Totals) -> None:
+        """Save what only the finished run has: attributes, and sums over its tiles."""
         self.check_kept()
-        content = {"key": self.key, "attributes": attributes, "totals": totals.table() if totals else {}}
+        content = {"key": self.key, "attributes": attributes, "totals": totals.table()}
         self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
@@ -337,8 +336,6 @@ class RunFolder:
             files.check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:
                 raise ValueError("it belongs to another run")
-            if not content["totals"]:
-                return content["attributes"], None
             totals = Totals()
             totals.add(content["totals"])
             return content["attributes"], totals
@@ -348,7 +345,7 @@ class RunFolder:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             raise BadInput(
-                f"{file}: damaged: {files.one_line(error)}; run the scene again, which writes it anew"
+                f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
             ) from None
 
     def join(self, out: Path | str) -> None:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput, shown
-from ..files import read_text
 from ..systems.base import System
 from . import checks, tables
 from .checks import checked
 from .expressions import PointColumn
 from .tables import CsvColumns
+from .text import read_text
 
 SAMPLES = ("latin_hypercube", "sobol")
 # Points of a sample, and its numbers: points times ranges.

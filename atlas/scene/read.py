@@ -15,7 +15,6 @@ import numpy as np
 
 from .. import systems
 from ..errors import BadInput, allowed_text, shown
-from ..files import MAX_CHARACTERS, read_text
 from ..systems.base import Array, System
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
@@ -34,6 +33,7 @@ from .model import (
     optional_start_values,
 )
 from .points import SEED, read_points
+from .text import MAX_CHARACTERS, read_text
 
 # With these limits any text is read and checked as a scene within a few seconds and 500 MB. They are checked before
 # anything of that size is allocated.

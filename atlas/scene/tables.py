@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import BadInput, allowed_text, shown
-from ..files import one_line, open_text
+from ..errors import BadInput, allowed_text, one_line, shown
 from ..systems.base import Array, Parameter, System
 from .checks import check_range
+from .text import open_text
 
 if TYPE_CHECKING:
     import pandas as pd

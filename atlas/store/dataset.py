@@ -8,17 +8,14 @@ import platform
 from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import import_module
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from .. import systems
 from .._version import __version__
 from ..errors import BadInput
-from ..files import atomic_write
 from ..measure.observables import std_tolerances
 from ..scene import grid
 from ..scene.model import About, Scene, Settings
@@ -137,19 +134,6 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
-
-
-def write_csv(ds: xr.Dataset, path: Path) -> None:
-    """Write the coordinates, then the variables of labelled points as a CSV file, whole or not at all."""
-    columns: dict[str, list[Any]] = {}
-    for name in [*ds.coords, *ds.data_vars]:
-        array = ds[name]
-        if set(array.dims) <= {"point"}:
-            flags = str(array.attrs.get("flag_meanings", "")).split()
-            values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()
-            columns[str(name)] = [flags[value] for value in values] if flags else values
-    with atomic_write(path) as temporary:
-        pd.DataFrame(columns).to_csv(temporary, index=False, na_rep="nan", lineterminator="\n")
 
 
 def log_warnings(warnings: list[str]) -> None:

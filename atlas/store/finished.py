@@ -12,7 +12,7 @@ from typing import Any
 import netCDF4
 
 from ..errors import BadInput
-from ..files import check_not_input, exists_message, foreign_message, is_temporary
+from ..files import TEMPORARY, check_not_input, exists_message, foreign_message
 from . import netcdf
 from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION
 from .place import Folder, Place, place_at
@@ -85,7 +85,7 @@ def writable(
         # Damaged metadata name this attribute as well.
         is_own = VERSION.encode() in place.read(METADATA)
     if not is_own or not all(
-        OWN.fullmatch(each) or is_temporary(each.rpartition("/")[2]) for each in contents
+        OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents
     ):
         raise BadInput(foreign_message(path))
     if stamp(path) is not None and not force:

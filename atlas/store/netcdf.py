@@ -25,8 +25,8 @@ from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
 from xarray.core import indexing
 
 from .. import files
-from ..errors import BadInput
-from ..files import atomic_write, check_claim, disk_error, foreign_message, one_line
+from ..errors import BadInput, one_line
+from ..files import atomic_write, check_claim, disk_error, foreign_message
 from .dataset import HASH, VERSION, Block
 
 GROUP = "checksums"  # of files of version 0.1.0

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 from urllib.parse import unquote
 
-from ..errors import BadInput
-from ..files import MAX_JSON_BYTES, age, atomic_write, one_line, read_bytes, remove_leftovers, temporary_path
+from ..errors import BadInput, one_line
+from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
 # Seconds for which a request is repeated that an object store does not answer, between the first two attempts, the longest

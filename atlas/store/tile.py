@@ -22,7 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from ..files import check_types, one_line
+from ..errors import one_line
+from ..files import check_types
 from ..scene.model import Scene
 from ..variables import variables
 from .place import Folder, Place

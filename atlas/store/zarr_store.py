@@ -29,8 +29,8 @@ from zarr.errors import ZarrUserWarning
 from zarr.storage import LocalStore, ObjectStore, WrapperStore
 
 from .._version import __version__
-from ..errors import BadInput
-from ..files import MAX_RATIO, MIN_CLAIM, atomic_folder, check_claim, hash_of, is_temporary, one_line
+from ..errors import BadInput, one_line
+from ..files import MAX_RATIO, MIN_CLAIM, TEMPORARY, atomic_folder, check_claim, hash_of
 from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION, Block
 from .place import Folder, Place, place_at
 
@@ -204,7 +204,9 @@ def verify(path: Path | str) -> None:
         raise BadInput(
             f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
         )
-    names = [name for name in place.walk() if name != METADATA and not is_temporary(name.rpartition("/")[2])]
+    names = [
+        name for name in place.walk() if name != METADATA and not TEMPORARY.fullmatch(name.rpartition("/")[2])
+    ]
     try:
         with ThreadPoolExecutor(8) as pool:
             contents = pool.map(

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from ..errors import BadInput, allowed_text, shown, text_table
-from ..files import one_line
+from ..errors import BadInput, allowed_text, one_line, shown, text_table
 from . import arithmetic, plugins
 from .base import Observable, Parameter, System
 from .check import check, check_complete, check_start

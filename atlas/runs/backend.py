@@ -61,11 +61,10 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile;
-        points of tiles that are missing are `not_computed` and nan, which is logged as a warning; that of a refined
-        scene must be finished. Tiles are
-        read whenever values are computed, so that tiles finished later appear in the same Dataset. BadInput is raised when
-        values of a file or store are read that do not fit their checksums; `atlas status FILE --verify` compares all of it.
+        Flag variables are plain integers. A run folder, which must be finished if its scene is refined, gives dask arrays with a
+        chunk for each tile; points of missing tiles are `not_computed` and nan, which is logged as a warning. Tiles are read
+        whenever values are computed, so that tiles finished later appear in the same Dataset. BadInput is raised when values of a
+        file or store are read that do not fit their checksums; `atlas status FILE --verify` compares all of it.
 
     Raises
     ------

@@ -36,9 +36,8 @@ from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
 from ..store import dataset, finished
-from ..store.dataset import log_warnings
 from ..store.place import Folder, located, place_at
-from ..store.progress import Progress, clock
+from ..store.progress import AT_WORK, Progress, clock
 from ..store.tally import Totals
 from ..store.tile import Tiles, tile_types
 from ..store.tiling import Tiling
@@ -190,7 +189,7 @@ def run(
     execution = _Execution(
         plan, earlier, threads, shard or (1, 1), scheduler, workers, stop_after, progress, began
     )
-    log_warnings(plan.warnings)
+    dataset.log_warnings(plan.warnings)
     if path is None:
         return _run_in_memory(execution)
     if force:
@@ -208,31 +207,30 @@ def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
     place = located(out)
     if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and finished.stamp(place) is None:
         RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
+    is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
     if isinstance(place, str):
         if finished.is_store(place):
             return _folder_of(place), finished.writable(place, (), force=True)
-        if str(out).endswith("/") or MANIFEST in place_at(place).names():
+        if is_run:
             return place, None
         raise BadInput(
             f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
         )
     path = place if str(out).startswith("file:") else Path(out)
     check_name(path)
-    may_be_folder = isinstance(out, Path) or (
-        path.is_dir() and not finished.is_store(path)
-    )  # a Path cannot end in /
-    is_folder = str(out).endswith("/") or (may_be_folder and not path.suffix) or (path / MANIFEST).exists()
-    if not is_folder:
-        if path.suffix.lower() not in (".nc", finished.SUFFIX):
-            raise BadInput(
-                f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
-            )
-        check_name(Path(_folder_of(path)), LONGEST_NAME)
-        return _folder_of(path), finished.writable(path, (".nc", finished.SUFFIX), force=True)
-    check_name(path, LONGEST_NAME)
-    if not path.absolute().parent.is_dir():
-        raise BadInput(f"{path}: there is no folder {path.parent}")
-    return path, None
+    # A Path cannot end in /.
+    may_be_folder = isinstance(out, Path) or (path.is_dir() and not finished.is_store(path))
+    if is_run or (may_be_folder and not path.suffix):
+        check_name(path, LONGEST_NAME)
+        if not path.absolute().parent.is_dir():
+            raise BadInput(f"{path}: there is no folder {path.parent}")
+        return path, None
+    if path.suffix.lower() not in (".nc", finished.SUFFIX):
+        raise BadInput(
+            f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
+        )
+    check_name(Path(_folder_of(path)), LONGEST_NAME)
+    return _folder_of(path), finished.writable(path, (".nc", finished.SUFFIX), force=True)
 
 
 def _folder_of(path: Path | str) -> Path | str:
@@ -248,7 +246,10 @@ def _complete(folder: RunFolder, execution: _Execution) -> Iterator[Progress]:
     if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
         check_folder(folder.place.path / "tiles" / "tile")
     facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
-    folder.forget_processes(facts["shard"])
+    for name, content, state in folder.processes():
+        if content["shard"] == facts["shard"] and state != AT_WORK:
+            with suppress(OSError):
+                folder.place.remove(name)
     save = partial(folder.place.write, f"progress-{process_name()}.json", durable=False)
     bar = Progress(0, show=execution.progress, save=save, facts=facts)
     try:

@@ -285,13 +285,9 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 
 
-def _encode(flags: Iterable[Flags], counts: Sequence[int]) -> np.ndarray:
+def _encode(flags: Sequence[Flags], counts: Sequence[int]) -> np.ndarray:
     """Several flags of each point as one number; counts: how many values each flag has."""
-    kind = np.min_scalar_type(-math.prod(counts))  # signed, and as short as may be
-    code = np.zeros(1, kind)
-    for values, number in zip(flags, counts, strict=True):
-        code = (code * number + values).astype(kind)
-    return code
+    return np.ravel_multi_index(tuple(flags), tuple(counts), mode="clip")
 
 
 def _decode(code: np.ndarray, counts: Sequence[int]) -> list[Flags]:

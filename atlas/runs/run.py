@@ -19,13 +19,13 @@ import os
 import re
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -61,7 +61,6 @@ MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "pro
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run
 RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
 HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
-Blocks: TypeAlias = Callable[[tuple[int, ...]], Iterator[Block]]  # gives all points in boxes of these lengths
 
 
 class RunFolder:
@@ -228,13 +227,6 @@ class RunFolder:
                 content = files.parsed(self.place.read(name))
                 files.check_types(content, PROGRESS_TYPES)
                 yield name, content, progress.state(content, partial(self.place.age, name))
-
-    def forget_processes(self, shard: str) -> None:
-        """Remove the progress files of processes of a shard that ended."""
-        for name, content, state in self.processes():
-            if content["shard"] == shard and state != progress.AT_WORK:
-                with suppress(OSError):
-                    self.place.remove(name)
 
     def levels(self) -> Iterator[Level]:
         """The levels that have begun, without damaged ones, which are logged and written anew by the next run."""

@@ -43,8 +43,8 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
     dimensions, system = dims(scene), scene.system
     variables, coordinates = dict[str, Any](), dict[str, Any]()
     for name in (*scene.outputs, *({COMPUTED.name} & columns.keys())):
-        attributes = variable_attributes(system, name, scene.outputs)
-        variables[name] = dimensions, columns[name].reshape(scene.shape), attributes
+        values = columns[name].reshape(scene.shape)
+        variables[name] = dimensions, values, variable_attributes(system, name, scene.outputs)
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
         attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
@@ -110,7 +110,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     """Axes, by number, on which a fixed or tied parameter depends, and its values along them; chunks: see `dataset`."""
     names, pending = {name}, {name}
     while pending:
-        used = frozenset[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
+        used = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
         names, pending = names | used, used - names
     axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 

@@ -53,7 +53,7 @@ def attributes_of(place: Place) -> dict[str, Any]:
 
 def has_hash(path: Path | str) -> bool:
     """Whether an atlas has the hash that is written last; a copy by xarray has none."""
-    if is_store(path):
+    if form(path) is not netcdf:
         return HASH in attributes_of(place_at(path))
     with netcdf.NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
         return HASH in file.ncattrs()

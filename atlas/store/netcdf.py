@@ -13,7 +13,6 @@ import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from .. import files
 from ..errors import BadInput, one_line
 from ..files import atomic_write, check_claim, disk_error, foreign_message
 from .dataset import HASH, VERSION, Block
+from .tiling import Tiling
 
 GROUP = "checksums"  # of files of version 0.1.0
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
@@ -138,16 +138,13 @@ def _hash(file: netCDF4.Dataset) -> str:
     file.set_auto_chartostring(False)
     add({name: len(dimension) for name, dimension in file.dimensions.items()}, _attributes(file))
     for name, variable in sorted(file.variables.items()):
-        chunks, shape, block = variable.chunking(), variable.shape, list[int]()
+        shape, chunks = variable.shape, variable.chunking()
         add(name, variable.dimensions, str(variable.dtype), _attributes(variable))
+        blocks = Tiling.of(shape, ROW_VALUES)
         if isinstance(chunks, list):
-            block = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
-            _limit_cache(variable)
-        else:  # some rows
-            for count in reversed(shape):
-                block.insert(0, max(min(count, ROW_VALUES // math.prod(block)), 1))
-        for corner in product(*(range(0, count, length) for count, length in zip(shape, block, strict=True))):
-            box = tuple(slice(start, start + length) for start, length in zip(corner, block, strict=True))
+            blocks = Tiling(shape, tuple(max(min(pair), 1) for pair in zip(chunks, shape, strict=True)))
+        _limit_cache(variable)
+        for box in blocks:
             values = np.asarray(variable[box or ...])
             if values.dtype.kind in "OSU":
                 add(values.astype(str).ravel().tolist())

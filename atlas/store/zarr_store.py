@@ -52,9 +52,6 @@ class PlaceStore(WrapperStore[Any]):
         # Whether no object may be missing, and whether objects end with their CRC.
         self.is_whole, self.has_crc = is_whole, has_crc
 
-    def with_read_only(self, read_only: bool = False) -> PlaceStore:
-        return PlaceStore(self.place, read_only=read_only, is_whole=self.is_whole, has_crc=self.has_crc)
-
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
         try:
             content = await asyncio.to_thread(self.place.read, key, MAX_OBJECT_BYTES)

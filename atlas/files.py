@@ -25,7 +25,6 @@ from .process import PROCESS_NAME, is_running, process_name
 
 # A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
 MIN_FREE_BYTES = 1 << 25
-TRIAL_BYTES = 1 << 20  # written as a trial, to find out why a write failed
 # Limits of what a file that is read may claim: bytes of JSON, and bytes of numbers for each byte stored. Compression
 # makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
 MAX_JSON_BYTES = 100_000_000
@@ -187,7 +186,7 @@ def disk_error(error: Exception, path: Path) -> OSError:
     reason = errno.ENOSPC if shutil.disk_usage(path.parent).free < MIN_FREE_BYTES else None
     try:
         with tempfile.TemporaryFile(dir=path.parent) as trial:
-            trial.write(bytes(TRIAL_BYTES))
+            trial.write(bytes(1 << 20))
     except OSError as failed:  # a quota or a limit of the size of files
         reason = reason or failed.errno
     if reason is not None:

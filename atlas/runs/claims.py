@@ -29,12 +29,10 @@ def claim(place: Place, name: str) -> bool:
 
 def claimant(place: Place, name: str) -> str:
     """Another process that made a claim and is at work: as far as is known it runs, and it renewed the claim of late; or nothing."""
-    try:
+    with suppress(OSError, ValueError):  # it has been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False and place.age(name) <= CLAIM_AGE:
             return process or "a process that has just begun"
-    except (OSError, ValueError):  # it has been removed
-        pass
     return ""
 
 

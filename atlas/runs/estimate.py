@@ -69,12 +69,10 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     in_flight = 1 if workers else plan.tiles_in_flight(processors)
     memory = (workers or 1) * (cost.memory + (in_flight - 1) * cost.bytes_per_tile)
     phase_error = plan.step_sizes.dispersion_error[exists].max()
-    division, contents = (
-        f"{tiles.count} tiles of at most {math.prod(tiles.tile)}",
-        f"{tiles.count + 3} files, ",
-    )
-    if scene.refine is not None:
-        division, contents = "near the borders that theory predicts", ""
+    division, contents = "near the borders that theory predicts", ""
+    if scene.refine is None:
+        division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
+        contents = f"{tiles.count + 3} files, "
     stored = _stored_bytes(plan, cost, points)
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
@@ -96,9 +94,8 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Bytes on the disk of so many integrated points, compressed."""
     types, derived = tile_types(plan.scene), plan.scene.system.derived  # which are not measured
-    return points * (
-        cost.stored_bytes_per_point + sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
-    )
+    others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
+    return points * (cost.stored_bytes_per_point + others)
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:

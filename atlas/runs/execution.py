@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -291,21 +291,18 @@ def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | N
 
 def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> None:
     """Compute the levels of a refined scene one after the other, then the tiles of its finest grid from them."""
-    plan, levels, every = execution.plan, list[Level](), range(folder.tiling.count)
-    tiles, totals = folder.tiles, Totals()
-    _, damaged = tiles.check(tiles.written())
-    _warn_and_remove(tiles, damaged)
+    plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
+    _warn_and_remove(tiles, tiles.check(tiles.written())[1])
     with suppress(BadInput):  # of damaged notes, which are written anew
         if folder.is_complete:
             bar.add(plan.scene.size, done=plan.scene.size)
             return
 
     def integrate(indices: np.ndarray) -> Iterator[Part]:
-        before = levels[-1].tiles.key if levels else ""
+        before, most = levels[-1].key if levels else "", math.prod(plan.tiling.tile)
         folder.check_kept()
-        most = math.prod(plan.tiling.tile)
-        levels.append(Level.of(folder.place, folder.scene, folder.key, len(levels), before, indices, most))
-        level = levels[-1]
+        level = Level.of(folder.place, folder.scene, folder.key, len(levels), before, indices, most)
+        levels.append(level)
         job = _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number)
         totals.add(job.compute(bar).table())
         yield from level.read(indices)
@@ -323,9 +320,9 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
             for name in numbers:
                 columns[name].flat[points - indices[0]] = measured[name]
         tiles.write(tile, columns, computed=int(columns["computed"].sum()), seconds=0.0, by="refinement")
-    result, damaged = tiles.check(every)
+    result, damaged = tiles.check(range(folder.tiling.count))
     if damaged:
-        raise OSError(f"{folder.path}: tile {min(damaged)}: {min(damaged.values())}; run the scene again")
+        raise OSError(f"{folder.path}: tile {min(damaged)}: {damaged[min(damaged)]}; run the scene again")
     folder.save_notes(attributes, replace(totals, tally=result.tally))
 
 
@@ -426,10 +423,6 @@ def columns_of(
     return columns, all_reused
 
 
-class _Abandoned(Exception):
-    """Ends a tile in flight after another one failed or the user pressed Ctrl-C."""
-
-
 def for_each_tile(
     tiles: Iterable[int],
     compute: Callable[[int, Advance], None],
@@ -442,11 +435,11 @@ def for_each_tile(
 
     def advance_or_stop(points: float) -> None:
         if stop.is_set():
-            raise _Abandoned
+            raise CancelledError
         advance(points)
 
     def worker() -> None:
-        with suppress(_Abandoned):
+        with suppress(CancelledError):
             while not stop.is_set():
                 with lock:
                     tile = next(source, None)

@@ -50,7 +50,7 @@ class Level:
         points: np.ndarray,
         length: int,
     ):
-        self.number, self.points, self.length = number, points, length
+        self.number, self.before, self.points, self.length = number, before, points, length
         self.place = run.inside(f"{LEVELS}/{number:04d}")
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
         self.key = hash_of([run_key, number, before, length, digest])

@@ -60,12 +60,7 @@ def refined(
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, threads, integrate, folder)
-    for level in range(scene.refine.levels + 1):
-        fine.refine_to(level)
-        if progress:
-            line = f"level {level} of {scene.refine.levels}: {fine.n_integrated} of {fine.n_existing} points"
-            say(f"{line} ({100 * fine.n_integrated / fine.n_existing:.2f} %)", file=sys.stderr)
-    fine.trace_predicted_boundary()
+    fine.trace(scene.refine.levels, progress)
     size, missed = fine.probe(scene.refine.probe)
     share = fine.n_integrated / fine.n_existing
     attributes = {"atlas_computed_share": share, "atlas_probe_points": size, "atlas_probe_missed": missed}
@@ -132,6 +127,18 @@ class FineGrid:
             slow &= prediction.variables["stable"] == Stability.UNSTABLE
             self.slowly_unstable.reshape(-1)[existing] = slow
 
+    def trace(self, levels: int, progress: bool) -> None:
+        """Integrate near boundaries of measured flags level by level, then near those of the predictions."""
+        for level in range(levels + 1):
+            self.refine_to(level)
+            if progress:
+                line = f"level {level} of {levels}: {self.n_integrated} of {self.n_existing} points"
+                say(f"{line} ({100 * self.n_integrated / self.n_existing:.2f} %)", file=sys.stderr)
+        slow = (self.slowly_unstable[box] for box in Tiling.of(self.scene.shape, MAX_BOX_POINTS))
+        chosen = map(np.logical_or, self._near_boundary(self.predicted), slow)
+        self._integrate(self._not_computed(self.finest, chosen))
+        self.trace_boundary(self.finest)
+
     def refine_to(self, level: int) -> None:
         """Compute all of the grid at level 0; later, new points first assume the flags of a neighbour."""
         steps = [[max(k * n >> level, 1) for n in self.scene.coarsening] for k in (1, 2)]
@@ -150,13 +157,6 @@ class FineGrid:
         """Integrate near boundaries, on this part of the grid, until they run between computed points."""
         while self._integrate(self._not_computed(subgrid, self._near_boundary(self.flag_code[subgrid]))):
             pass
-
-    def trace_predicted_boundary(self) -> None:
-        """Integrate near boundaries of the predictions and at slowly unstable points, then trace boundaries."""
-        slow = (self.slowly_unstable[box] for box in Tiling.of(self.scene.shape, MAX_BOX_POINTS))
-        chosen = map(np.logical_or, self._near_boundary(self.predicted), slow)
-        self._integrate(self._not_computed(self.finest, chosen))
-        self.trace_boundary(self.finest)
 
     def probe(self, share: float) -> tuple[int, int]:
         """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
@@ -246,9 +246,7 @@ def expected_points(plan: ScenePlan) -> float:
 
     simulated = replace(scene, axes=axes, refine=coarser, outputs=outputs)
     predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
-    for level in range(simulated_levels + 1):
-        predicted.refine_to(level)
-    predicted.trace_predicted_boundary()
+    predicted.trace(simulated_levels, progress=False)
     # Points of the finest grid near a boundary of the flags.
     near = sum(map(np.count_nonzero, predicted._near_boundary(predicted.flag_code)))
     existing_share, expected = predicted.n_existing / predicted.scene.size, float(predicted.n_integrated)

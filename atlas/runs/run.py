@@ -184,9 +184,8 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            at_work = dict.fromkeys(
-                filter(None, claims.claimants(run.place).values()), "this or another machine"
-            )
+            processes = filter(None, claims.claimants(run.place).values())
+            at_work = dict.fromkeys(processes, "this or another machine")
             at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
             if at_work:
                 process, host = at_work.popitem()
@@ -210,14 +209,12 @@ class RunFolder:
 
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
-        try:
-            kept = files.unsealed(self.place.read(MANIFEST)).get("key") == self.key
-        except (FileNotFoundError, NotADirectoryError, ValueError):
-            kept = False
-        if not kept:
-            raise OSError(
-                f"{self.path}: another process has removed this run while it was computed; run its scene again"
-            )
+        with suppress(FileNotFoundError, NotADirectoryError, ValueError):
+            if files.unsealed(self.place.read(MANIFEST)).get("key") == self.key:
+                return
+        raise OSError(
+            f"{self.path}: another process has removed this run while it was computed; run its scene again"
+        )
 
     def processes(self) -> Iterator[tuple[str, dict[str, Any], str]]:
         """Name and content of each progress file that can be read, and the state of its process."""
@@ -280,11 +277,9 @@ class RunFolder:
         if totals is None or not is_complete:
             totals = self.tiles.check(self.tiles.written())[0]
         chunks = da.core.normalize_chunks(self.tiling.tile, self.scene.shape)
+        read = partial(da.map_blocks, _read_chunk, self, chunks=chunks)
         arrays = {
-            name: da.map_blocks(
-                _read_chunk, self, name, chunks=chunks, meta=np.empty([0] * len(chunks), kind)
-            )
-            for name, kind in self.types.items()
+            name: read(name, meta=np.empty([0] * len(chunks), kind)) for name, kind in self.types.items()
         }
         ds = dataset.dataset(self.scene, arrays, self.tiling.tile).assign_attrs(self.attributes(totals))
         if is_complete and totals.tally.counts:
@@ -380,16 +375,14 @@ class RunFolder:
                 self.place.inside(part).clear()
         for name in [*filter(PROGRESS.fullmatch, self.place.names()), CREATION, CLOCK, NOTES, MANIFEST]:
             self.place.remove(name)
-        if isinstance(self.path, Path):
-            remove_empty(self.path)
+        remove_empty(self.path)
 
 
 def remove_empty(path: Path | str) -> None:
     """Remove the folder of a run that was removed, if it contains nothing but temporary files."""
-    if isinstance(path, Path):
-        files.remove_leftovers(path)
-        with suppress(OSError):
-            path.rmdir()
+    files.remove_leftovers(Path(path))
+    with suppress(OSError):
+        Path(path).rmdir()
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:

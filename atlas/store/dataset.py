@@ -51,11 +51,10 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
         coordinates[name] = name, np.asarray(axis.values), attributes
     for name, parameter in scene.system.parameters.items():
         attributes = parameter_attributes(scene.system, name, False)
+        has_default = not np.isnan(parameter.default)
         if name in scene.solve:
             coordinates[name] = dimensions, columns[name].reshape(scene.shape), attributes
-        elif name not in scene.axes and (
-            not np.isnan(parameter.default) or name in scene.fixed or name in scene.ties
-        ):
+        elif name not in scene.axes and (has_default or name in scene.fixed or name in scene.ties):
             axes, values = _parameter_along_axes(scene, name, chunks)
             coordinates[name] = [dimensions[i] for i in axes], values, attributes
     return xr.Dataset(variables, coordinates)

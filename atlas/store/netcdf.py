@@ -155,12 +155,8 @@ def _hash(file: netCDF4.Dataset) -> str:
 
 def _attributes(owner: Any) -> dict[str, Any]:
     """Attributes of a file or variable, but its hash, as lists of texts, types and exact numbers."""
-    attributes = {}
-    for name in owner.ncattrs():
-        if name != HASH:
-            value = np.asarray(owner.getncattr(name))
-            attributes[name] = [value.dtype.kind, value.dtype.itemsize, repr(value.tolist())]
-    return attributes
+    values = {name: np.asarray(owner.getncattr(name)) for name in owner.ncattrs() if name != HASH}
+    return {name: [v.dtype.kind, v.dtype.itemsize, repr(v.tolist())] for name, v in values.items()}
 
 
 class _Store(xr.backends.NetCDF4DataStore):

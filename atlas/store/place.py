@@ -66,9 +66,8 @@ class Folder:
 
     def create(self, name: str, content: bytes) -> bool:
         """Whether this call writes a content, because there was none; others may see a part of it."""
-        with suppress(FileExistsError):
-            with self._file(name).open("xb") as file:
-                file.write(content)
+        with suppress(FileExistsError), self._file(name).open("xb") as file:
+            file.write(content)
             return True
         return False
 

@@ -31,9 +31,7 @@ class Progress:
     points: int
     _: KW_ONLY
     show: bool = True
-    save: Callable[[bytes], object] | None = (
-        None  # takes JSON for people and scripts, which no computation reads
-    )
+    save: Callable[[bytes], object] | None = None  # takes JSON for people, which no computation reads
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

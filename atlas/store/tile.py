@@ -170,8 +170,7 @@ class Tiles:
 
     def missing(self) -> list[int]:
         """Tiles that are not written."""
-        written = self.written()
-        return [tile for tile in range(self.tiling.count) if tile not in written]
+        return sorted({*range(self.tiling.count)} - self.written())
 
     def is_written(self, tile: int) -> bool:
         """Whether some process has finished a tile."""

@@ -53,21 +53,17 @@ class PlaceStore(WrapperStore[Any]):
         self.is_whole, self.has_crc = is_whole, has_crc
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
+        damaged = f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key}"
         try:
             content = await asyncio.to_thread(self.place.read, key, MAX_OBJECT_BYTES)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             if self.is_whole and "/c" in key:
-                raise BadInput(
-                    f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key} is lost"
-                ) from None
+                raise BadInput(f"{damaged} is lost") from None
             return None
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
         if self.has_crc and "/c" in key and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
-            # The error of the codec would not name the object.
-            raise BadInput(
-                f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key}"
-            )
+            raise BadInput(damaged)  # the error of the codec would not name the object
         match byte_range:
             case RangeByteRequest():
                 content = content[byte_range.start : byte_range.end]
@@ -114,9 +110,7 @@ def _write(
     template = ds.drop_attrs(deep=False).assign_attrs({VERSION: __version__}).assign(lazy)
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
-        zarr.create_group(
-            store, attributes=template.attrs
-        )  # which tell a part of it from the first object on
+        zarr.create_group(store, attributes=template.attrs)  # by which a part of it is known
         template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
         group = zarr.open_group(store, mode="r+", use_consolidated=False)
         for name, variable in ds.variables.items():  # parameters too large for memory
@@ -201,9 +195,7 @@ def verify(path: Path | str) -> None:
         raise BadInput(
             f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
         )
-    names = [
-        name for name in place.walk() if name != METADATA and not TEMPORARY.fullmatch(name.rpartition("/")[2])
-    ]
+    names = [name for name in place.walk() if not TEMPORARY.fullmatch(name.rpartition("/")[2])]
     try:
         with ThreadPoolExecutor(8) as pool:
             contents = pool.map(

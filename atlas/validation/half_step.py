@@ -50,21 +50,9 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 
 
 def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | None = None) -> dict[str, Any]:
-    """Integrate a sample of a scene's points at the scene's step and at half of it, and compare.
+    """Attributes of a sample of a scene's points integrated at the scene's step and at half of it, see docs/accuracy.md.
 
-    The sample depends on the number of points alone, has the bits of the run and costs about 1 % of it:
-
-    - ``atlas_half_step_points``, ``atlas_points``: points of the sample and of the scene;
-    - ``atlas_half_step_changed``: points of the sample whose label becomes another one or none;
-    - ``atlas_labels_may_change``: upper bound (95 %) of the number of such points in the whole atlas,
-      or the number itself if the sample is the atlas.
-
-    Of each point's largest change of a statistic of a rate (rad per time unit), if the outputs contain any:
-
-    - ``atlas_half_step_median``: its median over the points;
-    - ``atlas_half_step_difference``: its maximum over steady points, as drifting motion may be chaotic or
-      have a peak of psi' near the vertical;
-    - ``atlas_half_step_beyond``: points where it is larger than `error_estimate`.
+    The sample depends on the number of points alone, and has the bits of the run.
     """
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)

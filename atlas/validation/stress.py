@@ -52,14 +52,7 @@ class Verdict(Flag):
 def stress(
     system: System | str, cases: Sequence[StressCase] | None = None, *, threads: int | None = None
 ) -> xr.Dataset:
-    """Run stress cases by every method at every level and compare each label with the true one.
-
-    A system without cases has `generic_cases`. Over (method, level, point): ``label``, ``status``,
-    ``step_ratio``, ``error_estimate``, ``verdict`` and the relative ``error`` of the unsteadiness. Over
-    (method, level, statistic, point): ``statistic_error``, for exact motions. Over (point): ``truth`` (the
-    true label), ``known_from`` (its source), ``case``, ``name``, ``may_stay_unresolved`` (a reason, or
-    empty), ``duration`` and the parameters.
-    """
+    """Run stress cases, or `generic_cases`, by every method at every level and compare each label with the true one."""
     if isinstance(system, str):
         system = systems.get(system)
     given = system.stress_cases() if cases is None else cases
@@ -204,10 +197,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`.
-
-    More than 1 % of the compared points is a failure of the estimate.
-    """
+    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`; in at most 1 % it may be."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
@@ -373,10 +363,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """For each parameter its default times powers of 10, its bounds and a huge value, as far as in range.
-
-    The length of a run follows from its frequency at the start, so that stiff runs are short.
-    """
+    """For each parameter its default times powers of 10, its bounds and a huge value; stiff runs are short, by the first frequency."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:

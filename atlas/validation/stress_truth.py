@@ -70,13 +70,9 @@ def true_labels(
     truth: str = "",
     base: Points | None = None,
 ) -> TrueLabels:
-    """True label of each point, and the unsteadiness of its motion.
+    """True label of each point, from the sources in docs/stress.md, and the unsteadiness of its motion.
 
-    Exact starts have the label that theory predicts, or none where growth_rate x duration is so large that
-    rounding decides. The labels of other points come from the exact motion `truth` (a "departure" is an
-    offset from `base`) or from a reference solution of the despun equivalent, see `_labels_by_reference`.
-    Points whose numbers overflow have no label. Raises ValueError for a label that cannot be decided: such a
-    point is no stress case.
+    Points whose numbers overflow have no label. ValueError for a label that cannot be decided: such a point is no stress case.
     """
     if truth == "departure":
         rest, constants = system.initial_state(points if base is None else base), system.constants(points)
@@ -217,11 +213,9 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels from a reference solution of the despun points, and a mask of the undecided ones.
+    """Labels from a reference solution of the despun points, whose phi' is larger by `excess`, and a mask of the undecided ones.
 
-    phi' of the despun points is larger by `excess`. Of a run of more than MAX_RADIANS_WHOLE only the first
-    part is integrated. A mean square over the run is at least part / whole times its value over the part, so
-    that a drift in the part by sqrt(whole / part) times the tolerance is a drift in the whole.
+    Of a run of more than MAX_RADIANS_WHOLE a part is integrated: a drift in it by sqrt(whole / part) tolerances is one in the whole.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

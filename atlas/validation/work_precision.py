@@ -107,24 +107,9 @@ class _Sample:
 
 
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
-    """Errors and run times of a sample of a scene's points, by every method at many levels.
+    """Errors and run times of a sample of a scene's points, by every method at many levels, see docs/accuracy.md.
 
-    A level is a value of the tolerance, or of the step if the scene gives one. A level is not run (NaN) if it
-    takes too many steps, has the steps of a finer level or of the scene, or is finer than the level from
-    which on errors do not fall any more. Points without a reference solution are named in the attribute
-    `left_out`. Raises BadInput for fewer than 2 points with a reference solution, or if the family exists at
-    none of the points tried.
-
-    Over the dimensions (method, level, sample), never below the uncertainty of the reference, which is
-    ``reference_error`` (of the states), ``reference_error_rates`` and ``reference_error_NAME`` over (sample):
-
-    - ``error_state``: largest difference of a component at the end of the run, angular velocities in
-      units of the point's frequency bound; inf where a run is not finite;
-    - ``error_NAME``: error of one statistic, nan where the steps do not resolve the point;
-    - ``error_rates``: of the least accurate statistic of a rate, in units of the frequency bound, inf there.
-
-    Over (method, level): ``seconds_per_point``, processor time to the end of the run in full blocks of
-    points, from the measured time of a point-step; ``order``, the observed order.
+    BadInput for fewer than 2 points with a reference solution, or if the family exists at none of the points tried.
     """
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")

@@ -233,8 +233,8 @@ def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def without_suffix(name: str | Path, *suffixes: str) -> Path:
-    """A path without the suffix of its kind: k3_0.5.nc becomes k3_0.5, and the folder k3_0.5/ stays as it is."""
-    path = Path(name)
+    """A path without the suffix of its kind: k3_0.5.nc becomes k3_0.5; k3_0.5/ stays, and of an address its last name."""
+    path = Path(Path(name).name) if "://" in str(name) else Path(name)
     if path.name in ("", ".."):
         path = path.resolve()
     return path.with_suffix("") if path.suffix.lower() in suffixes else path

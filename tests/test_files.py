@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -138,3 +139,14 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
             (temporary / "third").write_text("third")
     assert [entry.name for entry in tmp_path.iterdir()] == ["store"]
     assert [entry.name for entry in path.iterdir()] == ["inner"]
+
+
+def test_a_name_made_of_that_of_an_atlas_is_one_in_this_folder_where_that_is_an_address():
+    cases = {
+        "a/k3_0.5.nc": "a/k3_0.5",
+        "k3_0.5/": "k3_0.5",
+        "s3://bucket/night.zarr": "night",
+        "s3://bucket/a/night/": "night",
+    }
+    for name, stem in cases.items():
+        assert files.without_suffix(name, ".nc", ".zarr") == Path(stem)

@@ -34,10 +34,9 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """The flags of at most so many points of a grid, for several values of each of the named settings.
+    """The flags of at most so many points of a grid for several values of settings, by which `label_change` tells that any changes.
 
-    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; `label_change` tells by which settings any of these
-    flags changes, in the direction of VARIED.
+    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; changes are in the direction of VARIED.
     """
     for name in names:
         if name not in VARIED:

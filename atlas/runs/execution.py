@@ -534,8 +534,7 @@ class _Job:
     def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
         plan, threads, (part, parts) = self.execution.plan, self.execution.threads, self.execution.shard
         source = self.run, self.tiles, plan.points, self.execution.earlier
-        by = f"{threads or blocks.available_threads()} threads"
-        by += f", shard {part}/{parts}" if parts > 1 else ""
+        by = f"{threads or blocks.available_threads()} threads" + f", shard {part}/{parts}" * (parts > 1)
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
         def seconds() -> float:

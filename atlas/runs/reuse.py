@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -146,9 +147,8 @@ def evaluate_at(
     if len(parts) > 1:
         registry = variables(scene.system)
         merged = {name: np.empty(indices.size, registry[name].dtype) for name in scene.outputs}
-        for where, some in parts:
-            for name, column in merged.items():
-                column[where] = some[name]
+        for name, (where, some) in product(merged, parts):
+            merged[name][where] = some[name]
     return merged | points.base, int(points.exists.sum()), reused
 
 

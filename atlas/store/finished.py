@@ -78,8 +78,7 @@ def writable(
     if not is_store(path):
         raise BadInput(f"{path}: the name must end in {SUFFIX}")
     check_not_input(Path(path), inputs)
-    place = place_at(path)
-    contents = place.walk()
+    place, contents = place_at(path), place_at(path).walk()
     is_own = not contents or f"atlas/{METADATA}" in contents
     with suppress(FileNotFoundError, ValueError):
         # Damaged metadata name this attribute as well.

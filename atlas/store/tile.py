@@ -107,7 +107,7 @@ class Tiles:
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
         """Name of a tile, or of its claim."""
-        folder = f"{tile // TILES_PER_FOLDER:05d}/" if self.tiling.count > TILES_PER_FOLDER else ""
+        folder = f"{tile // TILES_PER_FOLDER:05d}/" * (self.tiling.count > TILES_PER_FOLDER)
         return f"{folder}{tile:08d}{suffix}"
 
     def indices(self, tile: int) -> np.ndarray:

@@ -363,7 +363,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """For each parameter its default times powers of 10, its bounds and a huge value; stiff runs are short, by the first frequency."""
+    """For each parameter its default times powers of 10, its bounds and a huge value, in runs that are short where it is fast."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:

@@ -1,6 +1,7 @@
 """Scenes: reading, the errors of bad input, the grid of points, and ties."""
 
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -251,6 +252,29 @@ def test_ties_compute_what_python_computes(text, x, y):
             return
     value = Expression("t", text).value({"x": np.asarray(x), "y": np.asarray(y)})
     np.testing.assert_array_equal(value, expected)
+
+
+def test_a_tie_is_evaluated_by_one_call_of_the_package():
+    """Parsing, matching and looking up are done once."""
+    tie, calls = Expression("t", "2 * sin(x) ** 2 + sqrt(abs(y)) - pi"), []
+
+    def count(frame, event, argument):
+        if event == "call" and "atlas" in frame.f_code.co_filename:
+            calls.append(frame.f_code.co_name)
+
+    sys.setprofile(count)
+    try:
+        value = tie.value({"x": np.array([0.5, 1.0]), "y": np.array([-4.0, 9.0])})
+    finally:
+        sys.setprofile(None)
+    assert calls == ["value"]
+    np.testing.assert_array_equal(value, 2 * np.sin([0.5, 1.0]) ** 2 + [2.0, 3.0] - np.pi)
+
+
+def test_a_number_beyond_the_largest_float_is_infinite():
+    for text in ("9" * 400, "1e400", "0x" + "f" * 300):
+        assert Expression("t", text).value({}) == np.inf
+    assert Expression("t", "-" + "9" * 308).value({}) == -float("9" * 308)
 
 
 @given(st.text(max_size=40))

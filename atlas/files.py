@@ -214,8 +214,7 @@ def check_folder(path: Path, *, replace: str | None = None) -> None:
     if not folder.is_dir():
         raise BadInput(f"{path}: there is no folder {folder}")
     try:
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
     if path.is_dir() and not (replace and (path / replace).is_file()):

@@ -100,8 +100,7 @@ def _write_csv(ds: Dataset, path: Path) -> None:
     import pandas as pd
 
     columns: dict[str, list[Any]] = {}
-    for name in [*ds.coords, *ds.data_vars]:
-        array = ds[name]
+    for name, array in [*ds.coords.items(), *ds.data_vars.items()]:
         if set(array.dims) <= {"point"}:
             flags = str(array.attrs.get("flag_meanings", "")).split()
             values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()

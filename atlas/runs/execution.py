@@ -205,6 +205,8 @@ def run(
 def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
     """Where a run is kept, and the path of an atlas that is one file or store; BadInput if it cannot be written."""
     place = located(out)
+    if isinstance(place, Path):
+        check_name(place)
     if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and finished.stamp(place) is None:
         RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
     is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
@@ -217,7 +219,6 @@ def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
             f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
         )
     path = place if str(out).startswith("file:") else Path(out)
-    check_name(path)
     # A Path cannot end in /.
     may_be_folder = isinstance(out, Path) or (path.is_dir() and not finished.is_store(path))
     if is_run or (may_be_folder and not path.suffix):

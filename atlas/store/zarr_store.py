@@ -124,9 +124,9 @@ def _write(
                     write.result()
         zarr.consolidate_metadata(store)
     metadata = json.loads(place.read(METADATA))
-    metadata["attributes"] = {
-        str(n): v.tolist() if isinstance(v, np.ndarray | np.generic) else v for n, v in ds.attrs.items()
-    }
+    for name, value in ds.attrs.items():
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        metadata["attributes"][str(name)] = plain
     metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
     place.write(METADATA, json.dumps(metadata).encode())
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from threading import Event, Thread
 
 from ..process import is_running, process_name
 from ..store.place import Place
-from ..store.tile import Tiles
 
 SUFFIX = ".claim"  # of the name of a tile that a process computes
 POLL = 0.5  # seconds between two attempts to claim
 # Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
+TAKEOVER = 0.2  # seconds after which one of several processes that take over a claim at once has it
 
 
 def claim(place: Place, name: str) -> bool:
@@ -24,7 +25,10 @@ def claim(place: Place, name: str) -> bool:
     if claimant(place, name):
         return False
     place.write(name, process, durable=False)
-    return True
+    time.sleep(TAKEOVER)
+    with suppress(OSError):  # the one that wrote last may have done its work
+        return place.read(name) == process
+    return False
 
 
 def claimant(place: Place, name: str) -> str:
@@ -37,25 +41,28 @@ def claimant(place: Place, name: str) -> str:
 
 
 @contextmanager
-def held(tiles: Tiles, tile: int, advance: Callable[[float], None]) -> Iterator[Callable[[float], None]]:
-    """Keep the claim of a tile while it is computed, by calls of what this gives in place of `advance`, and release it."""
-    name, renewed = tiles.name(tile, SUFFIX), time.monotonic()
+def held(place: Place, name: str) -> Iterator[None]:
+    """Give signs of life for a claim while the context is open, and release it."""
+    ended = Event()
 
-    def keep(points: float) -> None:
-        nonlocal renewed
-        if time.monotonic() - renewed > CLAIM_INTERVAL:
-            renewed = time.monotonic()
+    def keep() -> None:
+        while not ended.wait(CLAIM_INTERVAL):
             with suppress(OSError):
-                tiles.place.write(name, process_name().encode(), durable=False)
-        advance(points)
+                place.write(name, process_name().encode(), durable=False)
 
+    thread = Thread(target=keep, daemon=True)
+    thread.start()
     try:
-        yield keep
+        yield
     finally:
+        ended.set()
+        thread.join()
         with suppress(OSError):
-            tiles.place.remove(name)
+            place.remove(name)
 
 
-def claimants(place: Place) -> dict[str, str]:
-    """The process that made each claim of a place, also in folders inside, by the name of the claim; none if it is gone."""
-    return {name: claimant(place, name) for name in place.walk() if name.endswith(SUFFIX)}
+def claimants(place: Place) -> Iterator[tuple[str, str]]:
+    """Names of the claims of a place, also in folders inside, each with the process that made it; with none if it is gone."""
+    for name in place.walk():
+        if name.endswith(SUFFIX):
+            yield name, claimant(place, name)

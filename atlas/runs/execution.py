@@ -47,7 +47,7 @@ from .backend import open_atlas
 from .levels import Level, Part
 from .plan import ScenePlan, differences, identity
 from .reuse import Earlier, evaluate_at
-from .run import LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
+from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
 
 MAX_DAMAGE_WARNINGS = 5
 # Seconds between two checks whether tiles that other processes compute are done; between the first claims.POLL.
@@ -334,12 +334,19 @@ def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
         folder = RunFolder.prepare(plan, _folder_of(path))
         if finished.stamp(path) == before:
             with _complete(folder, execution) as bar:
-                if finished.stamp(path) == before:
-                    folder.join(path)
+                # One process joins: on an object store another one would remove what it has written.
+                while not is_joined and finished.stamp(path) in (before, None):
+                    if not claims.claim(folder.place, JOINING):
+                        time.sleep(claims.POLL)
+                        continue
+                    with claims.held(folder.place, JOINING):
+                        if finished.stamp(path) in (before, None):
+                            folder.join(path)
+                            is_joined = True
+                if is_joined:
                     bar.close()  # so that it leaves nothing where the run was
                     folder.remove()
                     explain_kept(None)
-                    is_joined = True
     except (BadInput, OSError):
         if finished.stamp(path) == before or not _is_result(plan, path):
             raise
@@ -484,9 +491,10 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        with claims.held(files, tile, bar.skip) as keep:
-                            keep(size_of(tile))
-                        files.listed = None  # written since the folder was listed, perhaps with others
+                        # Written since the folder was listed, perhaps with others.
+                        files.place.remove(files.name(tile, claims.SUFFIX))
+                        bar.skip(size_of(tile))
+                        files.listed = None
                     else:
                         yield tile
                 else:
@@ -584,9 +592,9 @@ def _compute_tile(
 ) -> dict[str, Any]:
     """Compute and write a tile; its header."""
     run, tiles, plan, earlier = source
-    with claims.held(tiles, tile, advance) as keep:
+    with claims.held(tiles.place, tiles.name(tile, claims.SUFFIX)):
         columns, computed, reused = evaluate_at(
-            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=keep
+            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=advance
         )
         run.check_kept()
         return tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)

@@ -49,7 +49,7 @@ from .plan import ScenePlan, differences, identity
 FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
-CREATION = "manifest.claim"  # of the process that creates the manifest
+CREATION, JOINING = "manifest.claim", "joining.claim"  # of the process that creates the manifest, or joins
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
@@ -134,10 +134,7 @@ class RunFolder:
                 if path.exists() and not path.is_dir():
                     raise BadInput(f"{path}: this is a file, not a run folder")
                 files.check_folder(path / MANIFEST if path.exists() else path)
-            if not all(
-                name in (CREATION, CLOCK) or files.TEMPORARY.fullmatch(name) or PROGRESS.fullmatch(name)
-                for name in names
-            ):
+            if not all(map(_is_remnant, names)):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
             attributes = dataset.provenance(
@@ -184,7 +181,7 @@ class RunFolder:
         try:
             run.check_same(plan)
         except BadInput:
-            processes = filter(None, claims.claimants(run.place).values())
+            processes = (process for _, process in claims.claimants(run.place) if process)
             at_work = dict.fromkeys(processes, "this or another machine")
             at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
             if at_work:
@@ -249,7 +246,7 @@ class RunFolder:
     def remove_leftovers(self) -> None:
         """Remove temporary files and claims of processes that were killed."""
         self.place.remove_leftovers()
-        for name, process in claims.claimants(self.place).items():
+        for name, process in claims.claimants(self.place):
             if not process:
                 with suppress(OSError):
                     self.place.remove(name)
@@ -373,16 +370,36 @@ class RunFolder:
         for part in (TILES, LEVELS):
             with suppress(OSError):
                 self.place.inside(part).clear()
-        for name in [*filter(PROGRESS.fullmatch, self.place.names()), CREATION, CLOCK, NOTES, MANIFEST]:
+        for name in [
+            *filter(PROGRESS.fullmatch, self.place.names()),
+            CREATION,
+            JOINING,
+            CLOCK,
+            NOTES,
+            MANIFEST,
+        ]:
             self.place.remove(name)
         remove_empty(self.path)
 
 
+def _is_remnant(name: str) -> bool:
+    """Whether a content may be left of a run that was removed, or be there before it is created."""
+    if name in (CREATION, JOINING, CLOCK):
+        return True
+    return any(pattern.fullmatch(name) for pattern in (files.TEMPORARY, PROGRESS))
+
+
 def remove_empty(path: Path | str) -> None:
-    """Remove the folder of a run that was removed, if it contains nothing but temporary files."""
-    files.remove_leftovers(Path(path))
-    with suppress(OSError):
-        Path(path).rmdir()
+    """Remove what is left of a run that was removed, but for temporary files of processes at work."""
+    place = place_at(path)
+    if all(map(_is_remnant, names := place.names())):
+        for name in names:
+            if not files.TEMPORARY.fullmatch(name):
+                place.remove(name)
+    if isinstance(path, Path):
+        files.remove_leftovers(path)
+        with suppress(OSError):
+            path.rmdir()
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:

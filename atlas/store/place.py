@@ -180,8 +180,9 @@ class Objects:
         with suppress(FileNotFoundError):
             self._answer("delete", name)
 
-    def clear(self) -> None:
-        if names := [self.prefix + name for name in self.walk()]:
+    def clear(self, *, but: str = "") -> None:
+        """Remove everything, or all other contents."""
+        if names := [self.prefix + name for name in self.walk() if name != but]:
             self._answer(lambda path, obstore: obstore.delete(self.store, names))
 
     def make(self) -> None:

@@ -44,13 +44,18 @@ class PlaceStore(WrapperStore[Any]):
     """Contents of a place for the package zarr; of a whole store a missing object is an error, no fill values."""
 
     def __init__(
-        self, place: Place, *, read_only: bool = True, is_whole: bool = False, has_crc: bool = False
+        self,
+        place: Place,
+        *,
+        read_only: bool = True,
+        is_whole: bool = False,
+        sizes: Mapping[str, int] | None = None,
     ):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        # Whether no object may be missing, and whether objects end with their CRC.
-        self.is_whole, self.has_crc = is_whole, has_crc
+        # Whether no object may be missing; where objects are those of CODECS, bytes of the numbers in each, by array.
+        self.is_whole, self.sizes = is_whole, sizes
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
         damaged = f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key}"
@@ -62,8 +67,14 @@ class PlaceStore(WrapperStore[Any]):
             return None
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
-        if self.has_crc and "/c" in key and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
-            raise BadInput(damaged)  # the error of the codec would not name the object
+        if self.sizes is not None and "/c" in key:
+            # The errors of codecs would not name the object. Blosc begins with four bytes and the size of what it unpacks to.
+            size, is_own = (
+                int.from_bytes(content[4:8], "little"),
+                int.from_bytes(content[-4:], "little") == crc32c(content[:-4]),
+            )
+            if not is_own or size != self.sizes.get(key.partition("/")[0], size):
+                raise BadInput(damaged)
         match byte_range:
             case RangeByteRequest():
                 content = content[byte_range.start : byte_range.end]
@@ -90,15 +101,19 @@ def write_blocks(
     if isinstance(path, Path):
         with atomic_folder(path) as temporary:
             _write(ds, chunk, names, blocks, Folder(temporary))
-    else:
-        place_at(path).remove(METADATA)
-        place_at(path).clear()
-        _write(ds, chunk, names, blocks, place_at(path))
+        return
+    _write(ds, chunk, names, blocks, place_at(path))
 
 
 def _write(
     ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], place: Place
 ) -> None:
+    # First of all what is there is a part of an atlas, whenever this process ends: also while earlier objects are removed.
+    attributes: dict[str, Any] = {VERSION: __version__}
+    metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+    place.write(METADATA, json.dumps(metadata).encode())
+    if not isinstance(place, Folder):
+        place.clear(but=METADATA)
     store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
     for name, variable in ds.variables.items():
         lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
@@ -107,10 +122,9 @@ def _write(
         encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
         if name in names or variable.chunks is not None:
             lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
-    template = ds.drop_attrs(deep=False).assign_attrs({VERSION: __version__}).assign(lazy)
+    template = ds.drop_attrs(deep=False).assign_attrs(attributes).assign(lazy)
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
-        zarr.create_group(store, attributes=template.attrs)  # by which a part of it is known
         template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
         group = zarr.open_group(store, mode="r+", use_consolidated=False)
         for name, variable in ds.variables.items():  # parameters too large for memory
@@ -157,12 +171,15 @@ def open_dataset(path: Path | str) -> xr.Dataset:
             )
         is_whole = is_own or "atlas_seal" in attributes
         is_consolidated = "consolidated_metadata" in metadata
-        store = PlaceStore(place, is_whole=is_whole, has_crc=is_own)
+        sizes = dict[str, int]()
+        store = PlaceStore(place, is_whole=is_whole, sizes=sizes if is_own else None)
         group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
         claimed = 0
         for name, array in group.arrays():
             size = math.prod(array.shape) * array.dtype.itemsize
             claimed += size
+            if array.dtype.kind in "biuf":
+                sizes[name] = math.prod(array.chunks) * array.dtype.itemsize
             for chunk in (array.chunks, array.shards or ()):
                 if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):
                     raise ValueError(f"the chunks of {name} are larger than the array")

@@ -3,7 +3,9 @@
 import os
 import subprocess
 import sys
+import time
 from threading import Event
+from types import SimpleNamespace
 
 import pytest
 from truth import assert_same_bytes, tile_path
@@ -37,6 +39,11 @@ def living():
     process.communicate("\n")
 
 
+def dead(living):
+    """Name of a process that is gone, whose number another one has now."""
+    return living[:-1] + str((int(living[-1]) + 1) % 10)
+
+
 def age(path, seconds):
     """Let the last sign of life of a claim be so long ago."""
     status = path.stat()
@@ -66,6 +73,14 @@ def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
     assert not claim(*place)
 
 
+def test_of_several_processes_that_take_over_a_claim_at_once_one_has_it(tmp_path, living, monkeypatch):
+    place = places.Folder(tmp_path)
+    place.write("a.claim", dead(living).encode())
+    later = SimpleNamespace(sleep=lambda seconds: place.write("a.claim", living.encode()))
+    monkeypatch.setattr("atlas.runs.claims.time", later)
+    assert not claim(place, "a.claim")
+
+
 def test_only_one_process_creates_a_claim(tmp_path):
     for place in (places.Folder(tmp_path), places.Objects("memory://claims")):
         assert place.create("a.claim", b"one")
@@ -80,14 +95,14 @@ def test_one_of_several_processes_creates_a_run(
     """Another one makes its run while this one waits, or was killed before it did."""
     claim, waits = tmp_path / "run" / "manifest.claim", []
     claim.parent.mkdir()
-    claim.write_text(living if creator == "slow" else living[:-1] + str((int(living[-1]) + 1) % 10))
+    claim.write_text(living if creator == "slow" else dead(living))
 
     def sleep(seconds):
         waits.append(seconds)
         claim.unlink()
         RunFolder.prepare(ScenePlan.of(load_scene(scene_text({"fixed.m": 0.6}))), tmp_path / "run")
 
-    monkeypatch.setattr("atlas.runs.run.time.sleep", sleep)
+    monkeypatch.setattr("atlas.runs.run.time", SimpleNamespace(sleep=sleep))
     plan = ScenePlan.of(load_scene(small_scene))
     if creator == "slow":
         with pytest.raises(BadInput, match=r"holds another run.*fixed\.m \(0\.6 in the folder, 0\.5 now\)"):
@@ -98,15 +113,50 @@ def test_one_of_several_processes_creates_a_run(
     assert {path.name for path in claim.parent.iterdir()} == {"manifest.json", "tiles"}
 
 
+@pytest.mark.parametrize("name", ["a.nc", "memory://claims/a.zarr"])
+@pytest.mark.parametrize("end", ["done", "dead"])
+def test_one_of_several_processes_joins_a_run(name, end, small_scene, tmp_path, living, monkeypatch):
+    """Another one writes the atlas and removes its run while this one waits, or is killed: what one writes another one never removes."""
+    if name.endswith("zarr"):
+        pytest.importorskip("obstore")
+    monkeypatch.chdir(tmp_path)
+    scene, joins, join = load_scene(small_scene), [], RunFolder.join
+    atlas.run(scene, f"{name}.run/", progress=False)
+    run = RunFolder.open(f"{name}.run")
+    run.place.write("joining.claim", living.encode())
+
+    def counted(self, out):
+        joins.append(out)
+        return join(self, out)
+
+    def sleep(seconds):
+        if end == "dead":
+            run.place.write("joining.claim", dead(living).encode())
+        else:
+            run.join(places.located(name))
+            run.remove()
+
+    monkeypatch.setattr(RunFolder, "join", counted)
+    monkeypatch.setattr(execution, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))
+    ds = atlas.run(scene, name, force=name == "a.nc", progress=False)
+    assert len(joins) == 1
+    assert_same_bytes(atlas.run(scene, progress=False), ds)
+    assert not run.place.walk()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.nc"][: not name.endswith("zarr")]
+    ds.close()
+    if name.endswith("zarr"):
+        places.place_at(name).clear()
+
+
 def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monkeypatch):
-    monkeypatch.setattr("atlas.runs.claims.CLAIM_INTERVAL", 0.0)
+    monkeypatch.setattr("atlas.runs.claims.CLAIM_INTERVAL", 0.01)
     path = tile_path(folder.tiles, 3, SUFFIX)
     assert claim(folder.tiles.place, folder.tiles.name(3, SUFFIX))
     age(path, 100)
-    before = path.stat().st_mtime
-    with claims.held(folder.tiles, 3, lambda points: None) as keep:
-        keep(0.0)
-        assert path.stat().st_mtime > before + 90
+    before, ended = path.stat().st_mtime, time.monotonic() + 10
+    with claims.held(folder.tiles.place, path.name):
+        while path.stat().st_mtime < before + 90:
+            assert time.monotonic() < ended
     assert not path.exists()
 
 
@@ -159,7 +209,7 @@ def test_who_waits_for_others_ends_at_once_when_the_job_is_stopped(folder, livin
 
 def test_claims_of_killed_processes_are_removed(folder, living):
     tile_path(folder.tiles, 1, SUFFIX).write_text(living)
-    tile_path(folder.tiles, 2, SUFFIX).write_text(living[:-1] + str((int(living[-1]) + 1) % 10))
+    tile_path(folder.tiles, 2, SUFFIX).write_text(dead(living))
     status(folder.path)
     assert [path.name for path in folder.tiles.place.path.iterdir()] == [f"00000001{SUFFIX}"]
 

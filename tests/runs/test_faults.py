@@ -68,10 +68,10 @@ def test_a_killed_join_leaves_a_whole_file_or_none(finished, fault_rounds):
 
 
 def test_a_flipped_bit_of_a_run_folder_never_gives_other_data(finished, fault_rounds):
-    """Of tiles, sidecars and final attributes; tests of the manifest and of joined files flip their bits."""
+    """Of a tile and of the notes; tests of the manifest and of joined files flip their bits."""
     _, run, whole = finished
     attributes, rng = repr(atlas.open_atlas(run.path).attrs), np.random.default_rng(2)
-    for file in [tile_path(run.tiles, 5), tile_path(run.tiles, 5, ".json"), run.path / "notes.json"]:
+    for file in [tile_path(run.tiles, 5), run.path / "notes.json"]:
         content = file.read_bytes()
         for _ in range(50 * fault_rounds):
             flipped = bytearray(content)
@@ -159,7 +159,7 @@ def test_a_full_or_read_only_disk_stops_a_run_in_one_line_that_goes_on_later(
     assert completed("join", "disk/run", "-o", "disk/a.nc")
     with atlas.open_atlas(disk / "a.nc") as ds:
         assert_same_bytes(whole, ds)
-    (disk / "run" / "tiles" / "00000005.nc").unlink()
+    (disk / "run" / "tiles" / "00000005.tile").unlink()
     small_disk("ro")
     code, errors = finish(path, "run", "scene.toml", "-o", "disk/run/", "--quiet")
     assert code == 2, errors

@@ -143,6 +143,22 @@ def test_damage_is_found(store, capsys):
         atlas.open_atlas(store)
 
 
+@pytest.mark.parametrize("other", ["theta_max/c/0/0", "label/c", "sigma/c/0"])
+def test_an_object_of_another_form_is_refused(store, other):
+    """Of another type, or unpacking to more numbers than its chunk has."""
+    from google_crc32c import value as crc32c
+    from numcodecs import Blosc
+
+    path = store / "label" / "c" / "0" / "0"
+    if other == "label/c":
+        content = bytes(Blosc("zstd").encode(np.ones(50_000_000, np.int8)))
+        path.write_bytes(content + crc32c(content).to_bytes(4, "little"))
+    else:
+        path.write_bytes((store / other).read_bytes())
+    with pytest.raises(BadInput, match="the values of label are damaged: the object label/c/0/0"):
+        atlas.open_atlas(store).label.load()
+
+
 def test_a_copy_by_another_program_is_read_as_it_is(store, tmp_path, capsys):
     with atlas.open_atlas(store) as ds, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -197,11 +213,11 @@ def test_a_join_that_fails_leaves_what_was_there(run, store, monkeypatch):
 
 
 def test_an_export_to_an_object_store_that_is_killed_is_refused_and_finished(scene_text, monkeypatch, capsys):
-    """At any object: what is there is no atlas, and the same command makes it one."""
+    """At any object, also while those of the time before are removed: what is there is no atlas, and the same command makes it one."""
     pytest.importorskip("obstore")
     few = {"outputs.variables": ["label", "theta_max"], "axes.sigma.count": 3}
     scene, out = load_scene(scene_text(few)), f"{ADDRESS}/night.zarr"
-    whole, write = atlas.run(scene, progress=False), Objects.write
+    whole, write, clear = atlas.run(scene, progress=False), Objects.write, Objects.clear
     root = Objects(out)
     left = 0
     while not finished.has_hash(out):
@@ -216,13 +232,22 @@ def test_an_export_to_an_object_store_that_is_killed_is_refused_and_finished(sce
                     raise ConnectionAbortedError
             write(self, name, content, durable=durable)
 
-        with monkeypatch.context() as patched:
-            patched.setattr(Objects, "write", killed)
-            try:
-                atlas.run(scene, out, progress=False)
-            except ConnectionAbortedError:
-                with pytest.raises(BadInput, match=r"unfinished: .* the same command finishes it"):
-                    atlas.open_atlas(out)
+        def half_cleared(self, **options):
+            if self.address != out:
+                return clear(self, **options)
+            for name in set(self.walk()[::2]) - {"zarr.json"}:
+                self.remove(name)
+            raise ConnectionAbortedError
+
+        for method, replacement in (("write", killed), ("clear", half_cleared)):
+            with monkeypatch.context() as patched:
+                patched.setattr(Objects, method, replacement)
+                try:
+                    atlas.run(scene, out, progress=False)
+                    break
+                except ConnectionAbortedError:
+                    with pytest.raises(BadInput, match=r"unfinished: .* the same command finishes it"):
+                        atlas.open_atlas(out)
     assert left > 40
     with atlas.open_atlas(out) as ds:
         assert_same_bytes(whole, ds)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import atlas
 
 from .. import systems
-from ..errors import BadInput, attribute_text, say
+from ..errors import MAX_MESSAGE, BadInput, attribute_text, say
 from ..files import atomic_write, without_suffix, writable
 from ..scene.model import DEFAULTS, Duration
 from ..scene.text import open_text
@@ -102,7 +102,7 @@ def _write_csv(ds: Dataset, path: Path) -> None:
     columns: dict[str, list[Any]] = {}
     for name, array in [*ds.coords.items(), *ds.data_vars.items()]:
         if set(array.dims) <= {"point"}:
-            flags = str(array.attrs.get("flag_meanings", "")).split()
+            flags = attribute_text(array.attrs, "flag_meanings", limit=MAX_MESSAGE).split()
             values = np.broadcast_to(array.values, ds.sizes["point"]).tolist()
             columns[str(name)] = [flags[value] for value in values] if flags else values
     with atomic_write(path) as temporary:

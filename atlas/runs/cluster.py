@@ -55,11 +55,14 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     from distributed.utils import silence_logging_cmgr
     from distributed.versions import VersionMismatchWarning
 
-    cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-        host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-        silence_logs=logging.CRITICAL,
-    )  # fmt: skip
+    try:
+        cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
+            host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,
+        )  # fmt: skip
+    except RuntimeError as error:  # a process ended before it was a worker
+        raise OSError(f"the dask workers did not start ({one_line(error)})") from None
     with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
         try:
             with warnings.catch_warnings():

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import distributed
+import psutil
 import pytest
 from dask.base import get_scheduler
 from truth import assert_same_bytes, state, tile_path
@@ -107,6 +108,45 @@ def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers, mon
     assert "wrote run/" in capsys.readouterr().out
     assert len(state(run.tiles).done) == run.tiling.count
     assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+def kill_own_worker():
+    """Wait for a process that `--workers` has started here, and kill it."""
+    while True:
+        for process in psutil.Process().children():
+            with suppress(psutil.Error):
+                if "spawn_main" in " ".join(process.cmdline()):
+                    process.kill()
+                    return
+        time.sleep(0.02)
+
+
+def test_a_nanny_replaces_a_worker_that_is_killed(longer, monkeypatch, capsys):
+    path, run, whole = longer
+    monkeypatch.chdir(path)
+
+    def kill_after_a_tile():
+        while not len(run.tiles.written()):
+            time.sleep(0.02)
+        kill_own_worker()
+
+    with ThreadPoolExecutor(1) as pool:
+        killed = pool.submit(kill_after_a_tile)
+        assert cli.main(["run", "scene.toml", "-o", "run/", "--quiet", "--workers", "1"]) == cli.DONE
+        killed.result()
+    assert "wrote run/" in capsys.readouterr().out
+    assert_same_bytes(whole, atlas.open_atlas(path / "run"))
+
+
+def test_a_worker_that_ends_before_it_has_started_is_an_error_in_one_line(longer, monkeypatch, capsys):
+    monkeypatch.chdir(longer[0])
+    with ThreadPoolExecutor(1) as pool:
+        killed = pool.submit(kill_own_worker)
+        assert cli.main(["run", "scene.toml", "-o", "run/", "--quiet", "--workers", "1"]) == cli.FAILED
+        killed.result()
+    assert (
+        capsys.readouterr().err == "atlas: failed: the dask workers did not start (Nanny failed to start.)\n"
+    )
 
 
 def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_another(

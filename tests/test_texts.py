@@ -117,6 +117,11 @@ def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
     for question in (texts.atlas.page, texts.atlas.map, texts.atlas.compare):
         with pytest.raises(BadInput, match="label: values of type <U"):
             question()
+    for question in (ds.assign_coords(Omega="one").atlas.compare, ds.assign_coords(m=1j).atlas.trajectory):
+        with pytest.raises(
+            BadInput, match=r"(Omega|m): values of type (<U3|complex128); an atlas has numbers"
+        ):
+            question()
     with pytest.raises(BadInput, match="label and growth_rate lie along different dimensions"):
         ds.assign(growth_rate=ds.growth_rate.mean("sigma")).atlas.compare()
     row = ds.assign(theta_dot_rms=ds.theta_dot_rms.mean("sigma"))

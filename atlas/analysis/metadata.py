@@ -37,7 +37,7 @@ def system_of(ds: xr.Dataset) -> System:
             f"the atlas is of the system {shown(name)}, which is not installed here; its package was {shown(package)}"
         )
     system = systems.get(name)
-    for variable in ds.data_vars.keys() & data_variables(system):
+    for variable in ds.variables.keys() & (data_variables(system).keys() | system.parameters.keys()):
         if ds.variables[variable].dtype.kind not in "biuf":
             raise BadInput(f"{variable}: values of type {ds[variable].dtype}; an atlas has numbers there")
     return system

@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 from family_starts import DRAWS, VECTORS, grioli_points, other_axes
 from strategies import default_points, fixed_points_on_family, random_fixed_points, select
-from truth import fixed_point_cases, monodromy_matrix
+from truth import fixed_point_cases, jacobian_matrices, monodromy_matrix
 
 from atlas.flags import Agreement, Label, Stability, Status
 from atlas.label import theory
@@ -201,6 +201,25 @@ def test_floquet_multipliers_against_the_monodromy_matrix(name):
         else:
             period = 2 * np.pi / abs(FAMILIES[name].axes(select(points, i)).spin_rate[0])
             assert np.log(np.abs(multipliers).max()) / period == pytest.approx(growth[i], rel=1e-4)
+
+
+def test_all_multipliers_of_free_precessions_are_on_the_unit_circle():
+    """w moves on a circle at the rate |w''| / |w'|; gamma turns under it, so that the matrix of both is block triangular.
+
+    The defective multiplier 1 has the third root of the error of the matrix.
+    """
+    points = DRAWS["free_precession"](np.random.default_rng(8), 4)
+    family, _ = FIXED_POINT.identify_family(points)
+    stable, growth = FIXED_POINT.linear_stability(points, family)
+    assert (stable == Stability.STABLE).all()
+    assert (growth == 0).all()
+    states, constants = initial.initial_state(points), initial.constants(points)
+    for state, values in zip(states.T, constants.T, strict=True):
+        change = np.array(equations.rhs(state, values))
+        (jacobian,) = jacobian_matrices(equations.rhs, state[:, None], values[:, None])
+        period = 2 * np.pi * np.linalg.norm(change[:3]) / np.linalg.norm((jacobian @ change)[:3])
+        matrix = monodromy_matrix(lambda y, c: np.array(equations.rhs(y, c)), state, values, period)
+        np.testing.assert_allclose(np.abs(np.linalg.eigvals(matrix)), 1.0, atol=1e-3)
 
 
 def test_stability_of_free_and_of_relabelled_motions():

@@ -5,6 +5,7 @@ import os
 import pickle
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -83,9 +84,13 @@ def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, 
     assert caplog.messages == []
 
 
+# A kernel of three functions.
+SHIFTED = f"{jit.HEADER}\nK = 2.0\n\n\n{jit.INLINE}\ndef scaled(x):\n    return K * x\n\n\n{jit.INLINE}\n"
+SHIFTED += f"def shifted(x):\n    return scaled(x) + 1.0\n\n\n{jit.KERNEL}\ndef integrate(x):\n    return shifted(x)\n"
+
+
 def test_kernels_share_the_machine_code_of_equal_functions(cache):
-    text = f"{jit.HEADER}\nK = 2.0\n\n\n{jit.INLINE}\ndef scaled(x):\n    return K * x\n\n\n{jit.INLINE}\n"
-    text += f"def shifted(x):\n    return scaled(x) + 1.0\n\n\n{jit.KERNEL}\ndef integrate(x):\n    return shifted(x)\n"
+    text = SHIFTED
     other = text.replace("return shifted(x)", "return shifted(x) + scaled(x)")
     for source, result, hits in ((text, 7.0, 0), (other, 13.0, 1), (text.replace("2.0", "5.0"), 16.0, 0)):
         module = fresh(source)
@@ -254,6 +259,36 @@ def test_a_folder_that_vanishes_is_made_again(cache, caplog):
     shutil.rmtree(cache)
     assert fresh().integrate(1.0) == 2.0
     assert len(list(cache.iterdir())) == 1
+    assert caplog.messages == []
+
+
+KILLED = """
+import itertools, os, signal
+from atlas import jit
+
+calls, replace = itertools.count(), os.replace
+
+def killed(*names):
+    if next(calls) == {number}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(*names)
+
+os.replace = killed
+jit.load({source!r}).integrate(3.0)
+"""
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_process_that_is_killed_while_it_compiles_leaves_whole_functions(number, cache, caplog):
+    """The next one takes them from the folder, compiles the others, and leaves nothing else there."""
+    code = KILLED.format(number=number, source=SHIFTED)
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert len(jit.cached()) == number
+    module = fresh(SHIFTED)
+    assert module.integrate(3.0) == 7.0
+    assert sum(module.shifted.stats.cache_hits.values()) == (number > 1)
+    assert [path.name for path in cache.iterdir() if path.name.startswith(".")] == []
+    assert len(jit.cached()) == 3
     assert caplog.messages == []
 
 

@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +15,8 @@ from hypothesis import settings
 # Before NumPy is loaded: with a test process on each processor more threads of its linear algebra wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("ATLAS_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
+# A shell lets what it starts in the background ignore SIGINT, and so would every process that a test starts and interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("atlas", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("atlas")
 

@@ -237,6 +237,17 @@ def test_a_tile_is_never_replaced_by_the_join(longer, monkeypatch, capsys):
     assert tile_path(run.tiles, 0).read_bytes() == before
 
 
+# The command without its limits of time after a signal, which a loaded machine would exceed: `test_interruption` holds those.
+PATIENT = """
+import sys
+from atlas import cli, interruption
+
+interruption.GRACE_PERIOD = interruption.MESSAGE_PERIOD = 60.0
+sys.argv = ["atlas/__main__.py", "run", "long.toml"]
+cli.command()
+"""
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_leaves_no_half_file_and_the_message_continues(
     folder, scene_text, number, code, monkeypatch
@@ -246,15 +257,13 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(
     (folder / "long.toml").write_text(scene_text(large))
     assert main(["run", "small.toml", "--quiet"]) == 0  # the kernel is warm now
     process = subprocess.Popen(
-        [sys.executable, "-m", "atlas", "run", "long.toml"], cwd=folder, stderr=subprocess.PIPE, text=True,
-        start_new_session=True,
+        [sys.executable, "-c", PATIENT], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    deadline = time.monotonic() + 60
-    while not list(folder.glob("long.nc.run/tiles/*.tile")) and time.monotonic() < deadline:
+    while not list(folder.glob("long.nc.run/tiles/*.tile")):
+        assert process.poll() is None
         time.sleep(0.02)
-    assert process.poll() is None
     os.killpg(process.pid, number)
-    _, message = process.communicate(timeout=60)
+    _, message = process.communicate(timeout=300)
     assert process.returncode == code
     last_line = message.splitlines()[-1]
     assert re.fullmatch(
@@ -263,8 +272,6 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(
     )
     assert "Traceback" not in message
     assert not (folder / "long.nc").exists()
-    # A loaded machine may end the process while it writes; every later command removes what that leaves.
-    assert main(["status", "long.nc.run"]) == 0
     assert not list(folder.rglob("*.tmp"))
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from family_starts import STARTS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from strategies import (
@@ -457,3 +458,20 @@ def test_any_satellite(columns, method):
 @example({"l1": [1e200, 0, 0, 1e-320], "m": [0, 1e300, 5e-324, 0]}, "rk4")
 def test_any_gyrostat_about_a_fixed_point(columns, method):
     check_results("fixed_point", columns, method)
+
+
+@pytest.mark.parametrize("system", ["satellite", "fixed_point"])
+def test_nudged_motions_are_as_predicted_for_ten_thousand_time_units(system):
+    """The rates that the nudge itself causes are far below the tolerance."""
+    rng = np.random.default_rng(4)
+    kinds = {"satellite": ("perp_velocity", "oblique"), "fixed_point": ("staude", "rest")}[system]
+    draws = [STARTS[system][kind](rng, 4) for kind in kinds]
+    base = {name: np.concatenate([draw[name] for draw in draws]) for name in draws[0]}
+    points = {
+        name: values + (1e-6 if name in ("theta0", "theta_dot0") else 0.0) for name, values in base.items()
+    }
+    settings = Settings(method="rk8", tolerance=1e-5, rate_tolerance=1e-3)
+    result = evaluate(SYSTEMS[system], base, points, np.full(len(points["A"]), 1e4), settings, nudged=True)
+    assert (result["status"] == Status.OK).all()
+    np.testing.assert_array_equal(result["label"], result["predicted"])
+    assert {Stability.STABLE, Stability.UNSTABLE} == set(result["stable"])

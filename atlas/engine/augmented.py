@@ -208,10 +208,8 @@ def tangent_start(equations: ModuleType, state: Array) -> Array:
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)
     vectors = frame_vectors(equations)
-    values = dict.fromkeys(names, 0.0) | {
-        names[i]: pattern[j % len(START if vectors else pattern)] for j, i in enumerate(own)
-    }
-    rows = [np.full(state.shape[1], values[names[i]]) for i in own]
+    length = len(START if vectors else pattern)
+    rows = [np.full(state.shape[1], pattern[j % length]) for j in range(len(own))]
     if rotates(equations):
         rows += [np.full(state.shape[1], value) for value in START_OF_ROTATION]
     elif vectors:

@@ -82,11 +82,6 @@ def state(spin: FastSpin, x: Array) -> Array:
     )
 
 
-def unknowns(spin: FastSpin, y: Array, period: Array) -> Array:
-    """The unknowns of a state at tau = 0 and a period."""
-    return np.array([spin.eps * y[0], spin.eps * y[1], np.arctan2(y[4], y[3]), period])
-
-
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
     """Unknowns after corrections by Newton's method, and their defect before the last one, whose square is left."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]

@@ -34,6 +34,15 @@ MONODROMY = (
     (0.68, 1.02, 1.25, -0.6, 4.7, 1.468, 0.0, 2.1955650345717523),
     (0.84, 0.95, 1.23, 0.1, 9.0, 1.508, 0.0, 2.9953033627384813),
 )
+# A, B, C, k3, h3 mu3, psi0, m, t, s
+TRACES = (
+    (1.51, 1.52, 1.73, -1.8, 1.25, -3.26, 2.64, -1.5374027901652949, 2.516629707257922),
+    (1.37, 1.34, 1.77, 0.4, 0.0, -0.52, 0.44, -1.556047229786669, 2.3049179020203381),
+    (1.67, 1.42, 1.11, -0.1, 0.0, 0.23, 1.62, -0.6391533884271059, -0.27201767415927625),
+    (1.33, 1.0, 1.62, 0.3, 0.0, -2.74, -1.14, 0.98794884150861151, -3.6283037356198742),
+    (1.42, 1.47, 1.95, 0.3, -1.02, -3.12, -1.5, 1.0876782884120539, -2.6410126369212366),
+    (1.14, 0.96, 1.37, 0.6, 0.0, 2.1, 1.8, -0.2924721941736762, 0.27154163973209533),
+)
 
 ORACLE = json.loads((REFERENCE / "plane_motions.json").read_text())
 LIBRATION, ROTATION = (SATELLITE.families[f"plane_{kind}"] for kind in ("libration", "rotation"))
@@ -46,6 +55,13 @@ def motions_of(points):
 def points_of(**given):
     """Points with these parameters, in arrays of one length."""
     return default_points("satellite", np.broadcast(*map(np.asarray, given.values())).size, **given)
+
+
+def motions_of_rows(rows):
+    """Motions with these A, B, C, k3, h3 mu3, psi0 and m."""
+    return motions_of(
+        points_of(**dict(zip(("A", "B", "C", "k3", "mu3", "psi0", "m"), rows, strict=True)), h3=1.0)
+    )
 
 
 def random_points(count, seed=0):
@@ -170,9 +186,10 @@ def test_growth_is_that_of_the_multipliers():
 
 def test_growth_is_that_of_monodromy_matrices_in_many_digits():
     """Of Taylor series of the equations of motion in 80 digits."""
-    rows = np.array(MONODROMY).T
-    points = points_of(**dict(zip(("A", "B", "C", "k3", "mu3", "psi0", "m"), rows[:-1], strict=True)), h3=1.0)
-    np.testing.assert_allclose(motions_of(points).stability()[1], rows[-1], rtol=1e-11)
+    *rows, growth = np.array(MONODROMY).T
+    np.testing.assert_allclose(motions_of_rows(rows).stability()[1], growth, rtol=1e-11)
+    *rows, t, s = np.array(TRACES).T
+    np.testing.assert_allclose(motions_of_rows(rows).multipliers(), [t, s], rtol=1e-14, atol=1e-14)
 
 
 def test_numbers_do_not_depend_on_the_other_points():

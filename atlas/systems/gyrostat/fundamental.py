@@ -42,24 +42,19 @@ def of_harmonics(
         for begin in range(0, count, STEPS):
             end = min(begin + STEPS, count)
             integrate_steps(of_lanes, turn[lanes], begin, end, result[lanes], log_scale[lanes])
-    return result, log_scale
+    largest = np.abs(result).max((1, 2))
+    return result / largest[:, None, None], log_scale + np.log(largest)
 
 
-def of_steps(parts: Array) -> tuple[Array, Array]:
-    """As `of_harmonics`, over the steps of at most LANES points, (steps, 3, size, size, points).
+def of_steps(matrices: Array) -> tuple[Array, Array]:
+    """As `of_harmonics`, over the steps of at most LANES points; factors are powers of 2, largest entries 1 to 2.
 
-    parts: mean, cosine and sine of the harmonic of each step, times the step, as `between_nodes` gives them.
+    matrices: of the system at the three Gauss nodes of each step, times the step, (steps, 3, size, size, points).
     """
-    steps, _, size, _, points = parts.shape
+    steps, _, size, _, points = matrices.shape
     result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)
-    _compiled()(parts, np.full(points, 2 * np.pi), 0, steps, result, log_scale)
+    _compiled()(matrices, np.zeros(points), 0, steps, result, log_scale)
     return result, log_scale
-
-
-def between_nodes(first: Array, middle: Array, last: Array) -> tuple[Array, Array, Array]:
-    """Mean, cosine and sine of the harmonic of a step that has these values at its Gauss nodes."""
-    amplitude = (0.5 * (first + last) - middle) * (1 / (1 - np.cos(2 * np.pi * GAUSS)))
-    return middle + amplitude, amplitude, (first - last) * (0.5 / np.sin(2 * np.pi * GAUSS))
 
 
 @cache
@@ -68,7 +63,7 @@ def _compiled() -> Any:
     from ... import jit  # here, because every command imports the systems
 
     numbers = "\n".join(f"{name} = {globals()[name]!r}" for name in ("LANES", "GAUSS", "RESCALING"))
-    functions = [f"{jit.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve)]
+    functions = [f"{jit.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve, add)]
     return jit.load(
         "\n\n".join([jit.HEADER, numbers, *functions, f"{jit.KERNEL}\n{inspect.getsource(integrate)}"])
     ).integrate
@@ -126,19 +121,33 @@ def solve(a, b):
                 b[i, j, lane] *= a[i, i, lane]
 
 
+def add(total, error, change):
+    """Add a change to a total; error: of the total by rounding, which is added next time."""
+    size = total.shape[0]
+    for i in range(size):
+        for j in range(size):
+            for lane in range(LANES):
+                before, increment = total[i, j, lane], change[i, j, lane] + error[i, j, lane]
+                after = before + increment
+                added = after - before
+                error[i, j, lane] = (before - (after - added)) + (increment - added)
+                total[i, j, lane] = after
+
+
 def integrate(parts, turn, begin, end, result, log_scale):
     """Multiply the matrices of at most LANES points by those of the steps from begin to end.
 
-    parts: mean, cosine and sine of one harmonic or two, of all steps or of each, times the step, (1 or steps, 3 or 5, size,
-    size, points); turn: phase of a step, rad; result: (points, size, size), rescaled, the logarithms of the factors added to
-    log_scale.
+    parts: mean, cosines and sines of two harmonics of all steps, (1, 5, size, size, points), or the matrices at the Gauss
+    nodes of each, (steps, 3, size, size, points), times the step; turn: phase of a step, rad; result: (points, size, size),
+    rescaled, the logarithms of the factors added to log_scale.
     """
     size, points = parts.shape[2], parts.shape[4]
     part, nodes = np.zeros((5, size, size, LANES)), np.empty((3, size, size, LANES))
     identity, space = np.zeros((size, size, LANES)), np.empty((8, size, size, LANES))
-    first, middle, last = nodes[0], nodes[1], nodes[2]
+    at_nodes = parts.shape[1] == 3
+    first, middle, last = (part[0], part[1], part[2]) if at_nodes else (nodes[0], nodes[1], nodes[2])
     b2, b3, c1, x, y, z = space[0], space[1], space[2], space[3], space[4], space[5]
-    matrix, product = space[6], space[7]
+    matrix, product, error = space[6], space[7], np.zeros((size, size, LANES))
     cosine, sine = np.empty((3, LANES)), np.empty((3, LANES))
     turn_of, turn_cosine, turn_sine = np.empty(LANES), np.empty(LANES), np.empty(LANES)
     first_cosine, first_sine, second_cosine = np.empty(LANES), np.empty(LANES), np.empty(LANES)
@@ -152,14 +161,14 @@ def integrate(parts, turn, begin, end, result, log_scale):
             for j in range(size):
                 matrix[i, j, lane] = result[point, i, j]
     for step in range(begin, end):
-        if step == begin or parts.shape[0] > 1:
+        if step == begin or at_nodes:
             of_step = parts[step % parts.shape[0]]
             for k in range(parts.shape[1]):
                 for i in range(size):
                     for j in range(size):
                         for lane in range(LANES):
                             part[k, i, j, lane] = of_step[k, i, j, min(lane, points - 1)]
-        for node in range(3):
+        for node in range(0 if at_nodes else 3):
             if step % RESCALING == 0:
                 for lane in range(LANES):
                     phase = (step + 0.5 + GAUSS * (node - 1)) * turn_of[lane]
@@ -191,28 +200,33 @@ def integrate(parts, turn, begin, end, result, log_scale):
         combine(-20.0, middle, -1.0, b3, 1.0, c1, x)
         multiply(x, y, z, False)
         multiply(y, x, z, True)
-        # a quarter of the exponent, and the even and odd parts of its Pade approximation
+        # A quarter of the exponent, and the even and odd parts of its Pade approximation. Half the exponential less 1
+        # keeps digits that are lost beside 1.
         combine(0.25, middle, 1 / 48, b3, 1 / 960, z, z)
         multiply(z, z, x, False)
         combine(0.5, identity, 1 / 120, x, 0.0, x, y)
         multiply(z, y, c1, False)
-        combine(1.0, identity, 0.1, x, 1.0, c1, z)
         combine(1.0, identity, 0.1, x, -1.0, c1, y)
-        solve(y, z)
-        multiply(z, z, x, False)
-        multiply(x, x, y, False)
-        multiply(y, matrix, product, False)
-        matrix, product = product, matrix
+        solve(y, c1)
+        multiply(c1, c1, x, False)
+        combine(2.0, c1, 2.0, x, 0.0, x, y)
+        multiply(y, y, x, False)
+        combine(4.0, y, 4.0, x, 0.0, x, z)
+        multiply(z, matrix, product, False)
+        add(matrix, error, product)
         if (step + 1) % RESCALING == 0 or step == end - 1:
             largest[:] = 0.0
             for i in range(size):
                 for j in range(size):
                     for lane in range(LANES):
                         largest[lane] = max(largest[lane], abs(matrix[i, j, lane]))
+            for lane in range(LANES):
+                largest[lane] = np.exp2(np.floor(np.log2(largest[lane])))  # divides without an error
             for i in range(size):
                 for j in range(size):
                     for lane in range(LANES):
                         matrix[i, j, lane] /= largest[lane]
+                        error[i, j, lane] /= largest[lane]
             for point in range(points):
                 log_scale[point] += np.log(largest[point])
     for lane in range(points):

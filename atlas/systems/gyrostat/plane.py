@@ -29,14 +29,32 @@ from numpy.typing import NDArray
 from ...flags import Stability
 from ..base import Array, Flags, Mask
 from .body import Body, length
-from .fundamental import GAUSS, LANES, between_nodes, of_steps
+from .fundamental import GAUSS, LANES, of_steps
 
-_STEP, _SHORT_STEP = 1.2, 0.1415  # over the norm of the system: errors of the sums of about 1e-7 and 1e-13
-_MIN_PAIRS, _MAX_PAIRS = 4, 725  # of steps, in a quarter of the period
+
+class _Steps(NamedTuple):
+    """Numbers of steps in a quarter of the period, from which sums are extrapolated."""
+
+    shortest: float  # over the norm of the system
+    counts: tuple[int, ...]  # relative
+    most: int  # of the longest steps
+
+    def weights(self) -> Array:
+        """Of the sums by each of the numbers, and by all but the first, (2, counts)."""
+        size, result = len(self.counts), np.zeros((2, len(self.counts)))
+        for k, weights in enumerate(result):
+            errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
+            weights[k:] = np.linalg.solve(errors, np.eye(size - k)[0])
+        return result
+
+
+# Errors of the sums of about 1e-7 and 1e-15.
+_ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
+_MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # the fourth power of its exponential is a float
 _MAX_ROUNDING = 1e-7  # of 1 - k^2, relative: beyond it the period, which diverges there, is not known
 _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
-_CHANGE = 0.05  # share of the change by halving the step that may be left after the extrapolation: 0.005 was measured
+_CHANGE = 3.2  # part of the change by the longest steps of an extrapolation that may be left as an error: 0.3 was measured
 # Of R H^-1 R beside the blocks of H transposed.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
@@ -88,7 +106,7 @@ class Mean(NamedTuple):
 
 
 class PlaneMotions(NamedTuple):
-    """Motions of bodies in the plane, in units of the largest moment and of a rate; arrays (points,)."""
+    """Motions of bodies in the plane, in units of a moment and a rate that are powers of 2; arrays (points,)."""
 
     unit: Array  # of rates
     low: Array  # moment about the axis that is along alpha at x = 0, A
@@ -111,19 +129,21 @@ class PlaneMotions(NamedTuple):
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
         """From the start, (points, 3)."""
-        unit = np.abs(body.turn) + length(w)
-        body = body.scaled(unit)
-        frame = body.turn * gamma[:, 2]
-        A, B, C = body.inertia.T
+        moment, unit = (
+            np.exp2(np.round(np.log2(each))) for each in (body.inertia.max(-1), np.abs(body.turn) + length(w))
+        )
+        A, B, C = body.inertia.T / moment
+        frame, gradient = body.turn / unit * gamma[:, 2], body.alpha.gradient / unit**2
         rate, (first, second, _) = w[:, 2] / unit - frame, alpha.T
         sine, cosine = np.where(A < B, (-second, first), (first, second))
-        stiffness = body.alpha.gradient * np.abs(B - A) / C
+        stiffness = gradient * np.abs(B - A) / C
         kinetic, up, down = rate**2, stiffness * cosine**2, stiffness * sine**2
         rotates = kinetic > up
         square = np.where(rotates, kinetic + down, stiffness)
         return cls(
-            unit, np.minimum(A, B), np.maximum(A, B), C, body.rotor[:, 2], body.alpha.gradient,
-            body.gamma.field[:, 2] * gamma[:, 2], frame, body.symmetric_about(0) | body.symmetric_about(1), rotates,
+            unit, np.minimum(A, B), np.maximum(A, B), C, body.rotor[:, 2] / (moment * unit), gradient,
+            body.gamma.field[:, 2] * gamma[:, 2] / (moment * unit**2), frame,
+            body.symmetric_about(0) | body.symmetric_about(1), rotates,
             np.where(rotates, np.sign(rate), 1.0) * np.sqrt(square),
             np.where(rotates, stiffness, kinetic + down) / square, np.abs(up - kinetic) / square,
             np.finfo(float).eps * (up + kinetic) / np.abs(up - kinetic), sine, cosine, rate,
@@ -185,18 +205,18 @@ class PlaneMotions(NamedTuple):
         Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
-        stable, exponent = self._decided(_STEP)
+        stable, exponent = self._decided(_ROUGH)
         # Near borders verdicts, and everywhere growth rates, are those of the sums that `multipliers` gives.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
-        flags, exponents = self.subset(finer)._decided(_SHORT_STEP)
+        flags, exponents = self.subset(finer)._decided(_FINE)
         in_time = ~np.isnan(exponents) | (stable[finer] == Stability.UNKNOWN)
         stable[finer[in_time]], exponent[finer[in_time]] = flags[in_time], exponents[in_time]
         return stable, exponent / self.period()
 
-    def _decided(self, step: float) -> tuple[Flags, Array]:
+    def _decided(self, steps: _Steps) -> tuple[Flags, Array]:
         """Stability, and the growth over the period as a logarithm: 0 where errors decide, nan where unknown."""
-        t, u, log_scale, *changes = self.multiplier_sums(step)
+        t, u, log_scale, *changes = self.multiplier_sums(steps)
         one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
         square, middle = one**2, u + 2 * one**2
         positive = np.array(
@@ -218,7 +238,7 @@ class PlaneMotions(NamedTuple):
 
     def multipliers(self) -> tuple[Array, Array]:
         """t and s of rho^2 - t rho + s - 2 = 0 over the period."""
-        t, s, log_scale = self._over_period(*self.multiplier_sums(_SHORT_STEP)[:3])
+        t, s, log_scale = self._over_period(*self.multiplier_sums(_FINE)[:3])
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
@@ -228,61 +248,65 @@ class PlaneMotions(NamedTuple):
         turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # of rho^2 - 2
         return np.where(self.rotates, turn, (t, u, kept))
 
-    def multiplier_sums(self, step: float) -> Array:
+    def multiplier_sums(self, steps: _Steps) -> Array:
         """Trace t and second coefficient u of the matrix over a libration or half a turn as t / exp(s), u / exp(2 s) and s, and
-        the changes of the first two from twice the step, from which they are extrapolated; nan where they are not known.
+        the changes of the first two by the longest of the steps from which they are extrapolated; nan where they are not known.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
         stiffness = np.maximum(np.abs(B - C), np.abs(A - C)) * (fastest**2 + g) + np.abs(self.field)
         stiffness = np.sqrt((stiffness + np.abs(self.rotor) * fastest) / A)
         norm = stiffness + 0.5 * (np.abs(self.rotor) + np.abs(C - A - B) * fastest) / A
-        pairs = np.maximum(0.125 * self.period() * self.unit * norm / step, _MIN_PAIRS)
-        pairs = np.ceil(2.0 ** (np.ceil(4 * np.log2(pairs)) / 4))
-        pairs[~(self.rounding < _MAX_ROUNDING)] = np.nan
+        longest = (
+            np.maximum(0.25 * self.period() * self.unit * norm / steps.shortest, _MIN_STEPS)
+            / steps.counts[-1]
+        )
+        longest = np.ceil(2.0 ** (np.ceil(4 * np.log2(longest)) / 4))
+        longest[~(self.rounding < _MAX_ROUNDING)] = np.nan
+        weights = steps.weights()[..., None, None]
         result = np.full((5, f.size), np.nan)
-        for count, rotates in product(np.unique(pairs[pairs <= _MAX_PAIRS]).astype(int), (False, True)):
-            members = np.flatnonzero((pairs == count) & (self.rotates == rotates))
+        for least, rotates in product(np.unique(longest[longest <= steps.most]).astype(int), (False, True)):
+            members = np.flatnonzero((longest == least) & (self.rotates == rotates))
             width = min(members.size, LANES)
-            parts = [np.zeros((n * count * (1 if rotates else 2), 3, 4, 4, width)) for n in (1, 2)]
+            nodes = [np.zeros((n * least * (1 if rotates else 2), 3, 4, 4, width)) for n in steps.counts]
             for first in range(0, members.size, LANES):
                 some = members[first : first + LANES]
                 lanes = self.subset(np.resize(some, width))
                 mean = lanes.mean
-                coarse, fine = (lanes._sums(n * count, rotates, mean, parts[n - 1]) for n in (1, 2))
-                coarse[:2] *= np.exp((coarse[2] - fine[2]) * np.array([[1.0], [2.0]]))
-                change = fine[:2] - coarse[:2]
-                fine[:2] += change / 63  # Richardson's, of order 8
-                result[:, some] = np.concatenate([fine, np.abs(change)])[:, : some.size]
+                sums = np.array([lanes._sums(rotates, mean, each) for each in nodes])
+                log_scale = sums[-1:, 2]
+                sums[:, :2] *= np.exp((sums[:, 2:] - log_scale) * np.array([[1.0], [2.0]]))
+                value, shorter = (weights * sums[:, :2]).sum(1)
+                result[:, some] = np.concatenate([value, log_scale, np.abs(value - shorter)])[:, : some.size]
         return result
 
-    def _sums(self, count: int, rotates: bool, mean: Mean, parts: Array) -> Array:
-        """The same by so many steps of a quarter of the period, LANES times in all; parts: space for `of_steps`, 0 elsewhere."""
+    def _sums(self, rotates: bool, mean: Mean, matrices: Array) -> Array:
+        """The same by equal steps, LANES times in all; matrices: space for those of `of_steps`, 0 elsewhere."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
-        nodes = np.arange(count) + 0.5 + GAUSS * np.array([-1, 0, 1])[:, None]
+        count = len(matrices) // (1 if rotates else 2)
+        nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])
         sn, cn, dn = mean.functions(nodes[..., None] / (4 * count))
         if rotates:
             a1, a2, w3 = cn, -np.sign(f) * sn, self.frame + f * dn
         else:  # the second quarter is the first one backwards, with -cn
             k = np.sqrt(self.modulus)
             a1, a2, rate = dn, -k * sn, f * k * cn
-            w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]], 1)
-            a1, a2 = (np.concatenate([x, x[::-1, ::-1]], 1) for x in (a1, a2))
+            w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]])
+            a1, a2 = (np.concatenate([x, x[::-1, ::-1]]) for x in (a1, a2))
         step = 0.5 * np.pi / (mean.a[-1] * np.abs(f) * count)
         half = 0.5 * (self.rotor + (C - A - B) * w3)
         square, both, common = w3 * w3, half * half, self.field - self.rotor * w3
-        parts[:, 0, 0, 2], parts[:, 0, 1, 3] = step / A, step / B
+        matrices[:, :, 0, 2], matrices[:, :, 1, 3] = step / A, step / B
         for value, places in (
             (half, ((0, 1, -step / A), (1, 0, step / B), (2, 3, -step / B), (3, 2, step / A))),
             ((B - C) * (square + g * a2 * a2) + common - both / B, ((2, 0, step),)),
             ((A - C) * (square + g * a1 * a1) + common - both / A, ((3, 1, step),)),
             (a1 * a2 * (0.5 * g * (2 * C - A - B - (B - A) ** 2 / C)), ((2, 1, step), (3, 0, step))),
         ):
-            for row, part in enumerate(between_nodes(*value)):
-                for i, j, factor in places:
-                    np.multiply(part, factor, out=parts[:, row, i, j])
+            for i, j, factor in places:
+                np.multiply(value, factor, out=matrices[:, :, i, j])
         # The order of the sums below may depend on the number of points.
-        H, log_scale = (np.resize(each, (LANES, *each.shape[1:])) for each in of_steps(parts))
+        H, log_scale = (np.resize(each, (LANES, *each.shape[1:])) for each in of_steps(matrices))
         matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
         trace = np.trace(matrix, axis1=1, axis2=2)
         return np.array([trace, 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)), 2 * log_scale])

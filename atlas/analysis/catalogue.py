@@ -22,7 +22,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     for family in system.families.values():
         if name not in (None, family.name):
             continue
-        stability = (
+        stability = family.stability_text or (
             "No closed form: eigenvalues of the linear equations at an equilibrium, else Floquet multipliers over"
             " the period of the rotation."
         )

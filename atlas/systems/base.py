@@ -104,6 +104,7 @@ class Family:
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
     # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
+    stability_text: str = ""  # what decides the stability, for the catalogue
     # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
     motion: Callable[[Points, Array], Array] | None = None
     geometry: str = ""  # flag of the variable `geometry`; empty where it depends on the point

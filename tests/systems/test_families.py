@@ -6,7 +6,6 @@ from family_starts import STARTS
 from scipy.integrate import solve_ivp
 from strategies import default_points, in_other_units, random_fixed_points, random_satellites, select
 
-from atlas.flags import Stability
 from atlas.papers.yehia2021.published import residual as missing_torque
 from atlas.systems import base
 from atlas.systems.fixed_point import FIXED_POINT, any_axis, families
@@ -126,18 +125,6 @@ def test_residuals_do_not_depend_on_the_units(system):
         for residual in (*conditions, lambda p, family=family: base.on_family(family, p)):
             with np.errstate(invalid="ignore"):  # no balanced motion where N < 0
                 np.testing.assert_array_equal(residual(other), residual(points), err_msg=name)
-
-
-@pytest.mark.parametrize("kind", [k for k in STARTS["fixed_point"] if k not in ("grioli", "balanced_field")])
-def test_closed_stability_is_that_of_the_linear_equations(kind):
-    points, family = starts(FIXED_POINT, kind, 15, 40)
-    stable, growth = FIXED_POINT.linear_stability(points, np.full(points["A"].size, family.flag))
-    general, of_general = FIXED_POINT.stability(points)
-    # the axis of a sphere need not be a principal one, as that of its equilibrium in another frame
-    known = (general != Stability.UNKNOWN) | (family.flag <= 4)
-    assert known.mean() > 0.7
-    np.testing.assert_array_equal(general[known], stable[known])
-    np.testing.assert_allclose(of_general[known], growth[known], rtol=1e-9, atol=1e-12)
 
 
 def points_on_and_off_families(system, count=3000):

@@ -45,11 +45,11 @@ import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
 from ..gyrostat.floquet import growth_of_periodic_motion
-from ..gyrostat.motions import about_axis, always_stable, each, family_about_axes, linear
+from ..gyrostat.motions import NEUTRAL, about_axis, each, family_about_axes, linear
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
 from . import equations, families
-from .families import NO_DISSIPATION, decide
+from .families import NO_DISSIPATION
 from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
@@ -183,18 +183,6 @@ class Lagrange(Start):
         rest, weight = cls.of(points, Mg=1.0).torque()
         return -rest / weight
 
-    @classmethod
-    def stability(cls, points: Points) -> tuple[Flags, Array]:
-        """As the family conical: stable where the squared frequency of nutation is positive."""
-        start = cls.of(points)
-        s, m, g, n = start.axes()
-        C = dot(start.inertia * s, s)
-        A, c = 0.5 * (start.inertia.sum(0) - C), dot(s, g)
-        spin = (C * (m + n * c) + dot(start.rotor, s)) / A
-        square = (n**2 + start.N * (C - A) / A) * (1 - c**2) + (spin - 2 * n * c) ** 2
-        size = (n**2 + np.abs(start.N * (C - A) / A)) + spin**2 + 4 * n**2 * c**2
-        return decide(square, size, np.sqrt(np.maximum(-square, 0.0)))
-
 
 class Rotation(Start):
     """A free body that turns about one axis."""
@@ -203,26 +191,6 @@ class Rotation(Start):
         rate = length(self.w)
         axis = unit(self.w, principal(np.full(rate.shape, 2)))
         return TwoAxes(axis, rate, axis, np.zeros_like(rate))
-
-    @classmethod
-    def stability(cls, points: Points) -> tuple[Flags, Array]:
-        """Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P).
-
-        P is the sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by
-        the symmetry of the body, distances grow like t at most, which counts as stable.
-        """
-        start = cls.of(points)
-        momentum = start.inertia * start.w + start.rotor
-        columns = []
-        for j in range(3):
-            axis = principal(np.full(momentum.shape[1:], j))
-            turn = cross(start.inertia * axis, start.w) + cross(momentum, axis)
-            columns.append(turn / start.inertia)
-        pairs = ((0, 1), (0, 2), (1, 2))
-        products = np.array([columns[i][i] * columns[j][j] - columns[i][j] * columns[j][i] for i, j in pairs])
-        size = np.array([np.abs(columns[i][j] * columns[j][i]) for i, j in pairs]).sum(0)
-        P = products.sum(0)
-        return decide(P, size, np.sqrt(np.maximum(-P, 0.0)))
 
 
 class Precession(Start):
@@ -408,7 +376,9 @@ FAMILIES = numbered(
                 ("(I w + l) x w = 0", lambda b: b.residual(cross(b.inertia * b.w + b.rotor, b.w))),
             ),
             solve=each(partial(Rotation.solve_rotor, lambda b: (-b.inertia * b.w, b.w)), *ROTORS),
-            stability=Rotation.stability,
+            stability_text="Euler's equations linearised: I x' = (I x) x w + (I w + l) x x has exponents 0 and +-sqrt(-P). P is the"
+            " sum of the principal minors of the matrix of the system; stable where it is positive. Where it is 0 by the symmetry"
+            " of the body, distances grow like t at most, which counts as stable.",
             labels="permanent rotation",
             exists="about each principal axis of a body without rotor",
         ),
@@ -423,8 +393,7 @@ FAMILIES = numbered(
                 ("l along the axis of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
             ),
             solve={"B": lambda points: points["A"].copy()},
-            # Neighbours of a free precession are free precessions: distances grow like t at most.
-            stability=always_stable,
+            stability_text=NEUTRAL,
             labels="regular precession (|G|/A, ((A - C) w.s - l.s)/A) about G = I w + l; permanent rotation where that"
             " is along s or m = 0",
         ),
@@ -441,7 +410,7 @@ FAMILIES = numbered(
                 ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", Lagrange.imbalance),
             ),
             solve={"Mg": Lagrange.solve_weight},
-            stability=Lagrange.stability,
+            stability_text="As the family conical: stable where the squared frequency of nutation is positive.",
             labels="regular precession (n, m) about the vertical; permanent rotation where one of the two rates is 0",
         ),
     ),

@@ -24,7 +24,6 @@ from functools import partial
 
 import numpy as np
 
-from ...flags import Stability
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
 from ..gyrostat import secular
 from ..gyrostat.motions import Equation, each, linear, motion_of, start_residual
@@ -195,80 +194,6 @@ def third_axis(points: Points) -> TwoAxes:
     return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)
 
 
-# A discriminant below this fraction of the magnitude of its terms is rounding and does not decide stability.
-ROUNDING = 1e-12
-
-
-def decide(value: Array, size: Array, growth: Array) -> tuple[Flags, Array]:
-    """Stable where value > 0, unstable where value < 0, unknown where it is rounding of terms of that size."""
-    clear = np.abs(value) > ROUNDING * size
-    stable = np.where(value > 0, Stability.STABLE, Stability.UNSTABLE)
-    stable = np.where(clear, stable, Stability.UNKNOWN).astype(np.int8)
-    return stable, np.where(stable == Stability.UNSTABLE, growth, 0.0)
-
-
-def nutation(points: Points) -> tuple[Array, Array]:
-    """Squared nutation frequency of a conical motion, rad^2 per time unit squared, and its terms' magnitude.
-
-    (n^2 + N (C - A)/A) sin^2 theta + ((C r + l3)/A - 2 n cos theta)^2, of the effective potential at fixed momenta.
-    """
-    gamma = vertical(points)
-    _, n, m = rates(points)
-    A, C, N = points["A"], points["C"], fields(points)[1]
-    s2 = gamma[0] ** 2 + gamma[1] ** 2
-    spin = (C * (m + n * gamma[2]) + points["l3"]) / A
-    gyroscopic = (spin - 2 * n * gamma[2]) ** 2
-    size = (n**2 + np.abs(N * (C - A) / A)) * s2 + spin**2 + 4 * n**2 * gamma[2] ** 2
-    return (n**2 + N * (C - A) / A) * s2 + gyroscopic, size
-
-
-def conical_stability(points: Points) -> tuple[Flags, Array]:
-    """Stable where the squared frequency of nutation is positive; else the tilt grows at the root of its size."""
-    value, size = nutation(points)
-    return decide(value, size, np.sqrt(np.maximum(-value, 0.0)))
-
-
-def sleeping_discriminant(points: Points) -> tuple[Array, Array]:
-    """(C r + l3)^2 - 4 A (N (C - A) - s Mg z0) of a symmetric body on the vertical, s = cos theta, and its terms' magnitude."""
-    Mg, N = fields(points)
-    A, C = points["A"], points["C"]
-    spin = C * initial_state(points)[2] + points["l3"]
-    gradient, weight = N * (C - A), np.sign(vertical(points)[2]) * Mg * points["z0"]
-    size = spin**2 + 4 * A * (np.abs(gradient) + np.abs(weight))
-    return spin**2 - 4 * A * (gradient - weight), size
-
-
-def sleeping_stability(points: Points) -> tuple[Flags, Array]:
-    """A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0), s = cos theta."""
-    value, size = sleeping_discriminant(points)
-    return _of_symmetric(points, decide(value, size, np.sqrt(np.maximum(-value, 0.0)) / (2 * points["A"])))
-
-
-def staude_stability(points: Points) -> tuple[Flags, Array]:
-    """A = B, rotor and weight along the axis: as conical with m = 0."""
-    return _of_symmetric(points, conical_stability(points))
-
-
-def rest_stability(points: Points) -> tuple[Flags, Array]:
-    """At rest: as staude with n = 0. A free body that turns about its third axis: stable where
-    ((C - A) m + l3) ((C - B) m + l3) > 0.
-    """
-    stable, growth = staude_stability(points)
-    A, B, C, m = points["A"], points["B"], points["C"], rates(points)[2]
-    # Euler's equations linearised, with a rotor.
-    first, second = (C - A) * m + points["l3"], (C - B) * m + points["l3"]
-    size = (np.abs((C - A) * m) + np.abs(points["l3"])) * (np.abs((C - B) * m) + np.abs(points["l3"]))
-    turning = decide(first * second, size, np.sqrt(np.maximum(-first * second / (A * B), 0.0)))
-    free = (m != 0) & ~symmetric(points)
-    return np.where(free, turning[0], stable), np.where(free, turning[1], growth)
-
-
-def _of_symmetric(points: Points, closed: tuple[Flags, Array]) -> tuple[Flags, Array]:
-    """The closed form of a symmetric body; unknown of another one, whose linear equations decide."""
-    where = symmetric(points)
-    return np.where(where, closed[0], Stability.UNKNOWN).astype(np.int8), np.where(where, closed[1], np.nan)
-
-
 _MOTION = motion_of(third_axis, lambda points: (vertical(points),))
 _RESTING = partial(precession, n=0.0)
 _STILL = Equation("theta' = 0", lambda p: rates(p)[0], _rate)
@@ -300,7 +225,7 @@ FAMILIES = numbered(
                 "theta0": _solve_theta,
                 "n": _solve_n,
             },
-            stability=conical_stability,
+            stability_text="Stable where the squared frequency of nutation is positive; else the tilt grows at the root of its size.",
             geometry="conical",
             paper_wording="Lagrange's case",
             labels="regular precession (n, m); permanent rotation where one of the two rates is 0",
@@ -323,7 +248,8 @@ FAMILIES = numbered(
                 **linear(lambda p: _upright(p)[0], "x0", keep=True),
                 **linear(lambda p: _upright(p)[1], "y0", keep=True),
             },
-            stability=sleeping_stability,
+            stability_text="A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0),"
+            " s = cos theta.",
             geometry="sleeping",
             paper_wording="permanent rotation with spin r0 about the z axis",
             labels="permanent rotation about the vertical at n +- m",
@@ -338,7 +264,7 @@ FAMILIES = numbered(
                 **each(_solve_direction, "theta0", "phi0"),
                 **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),
             },
-            stability=staude_stability,
+            stability_text="A = B, rotor and weight along the axis: as conical with m = 0.",
             geometry="staude",
             labels="permanent rotation about the vertical at n",
             exists="2, 4 or 6 directions of a body off special ones, and sets of them for these;"
@@ -362,7 +288,8 @@ FAMILIES = numbered(
                 **linear(_RESTING, "N", "Mg", "z0", keep=True),
                 **each(partial(_possible_moment, _RESTING), "C"),
             },
-            stability=rest_stability,
+            stability_text="At rest: as staude with n = 0. A free body that turns about its third axis: stable where"
+            " ((C - A) m + l3) ((C - B) m + l3) > 0.",
             labels="permanent rotation: at rest, or turning at m about the resting third axis",
             free=("psi0",),
         ),

@@ -13,6 +13,9 @@ import numpy as np
 
 from ..base import Array, Mask
 
+# Share of moments, momenta and torques up to which they are rounding; its root is below the growth rates that count.
+ROUNDING = 1e-13
+
 
 class Direction(NamedTuple):
     """What acts along a direction d at rest in the frame: the potential (gradient d.I d) / 2 + field.d."""
@@ -58,17 +61,30 @@ class Body(NamedTuple):
         rate = np.abs(self.turn) + length(w) + np.sqrt(squares[0]) + np.sqrt(squares[1])
         return np.where(rate == 0, 1.0, rate)
 
+    def spherical(self) -> Mask:
+        """Where all moments are equal but for rounding."""
+        return np.ptp(self.inertia, axis=-1) <= ROUNDING * self.inertia.max(-1)
+
     def acts_along(self, direction: Direction) -> Mask:
         """Where a direction exerts a torque on the body in some orientation."""
-        spherical = self.inertia.max(-1) == self.inertia.min(-1)
-        return np.asarray(((direction.gradient != 0) & ~spherical) | (direction.field != 0).any(-1))
+        return ((direction.gradient != 0) & ~self.spherical()) | (direction.field != 0).any(-1)
 
-    def symmetric_about(self, i: int) -> Mask:
-        """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it."""
-        across = [(i + 1) % 3, (i + 2) % 3]
-        vectors = self.rotor, self.alpha.field, self.gamma.field
-        aligned = [(vector[..., across] == 0).all(-1) for vector in vectors]
-        return np.logical_and.reduce([self.inertia[..., across[0]] == self.inertia[..., across[1]], *aligned])
+    def symmetric_about(self, i: int, rate: Array | float = 0.0) -> Mask:
+        """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it.
+
+        rate: where it is not 0, differences that are rounding beside its momentum and torque do not count.
+        """
+        j, k = (i + 1) % 3, (i + 2) % 3
+        limit = np.where(rate > 0, ROUNDING, 0.0) * self.inertia.max(-1)
+        symmetric = np.abs(self.inertia[..., j] - self.inertia[..., k]) <= limit
+        torque = limit * rate**2
+        for vector, bound in (
+            (self.rotor, limit * rate),
+            (self.alpha.field, torque),
+            (self.gamma.field, torque),
+        ):
+            symmetric &= (np.abs(vector[..., j]) <= bound) & (np.abs(vector[..., k]) <= bound)
+        return symmetric
 
     def amended(self) -> tuple[Direction, Direction]:
         """alpha and gamma with the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
@@ -89,8 +105,17 @@ class Body(NamedTuple):
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
         """Symmetric part of the Hessian of W."""
-        hessian = self.gradient(alpha, gamma)[1]
-        return 0.5 * (hessian + np.swapaxes(hessian, -1, -2))
+        result = np.zeros((*np.broadcast_shapes(alpha.shape, self.inertia.shape), 3))
+        for d, v in zip(self.amended(), (alpha, gamma), strict=True):
+            moments = np.moveaxis(d.gradient[..., None] * self.inertia, -1, 0)
+            f, v = np.moveaxis(d.field, -1, 0), np.moveaxis(v, -1, 0)
+            for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+                tilt = (moments[j] - moments[k]) * (v[k] ** 2 - v[j] ** 2)
+                result[..., i, i] += tilt - f[j] * v[j] - f[k] * v[k]
+                mixed = (moments[i] + moments[j] - 2 * moments[k]) * v[i] * v[j]
+                result[..., i, j] += 0.5 * (mixed + f[i] * v[j] + f[j] * v[i])
+                result[..., j, i] = result[..., i, j]
+        return result
 
     def steepness(self) -> Array:
         """Bound of the second derivatives of W under rotations, (...,)."""

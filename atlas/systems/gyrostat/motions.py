@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ...flags import Stability
 from .. import base
-from ..base import Array, Condition, Family, Flags, Points, TwoAxes, motion_about_axes, shape_of, shared
+from ..base import Array, Condition, Family, Points, TwoAxes, motion_about_axes, shape_of, shared
 from ..jacobian import STEP
 from ..vectors import across, dot, length, principal, ratio
 
@@ -57,10 +56,8 @@ def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
 
 
-def always_stable(points: Points) -> tuple[Flags, Array]:
-    """Stability, as Family.stability, of motions near which no distance grows faster than t."""
-    shape = np.shape(points["A"])
-    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
+# Text of Family.stability_text.
+NEUTRAL = "Stability, as Family.stability, of motions near which no distance grows faster than t."
 
 
 def family_about_axes(

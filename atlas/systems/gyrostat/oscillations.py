@@ -41,6 +41,8 @@ from .body import Body, across, cross_matrix, length
 # Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
 # as its error.
 GROWTH_TOLERANCE = 1e-6
+# Relative distance up to which two squared exponents are equal but for rounding.
+_DOUBLE = 8 * np.finfo(float).eps
 _ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
 
 
@@ -79,8 +81,8 @@ class Equilibria(NamedTuple):
         points = np.flatnonzero(exists)
         unit = np.eye(3)[axis] * (axis >= 0)[:, None]
         rotor = body.rotor + unit * body.inertia * (w - turn[:, None] * gamma)
-        asleep = any_frame & (length(np.cross(unit, gamma)) <= FAMILY_TOLERANCE)
-        free |= asleep & (axis >= 0) & ~body.acts_along(body.gamma)
+        asleep = any_frame & (length(gamma * (1 - unit)) <= FAMILY_TOLERANCE)
+        free |= asleep & ~body.acts_along(body.gamma)
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         cyclic = np.stack([vertical, np.where(asleep[:, None], 0.0, unit)], -1)
         equivalent = body._replace(turn=turn, rotor=rotor).subset(points).scaled(rate[points])
@@ -94,30 +96,32 @@ class Equilibria(NamedTuple):
         hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)
         following = [1, 2, 0], [2, 0, 1]
-        across = hessian[:, *following]
-        minors = diagonal[:, following[0]] * diagonal[:, following[1]] - across**2
+        minors = diagonal[:, following[0]] * diagonal[:, following[1]] - hessian[:, *following] ** 2
         products = inertia[:, following[0]] * inertia[:, following[1]]
-        coefficients = np.stack(
-            [
-                np.linalg.det(hessian),
-                (inertia * minors).sum(1) + (v * (hessian @ v[..., None])[..., 0]).sum(1),
-                (diagonal * products + inertia * v**2).sum(1),
-            ],
-            1,
-        ) / inertia.prod(1)[:, None]  # fmt: skip
-        result = np.full((len(v), 3), np.nan, complex)
+        volume = inertia.prod(1)
+        P = (diagonal * products + inertia * v**2).sum(1) / volume
+        Q = ((inertia * minors).sum(1) + (v * (hessian @ v[..., None])[..., 0]).sum(1)) / volume
         degree = 3 - (self.cyclic != 0).any(1).sum(1)
-        for size in (1, 2, 3):
-            members = np.flatnonzero(degree == size)
-            companion = np.zeros((members.size, size, size))
-            companion[:, range(1, size), range(size - 1)] = 1.0
-            companion[:, :, -1] = -coefficients[members, 3 - size :]
-            finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of the smallest rates underflow
-            result[members[~finite]] = np.inf
-            result[members[finite], :size] = np.linalg.eigvals(companion[finite])
+        Q = np.where(degree == 1, 0.0, Q)
+        # x^2 + P x + Q = 0: the larger root is a sum without cancellation, and gives the other one.
+        square = np.where(np.abs(0.25 * P**2 - Q) <= _DOUBLE * 0.25 * P**2, 0.0, 0.25 * P**2 - Q)
+        root = np.sqrt(square + 0j)
+        larger = -0.5 * P - np.copysign(root.real, P) + 1j * root.imag
+        result = np.full((len(v), 3), np.nan, complex)
+        result[:, 0] = larger
+        result[degree > 1, 1] = (Q / np.where(larger == 0, 1.0, larger))[degree > 1]
+        cubic = np.flatnonzero(degree == 3)
+        companion = np.zeros((cubic.size, 3, 3))
+        companion[:, (1, 2), (0, 1)] = 1.0
+        companion[:, :, -1] = -np.stack(
+            [np.linalg.det(hessian[cubic]) / volume[cubic], Q[cubic], P[cubic]], 1
+        )
+        finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of the smallest rates underflow
+        result[cubic[finite]] = np.linalg.eigvals(companion[finite])
+        result[cubic[~finite]] = result[~np.isfinite(P + Q)] = np.inf
         # The angular momentum of a free body, turned aside, turns with the frame: x = -Omega^2 is no oscillation.
         free = np.flatnonzero(self.free & (degree > 0))
-        result[free, 0] = -coefficients[free, 2] + self.body.turn[free] ** 2
+        result[free, 0] = -P[free] + self.body.turn[free] ** 2
         result[free, 1] = np.nan
         result[np.flatnonzero(self.free & (degree == 1)), 0] = np.nan
         return result
@@ -200,18 +204,22 @@ class Equilibria(NamedTuple):
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
     """Body and motion with the first axis of a sphere, of which every axis is principal, along rotor and fields, else across w."""
+    spheres = body.spherical()
+    if not spheres.any():
+        return body, w, alpha, gamma
     carried = np.stack([body.rotor, body.alpha.field, body.gamma.field])
     size, moving = length(carried), np.where((length(w) > 0)[:, None], w, gamma)
     bare = size.max(0) == 0
     axis = np.where(bare[:, None], across(moving)[:, 0], carried[size.argmax(0), np.arange(len(w))])
     axis = axis / length(axis)[:, None]
     one_line = (length(np.cross(carried, axis)) <= FAMILY_TOLERANCE * size).all(0)
-    turned = (np.ptp(body.inertia, axis=1) == 0) & one_line & (bare | ((axis != 0).sum(1) > 1))
+    turned = spheres & one_line & (bare | ((axis != 0).sum(1) > 1))
     rows = np.where(turned[:, None, None], np.concatenate([axis[:, None], across(axis)], 1), np.eye(3))
     along = np.where(turned[:, None], (carried * axis).sum(-1)[..., None] * np.eye(3)[0], carried)
     fields = body.alpha._replace(field=along[1]), body.gamma._replace(field=along[2])
     w, alpha, gamma = ((rows @ v[..., None])[..., 0] for v in (w, alpha, gamma))
-    return body._replace(rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
+    inertia = np.where(turned[:, None], body.inertia[:, :1], body.inertia)
+    return body._replace(inertia=inertia, rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
 
 
 def _turn_and_axis(
@@ -230,7 +238,8 @@ def _turn_and_axis(
         balanced = 0.0 if from_space else gamma[:, i] * momentum / (2 * body.inertia[:, across[0]])
         own = np.where(any_frame, np.where(asleep, balanced, chosen), body.turn)
         turning = length((w - own[:, None] * gamma)[:, across])
-        symmetric = body.symmetric_about(i) & ~exists & ((turning <= tolerance) | (body.damping > 0))
+        steady = (turning <= tolerance) | (body.damping > 0)
+        symmetric = body.symmetric_about(i, rate) & ~exists & steady
         turn, axis = np.where(symmetric, own, turn), np.where(symmetric, i, axis)
         exists |= symmetric
     rest = (length(w - turn[:, None] * gamma) <= tolerance) | (body.damping > 0)

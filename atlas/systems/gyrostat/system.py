@@ -73,11 +73,8 @@ class Gyrostat(System):
         return self.identify_family(points)[0]
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        """From the closed form of the family, where it decides and nothing is damped, else from the linear equations."""
+        """From the linear equations, or by the family where these have no steady frame."""
         stable, growth = super().linear_stability(points, flags)
-        if "damping" in points:  # the closed forms are without it
-            damped = points["damping"] > 0
-            stable[damped], growth[damped] = Stability.UNKNOWN, np.nan
         remaining = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & (stable == Stability.UNKNOWN))
         for first in range(0, remaining.size, _CHUNK):
             chunk = remaining[first : first + _CHUNK]
@@ -107,8 +104,6 @@ class Gyrostat(System):
         turn = self.body(points).turn
         short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
         where = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & short)
-        closed = super().linear_stability(subset(points, where), flags[where])[0]
-        where = where[closed == Stability.UNKNOWN]
         for first in range(0, where.size, _CHUNK):
             chunk = where[first : first + _CHUNK]
             part = subset(points, chunk)
@@ -218,4 +213,6 @@ class Gyrostat(System):
 def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
     """Motions that are no equilibria, and turn steadily."""
     moving = np.delete(np.arange(body.turn.size), rest.points)
+    if not moving.size:
+        return moving
     return moving[body.subset(moving).turns_steadily(*(vector[moving] for vector in start))]

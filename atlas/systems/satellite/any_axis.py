@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base import Array, Points, TwoAxes, numbered
-from ..gyrostat.motions import about_axis, always_stable, family_about_axes
+from ..gyrostat.motions import NEUTRAL, about_axis, family_about_axes
 from ..vectors import cross, dot, length, ratio, unit
 from . import families
 from .conditions import magnetic_moment
@@ -90,8 +90,7 @@ _SPHERICAL = family_about_axes(
     title="spherical body turning about any axis of its own, which precesses about the normal",
     equations="derived from (1)-(3); not in the paper",
     solve={name: lambda points: points["A"].copy() for name in ("B", "C")},
-    # The squared frequency of nutation, (N sin)^2 + ((C w.s + k.s)/C - 2 N cos)^2, is never negative.
-    stability=always_stable,
+    stability_text=NEUTRAL,
     labels="regular precession about the normal in the orbital frame at n, in space at n + Omega; permanent rotation"
     " where that rate or m is 0",
     exists="every start without rotor, magnet and damping: n = -Omega, a permanent rotation in space",

@@ -10,8 +10,7 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
-Their equations are in `conditions`, with the closed forms of their stability, and give the parameters in which they are
-linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
+Their equations are in `conditions` and give the parameters in which they are linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
 w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(|mu| |h| / J), momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
 motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.
@@ -27,7 +26,7 @@ import numpy as np
 
 from ..base import Array, Family, Points, numbered
 from ..gyrostat import motions
-from ..gyrostat.motions import about_third_axis, always_stable, each, linear, motion_of, quotient, relative_to
+from ..gyrostat.motions import about_third_axis, each, linear, motion_of, quotient, relative_to
 from ..vectors import cross
 from . import conditions as the
 from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
@@ -97,7 +96,20 @@ _TILT_LABELS = (
     " permanent rotation where m = 0"
 )
 _tilted = partial(Family, labels=_TILT_LABELS, free=("phi0",))
-_symmetric = partial(_tilted, stability=the.stability_tilted)
+_symmetric = partial(
+    _tilted,
+    stability_text="Symmetric body, k and mu along the axis, n = 0: lambda^4 + P lambda^2 + Q = 0. With the axial momentum"
+    " p = (C w3 + k3) / a conserved, the axis moves like a charge on the sphere: U = -Omega^2 s^2/2 - Omega p c"
+    " + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / a, D = C/a - 1, P = U_tt + U_pp / s^2"
+    " + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.",
+)
+_ABOUT_NORMAL = (
+    "Rotation about the orbit's normal and an axis of symmetry along it, with k and mu along it too. With J the moment about"
+    " that axis, T across it, nu the rate in the orbital frame: p = (J (Omega + nu) + k.gamma) / T,"
+    " U_2 = Omega p - Omega^2 - h3 mu.gamma / T, U_1 = U_2 + 3 Omega^2 (J/T - 1),"
+    " lambda^4 + (U_1 + U_2 + (2 Omega - p)^2) lambda^2 + U_1 U_2 = 0. Unknown where k or h3 mu has a part across the axis:"
+    " the linear system is then periodic in time."
+)
 _TABLE = (
     Family(
         name="cylindrical",
@@ -105,7 +117,7 @@ _TABLE = (
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
         conditions=(the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
         solve={**each(nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
-        stability=the.stability_about_normal,
+        stability_text=_ABOUT_NORMAL,
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
         "(inertial); n != 0: cylindrical regular precession in both",
@@ -251,8 +263,7 @@ _TABLE = (
             the.NO_TRANSVERSE_TORQUE, the.SPHERICAL_BALANCE,
         ),
         solve=the.SPHERICAL_BALANCE.solve("n", "m", "h3", "k3"),
-        # seen from axes that turn with n + Omega, lambda^2 = 0 twice and -((N s)^2 + (2 N c - p)^2)
-        stability=always_stable,
+        stability_text=motions.NEUTRAL,
         geometry="general",
         paper_wording="spherical symmetry: regular precession",
         labels="regular precession (n, m) in the orbital frame and (n + Omega, m) in space; permanent rotation where"
@@ -273,7 +284,7 @@ _TABLE = (
             ),
             "k3", "k1", "k2",
         ),
-        stability=the.stability_about_normal,
+        stability_text=_ABOUT_NORMAL,
         geometry="general",
         labels="permanent rotation in both frames, about the normal at n and in space at n + Omega",
         exists="n = -Omega only with h3 mu along the normal; k is then free",

@@ -5,11 +5,17 @@ one field holds about the resultant.
 
 import numpy as np
 
+from atlas.flags import Stability
 from atlas.systems.base import Family, TwoAxes, numbered
 from atlas.systems.gyrostat import Equation, about_third_axis, angular_velocity, directions, motion_of
-from atlas.systems.gyrostat.motions import always_stable
 
 from .parameters import vectors
+
+
+def stable_precession(points):
+    """Its squared frequency of nutation is never negative: stable, without growth."""
+    shape = points["A"].shape
+    return np.full(shape, Stability.STABLE, np.int8), np.zeros(shape)
 
 
 def torque(points):
@@ -110,7 +116,7 @@ FAMILIES = numbered(
             solve=PRECESSION.solve("l3"),
             axes=lambda points: about_resultant(points)[0],
             motion=motion_of(lambda points: about_resultant(points)[0], directions),
-            stability=always_stable,
+            stability=stable_precession,
             labels="regular precession about the resultant, and drifting about the vertical",
         ),
     )

@@ -1,0 +1,34 @@
+"""The linear theory of stability against the closed forms of single families."""
+
+import numpy as np
+import pytest
+from closed_forms import ROWS, stability
+
+from atlas.flags import Stability
+
+
+@pytest.mark.parametrize("kind", ROWS)
+def test_rounding_of_the_body_changes_nothing(kind):
+    system, name, draw, _ = ROWS[kind]
+    rng = np.random.default_rng(16)
+    points = draw(rng, 40)
+    flags = np.full(points["A"].size, system.families[name].flag)
+    rounding = 4e-16 * rng.choice([-1.0, 0.0, 1.0], (6, points["A"].size))
+    rotor = [f"{system.axial_rotor[0]}{i}" for i in (1, 2, 3)]
+    moved = points | {each: points[each] * (1 + rounding[i]) for i, each in enumerate("ABC")}
+    moved |= {each: points[each] + rounding[i] for i, each in enumerate(rotor, 3)}
+    (stable, growth), (expected, rate) = (system.linear_stability(p, flags) for p in (moved, points))
+    np.testing.assert_array_equal(stable, expected)
+    np.testing.assert_allclose(growth, rate, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", ROWS)
+def test_stability_is_that_of_the_closed_form(kind):
+    system, name, draw, form = ROWS[kind]
+    points = draw(np.random.default_rng(15), 1000)
+    stable, growth = system.linear_stability(points, np.full(points["A"].size, system.families[name].flag))
+    unstable, expected = stability(*form(points))
+    np.testing.assert_array_equal(stable, np.where(unstable, Stability.UNSTABLE, Stability.STABLE))
+    difference = growth**2 - np.where(unstable, expected, 0.0) ** 2
+    assert (np.abs(difference) < 1e-12 * system.frequency_bound(points) ** 2).all()
+    assert stable.size > 300

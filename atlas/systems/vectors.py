@@ -25,8 +25,7 @@ def length(vector: Array) -> Array:
 
 def unit(vector: Array, otherwise: Array | float = np.nan) -> Array:
     """The vector over its length, another one where that is 0."""
-    size = length(vector)
-    return np.where(size > 0, vector / np.where(size > 0, size, 1.0), otherwise)
+    return ratio(vector, length(vector), otherwise)
 
 
 def across(vector: Array, axis: Array) -> Array:
@@ -34,9 +33,9 @@ def across(vector: Array, axis: Array) -> Array:
     return vector - dot(vector, axis) * axis
 
 
-def ratio(value: Array, scale: Array) -> Array:
-    """value / scale, 0 where the scale is 0: where nothing moves and nothing acts."""
-    return np.divide(value, scale, out=np.zeros_like(scale), where=scale > 0)
+def ratio(value: Array, scale: Array, where_zero: Array | float = 0.0) -> Array:
+    """value / scale, and where the scale is 0 another value, as 0 where nothing moves and nothing acts."""
+    return np.where(scale == 0, where_zero, value / np.where(scale == 0, 1.0, scale))
 
 
 def principal(index: NDArray[np.intp]) -> Array:

@@ -10,11 +10,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
 # Share of moments, momenta and torques up to which they are rounding; its root is below the growth rates that count.
 ROUNDING = 1e-13
+_DOUBLE = 8 * np.finfo(float).eps  # relative difference up to which two roots are equal but for rounding
 
 
 class Direction(NamedTuple):
@@ -219,6 +221,15 @@ def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask |
 def perron_root(first: Array, second: Array, product: Array) -> Array:
     """Largest eigenvalue of 2 x 2 matrices of this diagonal and this product of the other entries, all positive."""
     return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
+
+
+def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Roots of x^2 + P x + Q = 0; the larger one is a sum without cancellation, and gives the other one."""
+    square = 0.25 * P**2
+    square = np.where(np.abs(square - Q) <= _DOUBLE * square, 0.0, square - Q)
+    root = np.sqrt(square + 0j)
+    larger = -0.5 * P - np.copysign(root.real, P) + 1j * root.imag
+    return larger, Q / np.where(larger == 0, 1.0, larger)
 
 
 def length(v: Array) -> Array:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ...flags import Stability
 from ..base import Array, Flags
-from .body import Body, length
+from .body import Body, length, quadratic_roots
 from .fundamental import of_harmonics
 
 # |s| - 2 and (s1 - s2)^2 / 4, with s = multiplier + 1/multiplier, up to this are round-off and the error of the integration:
@@ -54,7 +54,7 @@ def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, 
     """
     rotation = _Rotation(body, w, alpha, gamma)
     stable, exponent = rotation.by_multipliers()
-    slow = np.flatnonzero(rotation.steps > _MAX_STEPS)
+    slow = np.flatnonzero(np.isinf(rotation.steps))
     if slow.size:
         exponent[slow] = rotation.adiabatic_exponent(slow)
         stable[slow] = np.where(exponent[slow] > 0, Stability.UNSTABLE, Stability.STABLE)
@@ -68,8 +68,33 @@ def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array
     return rotation.over_spans(np.full(duration.shape, np.nan), lambda _, log_scale: log_scale)
 
 
-class _Rotation:
-    """Linear systems of turning bodies as a mean and two harmonics over the period, and the steps over a span."""
+class _Periodic:
+    """Linear systems as a mean and two harmonics over the period, and the steps over a span; infinite: it is not integrated."""
+
+    def __init__(self, harmonics: NDArray[np.complex128], period: Array, span: Array, steps: Array):
+        self.harmonics, self.period, self.span = harmonics, period, span
+        self.steps = 2.0 ** np.ceil(np.log2(steps))
+
+    def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
+        """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
+        for count in np.unique(self.steps[np.isfinite(self.steps)]):
+            members = np.flatnonzero(self.steps == count)
+            part = self.harmonics[:, members], self.period[members], self.span[members]
+            result[..., members] = of(*of_harmonics(*part, int(count)))
+        return result
+
+    def by_multipliers(self, ones: int = 0) -> tuple[Flags, Array]:
+        """Stability, and the logarithm of the largest multiplier over the period; nan where it is not integrated.
+
+        ones: number of multipliers that are 1 whatever the motion.
+        """
+        values = np.full((2, *self.period.shape), np.nan)
+        self.over_spans(values, lambda *monodromy: np.array(_multipliers(*monodromy, ones)))
+        return np.nan_to_num(values[0]).astype(np.int8), values[1]
+
+
+class _Rotation(_Periodic):
+    """Linear systems of turning bodies."""
 
     def __init__(self, body: Body, w: Array, alpha: Array, gamma: Array, duration: Array | None = None):
         self.rate = np.abs(body.turn) + length(w)
@@ -84,33 +109,15 @@ class _Rotation:
 
         alpha, gamma = turned(alpha), turned(gamma)
         matrices = body.across_rotation(u + body.turn[:, None] * gamma, u, alpha, gamma)
-        self.harmonics = np.fft.rfft(matrices, axis=0) / 5
-        self.period = 2 * np.pi / size
-        self.span = self.period if duration is None else duration * self.rate
+        harmonics, period = np.fft.rfft(matrices, axis=0) / 5, 2 * np.pi / size
+        span = period if duration is None else duration * self.rate
         # Root mean square over the period of the system's norm, in units of xi and p that make it least.
-        square = (np.abs(self.harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum(0)
+        square = (np.abs(harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum(0)
         square = square.reshape(-1, 2, 2, 2, 2).sum((2, 4))
         product = np.sqrt(square[:, 0, 1] * square[:, 1, 0])
         norm = np.sqrt(square[:, 0, 0] + square[:, 1, 1] + 2 * product)
-        self.steps = 2.0 ** np.ceil(np.log2(np.maximum(self.span * norm / _STEP, _MIN_STEPS)))
-
-    def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
-        for count in np.unique(self.steps[self.steps <= _MAX_STEPS]):
-            members = np.flatnonzero(self.steps == count)
-            result[..., members] = of(
-                *of_harmonics(
-                    self.harmonics[:, members], self.period[members], self.span[members], int(count)
-                )
-            )
-        return result
-
-    def by_multipliers(self) -> tuple[Flags, Array]:
-        """Stability, and the logarithm of the largest multiplier over the period; nan where it is not integrated."""
-        values = self.over_spans(
-            np.full((2, *self.rate.shape), np.nan), lambda *m: np.array(_multipliers(*m))
-        )
-        return np.nan_to_num(values[0]).astype(np.int8), values[1]
+        super().__init__(harmonics, period, span, np.maximum(span * norm / _STEP, _MIN_STEPS))
+        self.steps[self.steps > _MAX_STEPS] = np.inf
 
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
         """Growth over a period that is long against all other times, as a logarithm; nan where it is not certain.
@@ -124,7 +131,7 @@ class _Rotation:
             matrix = _matrix_at(harmonics, np.full(period.shape, phase))
             P = -0.5 * np.einsum("nij,nji->n", matrix, matrix)
             Q = np.linalg.det(matrix)
-            total += quartic_growth(P, Q)
+            total += np.sqrt(quadratic_roots(P, Q)).real.max(0)
             with np.errstate(divide="ignore", invalid="ignore"):
                 distance = np.minimum(Q, 0.25 * P**2 - Q) / P**1.5 * period / (2 * np.pi)
             margin = np.fmin(margin, np.where(P > 0, distance, -np.inf))
@@ -140,27 +147,24 @@ def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128])
     return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
 
 
-def quartic_growth(P: Array, Q: Array) -> Array:
-    """Largest real part of the roots of lambda^4 + P lambda^2 + Q = 0."""
-    root = np.sqrt(np.maximum(P * P - 4 * Q, 0.0))
-    # -P + root without cancellation where P > 0
-    real = np.where(P > 0, -2 * Q / np.where(P > 0, P + root, 1.0), 0.5 * (root - P))
-    spiral = np.sqrt(np.maximum(Q, 0.0)) - 0.5 * P
-    return np.where(P * P < 4 * Q, np.sqrt(np.maximum(0.5 * spiral, 0)), np.sqrt(np.maximum(real, 0)))
+def _multipliers(monodromy: Array, log_scale: Array, ones: int) -> tuple[Flags, Array]:
+    """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale).
 
-
-def _multipliers(monodromy: Array, log_scale: Array) -> tuple[Flags, Array]:
-    """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale)."""
+    All but ones of the multipliers, which are 1, are two pairs, or one, of which the trace is the sum.
+    """
     # Traces give multipliers on the unit circle exactly, and lose the smaller ones beside large ones.
     moderate = log_scale < 16
     largest = np.ones(log_scale.shape)
     largest[~moderate] = np.abs(np.linalg.eigvals(monodromy[~moderate])).max(-1)
     matrix = monodromy * np.exp(np.where(moderate, log_scale, 0.0))[:, None, None]
-    trace = np.trace(matrix, axis1=1, axis2=2)
-    product = 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)) - 2
-    discriminant = 0.25 * trace**2 - product
-    root = np.sqrt(discriminant.astype(complex))
-    s = np.array([0.5 * trace + root, 0.5 * trace - root])  # multiplier + 1/multiplier of the two pairs
+    trace = np.trace(matrix, axis1=1, axis2=2) - ones
+    if matrix.shape[1] - ones == 2:
+        s, discriminant = trace[None] + 0j, np.full(trace.shape, np.inf)
+    else:
+        product = 0.5 * (trace**2 - np.einsum("nij,nji->n", matrix, matrix)) - 2
+        discriminant = 0.25 * trace**2 - product
+        root = np.sqrt(discriminant.astype(complex))
+        s = np.array([0.5 * trace + root, 0.5 * trace - root])  # multiplier + 1/multiplier of the two pairs
     with np.errstate(divide="ignore"):
         by_eigenvalue = np.log(largest) + log_scale
     exponent = np.where(moderate, np.abs(np.arccosh(s / 2).real).max(0), by_eigenvalue)
@@ -191,18 +195,7 @@ def growth_of_periodic_motion(
     samples = matrix(where, period[where] * np.arange(5)[:, None] / 5)
     harmonics, quarters = np.fft.rfft(samples, axis=0) / 5, np.array([1, 1j, -1, -1j])[:, None]
     norms = np.sqrt((_matrix_at(harmonics, np.repeat(quarters, where.size, axis=1)) ** 2).sum((-2, -1)))
-    steps_needed = _STEPS_PER_NORM * norms.max(0) * period[where]
-    count = 2 ** np.ceil(np.log2(np.maximum(steps_needed, _MIN_STEPS_CLOSED)))
-    for steps in np.unique(count[np.isfinite(count)]).astype(int):
-        members = np.flatnonzero(count == steps)
-        part = where[members]
-        result, log_scale = of_harmonics(harmonics[:, members], period[part], period[part], steps)
-        s = np.abs(np.trace(result, axis1=-2, axis2=-1) * np.exp(log_scale) - 4)
-        growth[part] = np.where(
-            s > 2 + TRACE_TOLERANCE, np.arccosh(np.maximum(s / 2, 1.0)) / period[part], 0.0
-        )
-        stable[part] = np.select(
-            [s > 2 + TRACE_TOLERANCE, s < 2 - TRACE_TOLERANCE], [Stability.UNSTABLE, Stability.STABLE]
-        )
-    unknown = ~np.isfinite(growth)
-    return np.where(unknown, Stability.UNKNOWN, stable).astype(np.int8), np.where(unknown, np.nan, growth)
+    steps = np.maximum(_STEPS_PER_NORM * norms.max(0) * period[where], _MIN_STEPS_CLOSED)
+    system = _Periodic(harmonics, period[where], period[where], steps)
+    stable[where], growth[where] = system.by_multipliers(ones=4)
+    return stable, growth / period

@@ -159,10 +159,4 @@ def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, So
 
 def relative_to(value: Array, scale: Array) -> Array:
     """value / scale, 0 where value is 0, nan where only scale is."""
-    safe = np.where(scale == 0, 1.0, scale)
-    return np.where(value == 0, 0.0, np.where(scale == 0, np.nan, value / safe))
-
-
-def quotient(value: Array, by: Array) -> Array:
-    """value / by, nan where by is 0: nothing to solve for."""
-    return np.where(by == 0, np.nan, value / np.where(by == 0, 1.0, by))
+    return ratio(value, scale, np.where(value == 0, 0.0, np.nan))

@@ -36,13 +36,11 @@ from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
-from .body import Body, across, cross_matrix, length
+from .body import Body, across, cross_matrix, length, quadratic_roots
 
 # Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
 # as its error.
 GROWTH_TOLERANCE = 1e-6
-# Relative distance up to which two squared exponents are equal but for rounding.
-_DOUBLE = 8 * np.finfo(float).eps
 _ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
 
 
@@ -85,10 +83,9 @@ class Equilibria(NamedTuple):
         free |= asleep & ~body.acts_along(body.gamma)
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         cyclic = np.stack([vertical, np.where(asleep[:, None], 0.0, unit)], -1)
-        equivalent = body._replace(turn=turn, rotor=rotor).subset(points).scaled(rate[points])
-        return cls(
-            points, equivalent, alpha[points], gamma[points], rate[points], cyclic[points], free[points]
-        )
+        some = points if points.size < rate.size else slice(None)
+        equivalent = body._replace(turn=turn, rotor=rotor).subset(some).scaled(rate[some])
+        return cls(points, equivalent, alpha[some], gamma[some], rate[some], cyclic[some], free[some])
 
     def squared_exponents(self) -> NDArray[np.complex128]:
         """Squares of the characteristic exponents without damping, (points, 3); nan for those of cyclic directions, inf: overflow."""
@@ -103,13 +100,9 @@ class Equilibria(NamedTuple):
         Q = ((inertia * minors).sum(1) + (v * (hessian @ v[..., None])[..., 0]).sum(1)) / volume
         degree = 3 - (self.cyclic != 0).any(1).sum(1)
         Q = np.where(degree == 1, 0.0, Q)
-        # x^2 + P x + Q = 0: the larger root is a sum without cancellation, and gives the other one.
-        square = np.where(np.abs(0.25 * P**2 - Q) <= _DOUBLE * 0.25 * P**2, 0.0, 0.25 * P**2 - Q)
-        root = np.sqrt(square + 0j)
-        larger = -0.5 * P - np.copysign(root.real, P) + 1j * root.imag
         result = np.full((len(v), 3), np.nan, complex)
-        result[:, 0] = larger
-        result[degree > 1, 1] = (Q / np.where(larger == 0, 1.0, larger))[degree > 1]
+        result[:, 0], second = quadratic_roots(P, Q)
+        result[degree > 1, 1] = second[degree > 1]
         cubic = np.flatnonzero(degree == 3)
         companion = np.zeros((cubic.size, 3, 3))
         companion[:, (1, 2), (0, 1)] = 1.0

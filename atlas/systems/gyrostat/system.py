@@ -66,7 +66,8 @@ class Gyrostat(System):
         """The angular velocity and the directions at rest in the frame of states (states, points), each (points, 3)."""
         state = dict(zip(self.equations.STATE, states, strict=True))
         names = self.rate_states, *self.equations.FRAME_VECTORS
-        return [np.stack([state[name] for name in triple], -1) for triple in names]
+        # Components lie one behind another in memory: sums over them are several times as fast.
+        return [np.moveaxis(np.array([state[name] for name in triple]), 0, -1) for triple in names]
 
     def oscillation_families(self, points: Points) -> Flags:
         """Families of the motions of which the frequencies and the stability by the energy are given."""

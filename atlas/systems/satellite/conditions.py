@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from ..base import Array, Points
-from ..gyrostat.motions import Equation, quotient, relative_to
-from ..vectors import cross, dot, length
+from ..gyrostat.motions import Equation, relative_to
+from ..vectors import cross, dot, length, ratio
 from .initial import body_vectors, directions
 
 
@@ -104,7 +104,7 @@ def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
     """The balance of the tilt over s, or over Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = 0."""
     (s, c), (sp, _) = tilt(p), node(p)
     radial = p["mu3"] * p["h1"] * c * sp
-    field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, quotient(radial, s))
+    field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, ratio(radial, s, np.nan))
     momentum = p["k3"] + p["C"] * p["m"] - p["Omega"] * c * flatness(p) * (1 + 3 * sp**2)
     return momentum - relative_to(field, p["Omega"]) if by_rate else p["Omega"] * momentum - field
 

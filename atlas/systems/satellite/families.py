@@ -26,8 +26,8 @@ import numpy as np
 
 from ..base import Array, Family, Points, numbered
 from ..gyrostat import motions
-from ..gyrostat.motions import about_third_axis, each, linear, motion_of, quotient, relative_to
-from ..vectors import cross
+from ..gyrostat.motions import about_third_axis, each, linear, motion_of, relative_to
+from ..vectors import cross, ratio
 from . import conditions as the
 from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
 from .equations import rhs
@@ -54,7 +54,7 @@ def _theta(p: Points) -> Array:
     """Tilt in [0, pi] from k3 and m; nan if h1 mu3 sin psi0 is not 0, where there are several."""
     sp, _ = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
-    cosine = quotient(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2))
+    cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
     exists = (np.abs(cosine) <= 1) & (p["h1"] * p["mu3"] * sp == 0)
     return np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
 
@@ -69,23 +69,22 @@ def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points
     gamma = np.where(np.abs(gamma) < 1e-14, 0.0, gamma)
     free = (k - base) * gamma
     if i == 2:
-        along = quotient(free[0] + free[1], gamma[0] ** 2 + gamma[1] ** 2)
+        along = ratio(free[0] + free[1], gamma[0] ** 2 + gamma[1] ** 2, np.nan)
     else:
-        along = np.where(
-            gamma[2] == 0, quotient(free[1 - i], gamma[1 - i] ** 2), quotient(free[2], gamma[2] ** 2)
-        )
+        other, third = (ratio(free[j], gamma[j] ** 2, np.nan) for j in (1 - i, 2))
+        along = np.where(gamma[2] == 0, other, third)
     return base[i] + along * gamma[i]
 
 
 def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
     """A rotor that leaves no torque across the normal, and the normal."""
     torque, _, gamma = rest_torque(p, with_rotor=False)
-    return quotient(cross(torque, gamma), p["Omega"]), gamma
+    return ratio(cross(torque, gamma), p["Omega"], np.nan), gamma
 
 
 def _psi_oblique(p: Points) -> Array:
     """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0."""
-    sine = quotient(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p))
+    sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     return np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
 
@@ -280,7 +279,7 @@ _TABLE = (
             # a rotor of which (n + Omega) k - h3 mu vanishes, and the normal
             partial(
                 _k_along,
-                lambda p: (quotient(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"]), directions(p)[1]),
+                lambda p: (ratio(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"], np.nan), directions(p)[1]),
             ),
             "k3", "k1", "k2",
         ),

@@ -67,7 +67,7 @@ def body_vectors(points: Points) -> tuple[Array, Array, Array]:
 
 def body(points: Points) -> Body:
     """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, field h3 mu along the normal."""
-    inertia, rotor, magnet = (np.stack([*vector], -1) for vector in body_vectors(points))
+    inertia, rotor, magnet = (np.moveaxis(vector, 0, -1) for vector in body_vectors(points))
     Omega = points["Omega"]
     radius = Direction(3 * Omega**2, points["h1"][..., None] * magnet)
     normal = Direction(np.zeros_like(Omega), points["h3"][..., None] * magnet)

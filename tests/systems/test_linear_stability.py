@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from closed_forms import ROWS, stability
+from strategies import default_points
 
 from atlas.flags import Stability
+from atlas.systems.fixed_point import FIXED_POINT
 
 
 @pytest.mark.parametrize("kind", ROWS)
@@ -32,3 +34,9 @@ def test_stability_is_that_of_the_closed_form(kind):
     difference = growth**2 - np.where(unstable, expected, 0.0) ** 2
     assert (np.abs(difference) < 1e-12 * system.frequency_bound(points) ** 2).all()
     assert stable.size > 300
+
+
+def test_equal_exponents_have_all_digits():
+    """A symmetric body at rest upside down falls alike in every direction."""
+    points = default_points("fixed_point", A=1.0, B=1.0, C=1.3, Mg=1.0, z0=0.5, theta0=np.pi)
+    assert FIXED_POINT.stability(points)[1] == pytest.approx(np.sqrt(0.5), rel=1e-14)

@@ -228,8 +228,8 @@ def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray
     square = 0.25 * P**2
     square = np.where(np.abs(square - Q) <= _DOUBLE * square, 0.0, square - Q)
     root = np.sqrt(square + 0j)
-    larger = -0.5 * P - np.copysign(root.real, P) + 1j * root.imag
-    return larger, Q / np.where(larger == 0, 1.0, larger)
+    larger: NDArray[np.complex128] = -0.5 * P - np.copysign(root.real, P) + 1j * root.imag
+    return larger, np.divide(Q, larger, out=np.zeros_like(larger), where=larger != 0)
 
 
 def length(v: Array) -> Array:

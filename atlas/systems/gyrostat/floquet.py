@@ -89,7 +89,7 @@ class _Periodic:
         ones: number of multipliers that are 1 whatever the motion.
         """
         values = np.full((2, *self.period.shape), np.nan)
-        self.over_spans(values, lambda *monodromy: np.array(_multipliers(*monodromy, ones)))
+        self.over_spans(values, lambda matrix, log_scale: np.array(_multipliers(matrix, log_scale, ones)))
         return np.nan_to_num(values[0]).astype(np.int8), values[1]
 
 

@@ -211,8 +211,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
     along = np.where(turned[:, None], (carried * axis).sum(-1)[..., None] * np.eye(3)[0], carried)
     fields = body.alpha._replace(field=along[1]), body.gamma._replace(field=along[2])
     w, alpha, gamma = ((rows @ v[..., None])[..., 0] for v in (w, alpha, gamma))
-    inertia = np.where(turned[:, None], body.inertia[:, :1], body.inertia)
-    return body._replace(inertia=inertia, rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
+    return body._replace(rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
 
 
 def _turn_and_axis(

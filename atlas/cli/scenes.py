@@ -152,6 +152,7 @@ def check_scene(options: argparse.Namespace) -> None:
     """Check a scene without running it."""
     from ..runs.plan import ScenePlan
     from ..scene import grid
+    from ..systems.steady import polynomial_degree
 
     scene = read_scene(options.scene)
     plan = ScenePlan.of(scene)
@@ -161,6 +162,10 @@ def check_scene(options: argparse.Namespace) -> None:
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
         *plan.method_lines(),
     )
+    reason = polynomial_degree(scene.system)
+    if isinstance(reason, str) and not scene.system.observables:
+        starts = "starts on no family" if scene.system.families else "any start"
+        say(f"predicted: not of {starts}: {printable(reason, MAX_MESSAGE)}")
     for warning in [*grid.warnings(scene, plan.sample), *plan.step_warnings(), *plan.chaos_warnings()]:
         say(f"warning: {printable(warning, MAX_MESSAGE)}")
 

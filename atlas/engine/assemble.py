@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import augmented, deviation, generated, kernel, observe, tangent
+from . import augmented, generated, kernel, observe, tangent
 from .differentiate import differential, simplify
 from .ensemble import Plug
 from .statistics import Row
@@ -126,9 +126,9 @@ def source(
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
-    `zero` and `equal` name constants that are 0, or equal to another one, at every point to come. A kernel of
-    `deviation` keeps the units of the caller. Raises BadInput for equations that cannot be differentiated,
-    and if a first integral or a loss has the name of a function of the kernel.
+    `zero` and `equal` name constants that are 0, or equal to another one, at every point to come. Raises BadInput
+    for equations that cannot be differentiated, and if a first integral or a loss has the name of a function of the
+    kernel.
     """
     from .. import jit  # here, because what only draws atlases needs no compiler
 
@@ -237,7 +237,7 @@ def _generated_functions(
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = texts if of is deviation else ("scaled", augmented.SCALED)
+    in_any_units = "scaled", augmented.SCALED
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()
@@ -290,9 +290,6 @@ def _generated_functions(
             "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
-    if of is deviation:
-        sources["rhs_change"] = differential(sources["rhs"], "rhs_change")
-        generated_lines |= _deviation_lines(equations)
     if of is observe:
         functions_of_observables, callers = _observable_functions(equations, sources)
         sources |= functions_of_observables
@@ -300,33 +297,6 @@ def _generated_functions(
     for head, lines in generated_lines.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *(lines or ["pass"])])
     return sources
-
-
-def _deviation_lines(equations: ModuleType) -> dict[str, list[str]]:
-    """Functions of a kernel of deviations, of bodies whose states are an angular velocity and vectors of the frame."""
-    names = list(equations.STATE)
-    turned, lines = ["0.0"] * len(names), []
-    for i, vector in enumerate(augmented.frame_vectors(equations)):
-        x, y, z = (names.index(name) for name in vector)
-        for j in range(3):
-            constant, cosine, sine = (f"block[{9 * i + 3 * part + j}, l]" for part in range(3))
-            lines.append(f"v{j} = {constant} + {cosine} * cosine_n + {sine} * sine_n")
-        lines.append(f"y{x}, y{y}, y{z} = v0 * cosine_m + v1 * sine_m, v1 * cosine_m - v0 * sine_m, v2")
-        for row in (x, y, z):
-            turned[row] = f"y{row}"
-    rates = [row for row, value in enumerate(turned) if value == "0.0"]
-    added = [
-        f"state[{row}]" + (f" + r{rates.index(row)}" if row in rates else "") for row in range(len(names))
-    ]
-    moved = [f"state[{row}] + factor * change[{row}]" for row in range(len(names))]
-    return {
-        "vectors_of_frame(block, l, cosine_n, sine_n, cosine_m, sine_m)": [
-            *lines,
-            f"return ({', '.join(turned)},)",
-        ],
-        "add_to_rates(state, r0, r1, r2)": [f"return ({', '.join(added)},)"],
-        "add_to_state(state, factor, change)": [f"return ({', '.join(moved)},)"],
-    }
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:

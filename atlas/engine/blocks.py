@@ -60,11 +60,6 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
 
 
-def sorted_blocks(steps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points (points,) in blocks (blocks, WIDTH), the most steps first."""
-    return _in_blocks(np.argsort(-steps, kind="stable"))
-
-
 def _in_blocks(points: NDArray[np.int64]) -> NDArray[np.int64]:
     """Points in blocks, (blocks, WIDTH), in this order; an incomplete block repeats its last."""
     return np.r_[points, np.full(-points.size % WIDTH, points[-1])].reshape(-1, WIDTH)

@@ -156,18 +156,3 @@ def store_values(nodes, slot, row, l, values):
 def store_strobes(block, l, state, constants):
     """Write the values of the observables that are measured once a period into column l of a block."""
     raise NotImplementedError
-
-
-def vectors_of_frame(block, l, cosine_n, sine_n, cosine_m, sine_m):
-    """The vectors at rest in the frame as a state whose rates are 0; block, of column l: see `deviation.integrate`."""
-    raise NotImplementedError
-
-
-def add_to_rates(state, r0, r1, r2):
-    """A state with these numbers added to the components of the angular velocity."""
-    raise NotImplementedError
-
-
-def add_to_state(state, factor, change):
-    """A state with a change of it, times a factor, added."""
-    raise NotImplementedError

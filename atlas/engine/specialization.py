@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from ..systems.base import System
-from . import assemble, deviation, observe, tangent
+from . import assemble, observe, tangent
 from . import kernel as kernel_of_bodies
 from .ensemble import Plug
 
@@ -65,12 +65,6 @@ def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> 
 def kernel_hash(*sources: str) -> str:
     """Hashes of sources with compilers and processor type, recorded in every atlas."""
     return "-".join(map(_jit().digest, sources))
-
-
-@cache
-def deviation_kernel(system: System) -> ModuleType:
-    """The compiled module of linear deviations from given motions of a system, see `deviation`."""
-    return _jit().load(source(system, "rk4", of=deviation))
 
 
 def _jit() -> Any:

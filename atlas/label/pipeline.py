@@ -66,6 +66,7 @@ def evaluate(
         added |= predict_any_axis(
             plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
             nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder, duration=tile.duration,
+            motion=runs.theory.prediction.motion,
         )  # fmt: skip
         if "agreement_any_axis" in plan.names:
             added["agreement_any_axis"] = agreement(columns["label_any_axis"], added["predicted_any_axis"])
@@ -175,7 +176,7 @@ def _prepare(
         if halved:
             step_sizes = step_sizes.halved(method)
         starts = replace(tile, points=points)  # not kept, so that what they share does not stay in memory
-        theory = Theory.of(plan, starts, ensemble, step_sizes, pause=lambda: progress(0.0), threads=threads)
+        theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = None
         if plan.has_chaos:
             tangent = TangentRuns.of(

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..engine.ensemble import Ensemble
 from ..engine.stepsize import StepSizes
 from ..flags import Agreement, Label, Stability
+from ..measure import rates
 from ..measure.circle import CIRCLES
-from ..measure.instrument import Run, Tolerances
-from ..measure.rates import steady_label
+from ..measure.circle import label as circle_label
+from ..measure.instrument import Measured, Rule, Run, Tolerances, could_change
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import (
@@ -24,12 +24,23 @@ from ..systems.base import (
     Points,
     SharedValues,
     System,
+    TwoAxes,
+    motion_about_axes,
     rate_std,
     shape_of,
     subset,
     unsteady,
 )
-from .offsets import describes, near_circle, off_family_labels
+from ..systems.jacobian import derivatives
+from ..systems.steady import (
+    FAR,
+    Existence,
+    SteadyMotion,
+    condition_residual,
+    polynomial_degree,
+    steady_motions,
+)
+from ..systems.vectors import cross, length
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
@@ -41,15 +52,18 @@ ROUNDOFF = 1e-16
 # The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
 # larger distance from the motion, rounding errors change less than a hundredth.
 ROUNDING_RESIDUAL = 1e-13
+# Residual of a start about the third axis and the vertical beyond which it is on no family about these.
+_NEARBY = 1e-6
+# Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
+_SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 
 @dataclass(frozen=True)
 class Prediction:
     """What theory predicts of a set of runs; arrays of shape (points,)."""
 
-    # As `predict` returns them, but for the predicted labels of starts near a steady motion that are not on
-    # it to rounding: these come from the linear equations, see `offsets`
-    variables: Mapping[str, np.ndarray]
+    variables: Mapping[str, np.ndarray]  # as `predict` returns them
+    motion: SteadyMotion | None  # of the start before the nudge; None where the equations do not decide
     residual: Array  # of the conditions of a steady motion, at the start that is integrated
     family_residual: Array  # of the conditions of the family, at the start before the nudge
     # As `residual`, of the conditions of a motion about any axes or in the plane where `log_growth` is about such a motion
@@ -61,35 +75,34 @@ class Prediction:
     log_growth: Array
 
 
-def predict_runs(
-    plan: Plan, tile: Grid, *, pause: Callable[[], None] = lambda: None, threads: int | None = None
-) -> Prediction:
+def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     """Predictions for the runs of a plan.
 
     A nudge along a family leads to another exact start. Where no labels about any axes are measured, a motion about other
-    axes than the third and the vertical drifts, however it grows. pause, threads: see `offsets.off_family_labels`.
+    axes than the third and the vertical drifts, however it grows.
     """
     system, duration, base = plan.system, tile.duration, SharedValues(tile.base)
     points = SharedValues(tile.points)
     tolerances, nudged = plan.settings.tolerances, plan.nudged
     with np.errstate(all="ignore"):
-        residual = system.condition_residual(points)
-        nearby = residual <= FAMILY_TOLERANCE
-        pushed = ~exact_starts(system, points, nearby) if nudged else np.zeros_like(nearby)
-        family, family_residual = _identify(system, base)
+        residual = condition_residual(system, points)
+        motion = motion_of(system, base, duration, tolerances)
+        family, family_residual = np.zeros(duration.shape, np.int8), np.full(duration.shape, np.inf)
+        # A start that is far from every steady motion is on no family, unless it is on the vertical, as motions in the plane are.
+        where = np.arange(duration.size)
+        if motion is not None and not nudged:
+            upright = np.abs(system.steady_rates(base)[0]) <= FAMILY_TOLERANCE
+            where = np.flatnonzero((motion.answer != Existence.FAR) | (residual <= _NEARBY) | upright)
+        part = base if where.size == duration.size else subset(base, where)
+        family[where], family_residual[where] = _identify(system, part)
         other = _about_other_axes(system, family)
-        variables = predict(system, base, tolerances.rate, pushed, tolerances.angle, family, duration)
-        off = ((family == 0) | other) & system.complete(base)
-        if not nudged:
-            off |= (family > 0) & (family_residual > ROUNDING_RESIDUAL)
-        where = np.flatnonzero(off & system.within_range(base))
-        if where.size and describes(system):
-            # The linear equations decide the labels of these starts.
-            near = subset(points, where)
-            frames = _frame_rates(system, near)
-            off_labels = off_family_labels(system, near, duration[where], tolerances, frames, pause, threads)
-            for name, values in off_labels.items():
-                variables[name][where] = values
+        if motion is not None:
+            in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
+            motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
+        pushed = ~exact_starts(system, points, residual <= FAMILY_TOLERANCE) & nudged
+        variables = predict(
+            system, base, tolerances.rate, pushed, tolerances.angle, family, duration, motion=motion
+        )
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
@@ -102,7 +115,7 @@ def predict_runs(
         else:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
     log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
-    return Prediction(variables, residual, family_residual, start_residual, other, pushed, log_growth)
+    return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, log_growth)
 
 
 @dataclass(frozen=True)
@@ -118,13 +131,13 @@ class Theory:
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
 
     @classmethod
-    def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes, **options: Any) -> Theory:
-        """Theory of the points of a plan; options: pause and threads of `predict_runs`."""
+    def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes) -> Theory:
+        """Theory of the points of a plan."""
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
-            nothing = Prediction({}, zero, zero, zero, zero > 0, zero > 0, zero)
+            nothing = Prediction({}, None, zero, zero, zero, zero > 0, zero > 0, zero)
             return cls(nothing, zero, zero, zero > 0, {"label": zero})
-        prediction = predict_runs(plan, tile, **options)
+        prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step)
@@ -132,13 +145,13 @@ class Theory:
         exact = ~prediction.pushed if plan.nudged else near & (prediction.family_residual <= max_residual)
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
         about_vertical = system.growth_about_vertical(tile.points) * tile.duration
-        rates = _frame_rates(system, tile.points)
+        frames = _frame_rates(system, tile.points)
         return cls(
             prediction,
             np.where(exact, prediction.log_growth, 0.0),
             about_vertical,
             on_motion & (prediction.variables["stable"] == Stability.UNSTABLE),
-            {name.replace("predicted", "label"): rate for name, rate in rates.items()},
+            {name.replace("predicted", "label"): rate for name, rate in frames.items()},
         )
 
     def error_amplified(self, step_sizes: StepSizes, settings: Settings) -> Mask:
@@ -171,6 +184,15 @@ def departure_changes(run: Run, fine: Run) -> Mask | bool:
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
 
+def motion_of(system: System, points: Points, duration: Array, tolerances: Tolerances) -> SteadyMotion | None:
+    """Whether each start is a steady motion by the equations of its system; None where these are no polynomials."""
+    if isinstance(polynomial_degree(system), str):
+        return None
+    motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle)
+    return motion._replace(answer=np.where(system.within_range(points), motion.answer, Existence.NEAR))
+
+
+@np.errstate(all="ignore")
 def predict(
     system: System,
     points: Points,
@@ -180,30 +202,94 @@ def predict(
     family: Flags | None = None,
     duration: Array | float = np.inf,
     rough: bool = False,
+    motion: SteadyMotion | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
-    A nudged start keeps the label of its family where the motion is linearly stable and drifts where it is
-    unstable. Off every family `predicted` is drifting where the system's catalogue is complete, else
-    not_computed. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below
-    cylinder_tolerance, rad (default: the same number), as on the vertical. A family of motions of which the rate about the
-    vertical varies during a run of this duration by more than rate_tolerance drifts. family: that of each start, if it is known;
-    rough: whether growth_rate may have fewer digits.
+    A steady motion has the label of its exact statistics; nudged, it keeps it where it is linearly stable and drifts where it
+    is unstable. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below cylinder_tolerance, rad
+    (default: the same number), as on the vertical. family, motion: those of each start, if they are known; without the motion
+    a start on no family has no prediction. rough: whether growth_rate may have fewer digits.
     """
     if family is None:
         family, _ = _identify(system, points)
-    angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
+    tolerances = Tolerances(
+        rate_tolerance, rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
+    )
     stable, growth = (system.rough_stability if rough else system.linear_stability)(points, family)
-    sine, n, m = system.steady_rates(points)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
-    on_family = (family > 0) & ~_about_other_axes(system, family)
-    complete = system.complete(points) & system.within_range(points)
-    drifts = rate_std(system, points, family, np.broadcast_to(duration, family.shape)) > rate_tolerance
+    times = np.broadcast_to(duration, family.shape)
+    if motion is None:
+        exact, others = family > 0, np.flatnonzero(_about_other_axes(system, family))
+        otherwise = np.full(family.shape, Label.NOT_COMPUTED, np.int8)
+    else:
+        exact, others = (
+            motion.answer == Existence.EXACT,
+            np.flatnonzero(_turns_elsewhere(system, points, motion)),
+        )
+        otherwise = np.where(motion.answer == Existence.FAR, Label.DRIFTING, Label.NOT_COMPUTED)
+    sine, n, m = system.steady_rates(points)
+    zero, theta = np.zeros(family.shape), np.arcsin(np.minimum(np.abs(sine), 1.0))
+    measured = dict.fromkeys(("theta_dot_rms", "psi_dot_std", "phi_dot_std"), zero) | {
+        "psi_dot_mean": n, "phi_dot_mean": m, "normal_rate_std": rate_std(system, points, family, times),
+        "theta_min": theta, "theta_max": theta, "sine_max": np.abs(sine),
+    }  # fmt: skip
+    if motion is not None and others.size:
+        axes = TwoAxes(*(values[..., others] for values in motion.axes))
+        sampled = _statistics(system, subset(points, others), axes, times[others])
     for name, frame_rate in _frame_rates(system, points).items():
-        label = steady_label(n + frame_rate, m, np.abs(sine) < angle, rate_tolerance)
-        label = _after_nudge(label, stable, nudged, on_family, complete)
-        result[name] = np.where(drifts, np.int8(Label.DRIFTING), label)
+        label = rates.rule(tolerances, frame_rate).label(measured)
+        label[others] = Label.DRIFTING
+        if motion is not None and others.size:
+            label[others] = _certain(rates.rule(tolerances, frame_rate[others]), *sampled)
+        result[name] = np.where(exact, _after_nudge(label, stable, nudged), otherwise)
     return result
+
+
+def _turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
+    """Whether a start is a steady motion about other axes than the third and the vertical."""
+    vertical = system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
+    others = (motion.axes.spin_axis[2] != 1.0) | (motion.axes.fixed_axis != np.array(vertical)).any(0)
+    return others & (motion.answer == Existence.EXACT)
+
+
+def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) -> tuple[Measured, Measured]:
+    """Measurements of exact motions from which labels are decided, from samples, and their errors."""
+    vertical = np.array(
+        system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
+    )
+    # Multiples of the golden section, which are even and resonate with no period.
+    times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
+    u, g = motion_about_axes(axes, vertical, times)
+    sine, theta = np.hypot(g[0], g[1]), np.arctan2(np.hypot(g[0], g[1]), g[2])
+    psi_dot = (u[0] * g[0] + u[1] * g[1]) / sine**2
+    values = {"psi_dot": psi_dot, "phi_dot": u[2] - psi_dot * g[2], "normal_rate": (u * g).sum(0)}
+    measured = {f"{name}_std": value.std(0) for name, value in values.items()}
+    error = {name: _SAMPLING_ERROR * value for name, value in measured.items()}
+    for name in ("psi_dot", "phi_dot"):
+        measured[f"{name}_mean"], error[f"{name}_mean"] = values[name].mean(0), error[f"{name}_std"]
+    rms = np.sqrt((((g[0] * u[1] - g[1] * u[0]) / sine) ** 2).mean(0))
+    measured |= {
+        "theta_dot_rms": rms,
+        "theta_min": theta.min(0),
+        "theta_max": theta.max(0),
+        "sine_max": sine.max(0),
+    }
+    swing = _SAMPLING_ERROR * (measured["theta_max"] - measured["theta_min"])
+    error |= {
+        "theta_dot_rms": _SAMPLING_ERROR * rms,
+        "theta_min": swing,
+        "theta_max": swing,
+        "sine_max": _SAMPLING_ERROR * np.ptp(sine, axis=0),
+    }
+    return measured, error
+
+
+def _certain(rule: Rule, measured: Measured, error: Measured) -> Flags:
+    """Label by a rule, not_computed where the errors could change it."""
+    return np.where(could_change(rule, measured, error), Label.NOT_COMPUTED, rule.label(measured)).astype(
+        np.int8
+    )
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
@@ -214,25 +300,22 @@ def _identify(system: System, points: Points) -> tuple[Flags, Array]:
 
 def _frame_rates(system: System, points: Points) -> dict[str, Array]:
     """Rate of each frame, which is added to psi', by the names of the predicted labels."""
-    rates = {"predicted": np.zeros(shape_of(points))}
+    frames = {"predicted": np.zeros(shape_of(points))}
     if system.frame_rate is not None:
-        rates["predicted_inertial"] = system.frame_rate(points)
-    return rates
+        frames["predicted_inertial"] = system.frame_rate(points)
+    return frames
 
 
 def _about_other_axes(system: System, family: Flags) -> Mask:
-    """Whether a motion is about other axes than the third and the vertical."""
+    """Whether a family's motion is about other axes than the third and the vertical."""
     return np.isin(family, [f.flag for f in system.families.values() if f.axes is not None])
 
 
-def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool, on_family: Mask, complete: Mask) -> Flags:
-    """Predicted labels: of a nudged motion, and off every family, see `predict`."""
-    label = np.select(
-        [np.logical_not(nudged) | (stable == Stability.STABLE), stable == Stability.UNSTABLE],
-        [label, Label.DRIFTING],
-        Label.NOT_COMPUTED,
-    )
-    return np.where(on_family, label, np.where(complete, Label.DRIFTING, Label.NOT_COMPUTED)).astype(np.int8)
+def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:
+    """Predicted label of a steady motion that is nudged or not, see `predict`."""
+    kept = np.logical_not(nudged) | (stable == Stability.STABLE) | (label == Label.DRIFTING)
+    moved = np.where(stable == Stability.UNSTABLE, Label.DRIFTING, Label.NOT_COMPUTED)
+    return np.where(kept, label, moved).astype(np.int8)
 
 
 def predict_any_axis(
@@ -245,48 +328,105 @@ def predict_any_axis(
     nudged: bool,
     cylinder_tolerance: float | None = None,
     duration: Array | float = np.inf,
+    motion: SteadyMotion | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
 
     `base` and `points` are the starts before and after a nudge, which along a family leads to another exact
     start. Rates of at most rate_tolerance, rad per time unit, count as zero, and axes within
-    cylinder_tolerance, rad (default: the same number), as parallel. Off every family labels are drifting
-    where the system's catalogue of motions about any axes is complete and the start is far from all of them,
-    else not_computed.
+    cylinder_tolerance, rad (default: the same number), as parallel. Labels of starts that are no steady motion are drifting
+    where they are far from every circle of the angular velocity, else not_computed. motion: that of `base`, if it is known.
     """
-    family, stable = theory["family"], theory["stable"]
-    angle = rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
+    tolerances = Tolerances(
+        rate_tolerance, rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
+    )
+    names = {own: own.replace("predicted", "predicted_any_axis") for own in _frame_rates(system, base)}
+    times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
     with np.errstate(all="ignore"):
-        other = _about_other_axes(system, family)
-        complete = system.complete_any_axis(base) & system.within_range(base)
-        complete &= ~near_circle(system, points, duration, rate_tolerance)
-        pushed = other & ~exact_starts(system, points, other) if nudged else False
-        sine, n, m = system.any_axis_rates(base, family)
+        motion = motion_of(system, base, times, tolerances) if motion is None else motion
+        if motion is None:
+            known = (theory["family"] > 0) & ~_about_other_axes(system, theory["family"])
+            return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
+        elsewhere = _turns_elsewhere(system, base, motion)
+        pushed = elsewhere & ~exact_starts(system, points, elsewhere) if nudged else False
+        undecided = (motion.answer == Existence.EXACT) | ~system.within_range(base)
         result = {}
         for own, frame_rate in _frame_rates(system, base).items():
-            rate = n + frame_rate
-            # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
-            spread = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
-            constant = (sine < angle) | (np.abs(rate) * sine * spread <= rate_tolerance)
-            label = steady_label(rate, m, constant, rate_tolerance)
-            label = _after_nudge(label, stable, pushed, other, complete)
-            # On and near a motion about the third axis and the vertical the label about these is that about any axes.
-            steady = np.isin(theory[own], (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
-            kept = steady | ~other & ((family > 0) | (theory[own] != Label.DRIFTING))
-            result[own.replace("predicted", "predicted_any_axis")] = np.where(kept, theory[own], label)
+            circle = _circle(system, base, motion.axes, frame_rate, times)
+            label = circle_label(circle, theory[own], tolerances)
+            label[np.isnan(circle["spin"])] = Label.NOT_COMPUTED
+            label = np.where(elsewhere, _after_nudge(label, theory["stable"], pushed), theory[own])
+            close = ~undecided & near_circle(system, points, times, rate_tolerance, frame_rate)
+            result[names[own]] = np.where(close, Label.NOT_COMPUTED, label)
     return result
 
 
+def _circle(
+    system: System, points: Points, axes: TwoAxes, frame_rate: Array, duration: Array
+) -> dict[str, Array]:
+    """Statistics of the angular velocity of exact motions in a frame that turns at a rate about the vertical.
+
+    In a turning frame the axes must be that of the body and the vertical: a motion with a third rate has none, nan.
+    """
+    s, m, fixed, n = axes
+    vertical = np.array(
+        system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
+    )
+    # One rotation is about an axis at rest in the body, so that the fixed axis is any, such as the vertical.
+    single, turning = (n == 0) | (m == 0), frame_rate != 0
+    s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
+    n = np.where(single, 0.0, n)
+    about_vertical = single | (length(fixed - vertical) <= FAMILY_TOLERANCE)
+    rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
+    sine = length(cross(s, np.where(turning & single, vertical, fixed)))
+    zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
+    # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
+    arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
+    return {
+        "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
+        "spin": spin, "precession": np.abs(rate), "sine": sine,
+    }  # fmt: skip
+
+
+def near_circle(
+    system: System, points: Points, duration: Array, rate_tolerance: float, frame_rate: Array
+) -> Mask:
+    """Whether the angular velocity of a start may stay on a circle in the body, as it does along steady motions about any axes.
+
+    These have no linear theory. A start is far from all of them where in a radian of the bound the angular velocity changes by
+    more than it is allowed to, and deviates as much from the circle of its first derivatives: there v.v' = 0 and
+    v'' = -(|v'| / |v|)^2 v for v, the derivative of the angular velocity.
+    """
+    bound, place = system.frequency_bound(points), system.equations.STATE.index
+    state, constants = system.initial_state(points), system.constants(points)
+    values = derivatives(system.equations, state, constants, bound)
+    v, first, second = values[1:, [place(name) for name in system.rate_states]]
+    if system.frame_rate is not None:
+        vertical = values[1:, [place(name) for name in system.equations.FRAME_VECTORS[-1]]]
+        turn = system.frame_rate(points) - frame_rate
+        v, first, second = v - turn * vertical[0], first - turn * vertical[1], second - turn * vertical[2]
+    time, size = np.fmin(1.0, bound * duration), length(v)
+    change = size * time + length(first) * time**2 / 2
+    speed = np.abs((v * first).sum(0)) / size * time**2 / 2
+    bend = length(second + (length(first) / size) ** 2 * v) * time**3 / 6
+    return np.asarray(~(np.fmin(change, np.fmax(speed, bend)) > FAR * rate_tolerance))
+
+
 def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:
-    """Which candidates are on a steady motion of a family as exactly as rounding allows.
+    """Which candidates are on a steady motion as exactly as rounding allows.
 
     A nudge along a family or a symmetry leads to such a start again.
     """
     exact = np.zeros(candidates.shape, bool)
     where = np.flatnonzero(candidates)
     if where.size:
-        flag, residual = system.identify_family(subset(points, where))
-        exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)
+        part = subset(points, where)
+        motion = motion_of(system, part, np.ones(where.size), Tolerances(np.inf, np.inf))
+        if motion is None:
+            flag, residual = system.identify_family(part)
+            exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)
+        else:
+            exact[where] = motion.answer == Existence.EXACT
     return exact
 
 

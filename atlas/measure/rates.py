@@ -16,6 +16,7 @@ from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
 from ..engine.tableaux import METHODS
 from ..flags import Agreement, Label, Stability, Status
 from ..systems.base import Array, Flags, Mask, System
+from ..systems.steady import polynomial_degree
 from .instrument import MainInstrument, Measured, Rule, Run, Tolerances, Variable
 
 # The measurements from which a label is decided.
@@ -201,13 +202,15 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
     if len(system.geometries) < 2:
         missing |= {"geometry"}
     if not system.families:
-        missing |= {"family", "stable", "growth_rate", "condition_residual"}
+        missing |= {"family", "stable", "growth_rate"}
+    if not (predicted := system.families or isinstance(polynomial_degree(system), int)):
+        missing |= {"condition_residual"}
     return tuple(
         variable
         for variable in variables
         if variable.name not in missing
         and (system.frame_rate is not None or not variable.name.endswith("_inertial"))
-        and (system.families or not variable.name.startswith(("predicted", "agreement")))
+        and (predicted or not variable.name.startswith(("predicted", "agreement")))
     )
 
 

@@ -139,14 +139,14 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     evaluate(plan.points, points.subset(np.zeros(1, np.int64)), threads=1)
     compile_seconds, memory = time.perf_counter() - started, most_memory()
     began = time.process_time()  # which other programs at work do not lengthen
-    predict_runs(plan.points, points, threads=threads)
-    theory_seconds = (time.process_time() - began) / threads
+    predict_runs(plan.points, points)
+    theory_seconds = time.process_time() - began
     columns = evaluate(plan.points, points, threads=threads) | points.base
-    seconds = (time.process_time() - began) / threads - theory_seconds
+    seconds = time.process_time() - began - theory_seconds
     size, most = points.exists.size, most_memory()
     content = encode({}, {name: columns[name].astype(kind) for name, kind in tile_types(plan.scene).items()})
     return _Measurement(
-        seconds_per_step=max(seconds - theory_seconds, 0.1 * seconds) / (size * plan.mean_work),
+        seconds_per_step=max(seconds - theory_seconds, 0.1 * seconds) / (threads * size * plan.mean_work),
         theory_seconds=theory_seconds / size,
         compile_seconds=compile_seconds,
         memory=most,

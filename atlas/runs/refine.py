@@ -118,7 +118,7 @@ class FineGrid:
         if existing.size:
             # How long a motion about other axes lasts does not count here.
             plan = replace(self.plan, outputs=())
-            prediction = theory.predict_runs(plan, points.subset(points.exists), threads=self.threads)
+            prediction = theory.predict_runs(plan, points.subset(points.exists))
             for name in self.numbers.keys() & {"growth_rate"}:
                 self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
             flags = [prediction.variables[name] for name in self.predicted_flags]

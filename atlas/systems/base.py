@@ -17,7 +17,7 @@ from ..errors import BadInput
 from ..flags import Stability
 from .arithmetic import TIME_UNIT
 from .jacobian import frequency
-from .vectors import cross, dot, length
+from .vectors import turned
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.int8]
@@ -212,9 +212,9 @@ class System(ABC):
         physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
         `check_possible`.
     Theory
-        `families`, `identify_family`, `condition_residual`, `linear_stability`, `log_growth`,
-        `growth_about_vertical`, `complete`, `complete_any_axis`, `any_axis_rates`, `frame_rate`, `geometries`,
-        `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`, `stress_cases`, `despun_equivalent`.
+        `families`, `identify_family`, `squared_rate`, `linear_stability`, `log_growth`, `growth_about_vertical`,
+        `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`,
+        `stress_cases`, `despun_equivalent`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -493,14 +493,12 @@ class System(ABC):
         """
         return identify(points, self.families.values())
 
-    def condition_residual(self, points: Points) -> Array:
-        """How far each start is from a steady motion, dimensionless, shape (points,); 0 on an exact one.
+    def squared_rate(self, points: Points) -> Array:
+        """Largest squared rate of each start, of body, frame and fields, by which `condition_residual` is divided, (points,).
 
-        The default is the residual of `identify_family`, nan if the system has no families.
+        The default is the square of the frequency bound.
         """
-        if not self.families:
-            return np.full(shape_of(points), np.nan)
-        return self.identify_family(points)[1]
+        return self.frequency_bound(points) ** 2
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """Linear stability of the steady motions.
@@ -560,36 +558,6 @@ class System(ABC):
         where this rate is 0. The default nan stands for unknown: the growth rate of `linear_stability` counts.
         """
         return np.full(shape_of(points), np.nan)
-
-    def complete(self, points: Points) -> Mask:
-        """Where the families are all steady motions, so that other starts must drift; bool (points,)."""
-        return np.zeros(shape_of(points), bool)
-
-    def complete_any_axis(self, points: Points) -> Mask:
-        """Where the families are all motions about any two axes, so that other starts drift; bool (points,)."""
-        return np.zeros(shape_of(points), bool)
-
-    def any_axis_rates(self, points: Points, flags: Flags) -> tuple[Array, Array, Array]:
-        """Sine of the angle between the two axes, n and m of motions about any axes.
-
-        Parameters
-        ----------
-        flags : int8 array (points,)
-            Families, as `identify_family` gives them.
-
-        Returns
-        -------
-        sine, n, m : arrays (points,)
-            Those of `steady_rates` where the axes are the third and the vertical.
-        """
-        sine, n, m = (np.array(values) for values in self.steady_rates(points))
-        for family in self.families.values():
-            members = np.flatnonzero(flags == family.flag)
-            if family.axes is not None and members.size:
-                axes = family.axes(subset(points, members))
-                sine[members] = length(cross(axes.spin_axis, axes.fixed_axis))
-                n[members], m[members] = axes.precession_rate, axes.spin_rate
-        return sine, n, m
 
     def geometry(
         self,
@@ -767,13 +735,6 @@ def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Ar
         np.broadcast_to(v.reshape(3, *(1,) * (len(shape) - v.ndim), *v.shape[1:]), shape)
         for v in (vector, s, fixed)
     )
-    turned = _turned(_turned(vector, fixed, -axes.precession_rate * t), s, -axes.spin_rate * t)
-    rate = axes.precession_rate * _turned(fixed, s, -axes.spin_rate * t) + axes.spin_rate * s
-    return rate, turned
-
-
-def _turned(vector: Array, axis: Array, angle: Array) -> Array:
-    """A vector after a turn about a unit vector, by Rodrigues' formula."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    along = dot(axis, vector) * (1 - cosine)
-    return cosine * vector + sine * cross(axis, vector) + along * axis
+    moved = turned(turned(vector, fixed, -axes.precession_rate * t), s, -axes.spin_rate * t)
+    rate = axes.precession_rate * turned(fixed, s, -axes.spin_rate * t) + axes.spin_rate * s
+    return rate, moved

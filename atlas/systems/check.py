@@ -14,6 +14,14 @@ from . import arithmetic
 from .base import Observable, Parameter, System
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
+_BY_EQUATIONS = "the equations and their FRAME_VECTORS decide which starts are steady motions"
+# Members that no system has -> what stands for them.
+REPLACED = {
+    "complete": _BY_EQUATIONS,
+    "complete_any_axis": _BY_EQUATIONS,
+    "any_axis_rates": f"{_BY_EQUATIONS}; those of a family are its axes",
+    "condition_residual": f"{_BY_EQUATIONS}; squared_rate is the unit of the residual",
+}
 # Characters of a parameter's name, as of the names that a scene makes up.
 MAX_NAME = 60
 
@@ -43,6 +51,9 @@ def check_complete(kind: type[System], system: System | None = None) -> None:
     for name in ("name", "title", "equations", "parameters", "initial_state"):
         if not hasattr(system or kind, name) or name in kind.__abstractmethods__:
             raise BadInput(f"{kind.__name__}.{name} is missing")
+    for name, instead in REPLACED.items():
+        if hasattr(system or kind, name):
+            raise BadInput(f"{kind.__name__}.{name} is no member of a system: {instead}")
 
 
 def check_start(system: System) -> None:

@@ -33,6 +33,13 @@ def across(vector: Array, axis: Array) -> Array:
     return vector - dot(vector, axis) * axis
 
 
+def turned(vector: Array, axis: Array, angle: Array) -> Array:
+    """A vector after a turn about a unit vector, by Rodrigues' formula."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    along = dot(axis, vector) * (1 - cosine)
+    return cosine * vector + sine * cross(axis, vector) + along * axis
+
+
 def ratio(value: Array, scale: Array, where_zero: Array | float = 0.0) -> Array:
     """value / scale, and where the scale is 0 another value, as 0 where nothing moves and nothing acts."""
     return np.where(scale == 0, where_zero, value / np.where(scale == 0, 1.0, scale))

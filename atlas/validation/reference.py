@@ -15,6 +15,7 @@ from ..measure import observables, rates
 from ..measure.rates import state_distance
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.steady import condition_residual
 from ..variables import main_instrument
 
 # Sums of the rates, which are integrated beside the states, in this order.
@@ -141,7 +142,7 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     """The steady motion of each start by the family's closed form, and a mask of the starts exactly on a family."""
     flags, _ = system.identify_family(points)
     motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
-    exact = (system.condition_residual(points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
+    exact = (condition_residual(system, points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
     start = system.initial_state(points)
     motion = system.equations.frame_motion(start, system.constants(points))
     _, psi_dot, phi_dot, normal_rate, _, theta = euler_rates(motion, cylinder)

@@ -15,6 +15,7 @@ from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.steady import condition_residual
 from ..variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
@@ -88,7 +89,7 @@ def true_labels(
         return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
         theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder, duration=duration)
-        residual, bound = system.condition_residual(points), system.frequency_bound(points)
+        residual, bound = condition_residual(system, points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)
         limit = rounding_limit(residual, bound, settings.tolerances)

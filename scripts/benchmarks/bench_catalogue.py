@@ -14,6 +14,7 @@ import time
 import numpy as np
 
 from atlas.systems import get
+from atlas.systems.steady import condition_residual
 
 SATELLITE = get("satellite")
 
@@ -49,7 +50,7 @@ def main() -> None:
     flags, _ = SATELLITE.identify_family(points)
     print(f"identify_family       {time.perf_counter() - began:7.2f} s for {count} points")
     began = time.perf_counter()
-    SATELLITE.condition_residual(points)
+    condition_residual(SATELLITE, points)
     print(f"condition_residual    {time.perf_counter() - began:7.2f} s")
     began = time.perf_counter()
     stable, _ = SATELLITE.linear_stability(points, flags)

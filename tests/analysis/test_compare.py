@@ -13,6 +13,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import compare
 from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
+from atlas.measure.instrument import Tolerances
 
 flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(Label) - 1})
 
@@ -41,7 +42,7 @@ def test_agreement_and_confusion_table_are_consistent(label, predicted):
             assert (result[points] == expected).all()
 
 
-def test_off_the_families_a_satellite_drifts_and_a_free_body_has_no_prediction():
+def test_off_the_families_a_satellite_drifts_with_and_without_an_orbit():
     system = load_scene('schema = 1\nsystem = "satellite"\n[axes.theta0]\nvalues = [0.5]\n').system
     start = {name: np.array([p.default, p.default]) for name, p in system.parameters.items()}
     start |= {
@@ -49,9 +50,10 @@ def test_off_the_families_a_satellite_drifts_and_a_free_body_has_no_prediction()
         "Omega": np.array([1.0, 0.0]),
         "theta_dot0": np.array([0.1, 0.1]),
     }
-    predicted = theory.predict(system, start, 1e-5, nudged=False)
+    motion = theory.motion_of(system, start, np.full(2, 50.0), Tolerances(1e-5, 1e-5))
+    predicted = theory.predict(system, start, 1e-5, False, duration=np.full(2, 50.0), motion=motion)
     assert predicted["family"].tolist() == [0, 0]
-    assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.NOT_COMPUTED]
+    assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.DRIFTING]
 
 
 def test_the_prediction_for_a_nudged_start_depends_on_stability():

@@ -49,7 +49,7 @@ def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
         return no_values(plan, points)
 
     monkeypatch.setattr(estimate, "evaluate", evaluate_nothing)
-    monkeypatch.setattr(estimate, "predict_runs", lambda plan, points, threads: None)
+    monkeypatch.setattr(estimate, "predict_runs", lambda plan, points: None)
     text = dry_run(scene, threads=2)
     assert f"{scene.size} points" in text
     assert len(measured) == 2

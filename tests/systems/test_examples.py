@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import atlas
 from atlas import cli, systems
 from atlas.analysis import catalogue
-from atlas.flags import EnergyStability, Label, Regularity, Stability, Status, Steadiness
+from atlas.flags import Agreement, EnergyStability, Label, Regularity, Stability, Status, Steadiness
 from atlas.systems.jacobian import jacobian
 from atlas.validation import stress
 from atlas.validation.work_precision import work_precision
@@ -268,6 +268,33 @@ def test_two_field_top_has_the_theory_of_the_gyrostat():
         np.testing.assert_array_equal(energy == EnergyStability.YES, rest["index"] == 0)
         seen |= set(rest["stable"].values)
     assert seen == {Stability.STABLE, Stability.UNSTABLE}
+
+
+def test_two_field_top_has_predictions_without_families():
+    """Rest of any body, rotation on the line of both fields' resultant, and random starts, which drift."""
+    top, points = two_field_tops(12)
+
+    class TwoFieldsAlone(type(top)):
+        name, families = "two_fields_alone", {}
+
+    systems.register(TwoFieldsAlone())
+    still = atlas.equilibria("two_field_top", {name: values[0] for name, values in points.items()})
+    rest = {name: np.full(still.sizes["equilibrium"], values[0]) for name, values in points.items()}
+    rest |= {name: still[name].values for name in ("theta0", "psi0", "phi0")}
+    rest |= {name: np.zeros_like(rest["A"]) for name in ("n", "m", "theta_dot0")}
+    given = {"psi0": np.pi / 2, "C": 0.6, "x3": 1.0, "l3": 0.2, "mu3": -0.5, "m": 5.0}
+    axial = {name: np.full(12, given.get(name, p.default)) for name, p in top.parameters.items()}
+    axial["theta0"] = np.linspace(0.3, 2.5, 12)
+    axial["Mg"] = top.families["axial"].solve["Mg"](axial)
+    for starts, predicted in (
+        (rest, Label.PERMANENT_ROTATION),
+        (axial, Label.PERMANENT_ROTATION),
+        (points, Label.DRIFTING),
+    ):
+        ds = atlas.label_points("two_fields_alone", starts, duration=3.0, tolerance=1e-10, method="rk8")
+        assert "family" not in ds
+        assert (ds.predicted == predicted).all()
+        assert (ds.agreement.where(ds.status == Status.OK, Agreement.AGREE) == Agreement.AGREE).all()
 
 
 def test_two_field_top_is_stable_where_it_spins_fast():

@@ -26,10 +26,9 @@ import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
 from ..gyrostat import secular
-from ..gyrostat.motions import Equation, each, linear, motion_of, start_residual
-from ..vectors import cross, length, principal, ratio
-from . import equations
-from .initial import bodies, body, constants, fields, initial_state, rates, symmetric, vertical
+from ..gyrostat.motions import Equation, each, linear, motion_of
+from ..vectors import cross, length, principal
+from .initial import bodies, body, fields, initial_state, rates, symmetric, vertical
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
@@ -45,19 +44,6 @@ def squared_rate(points: Points) -> Array:
     turn, least = (initial_state(points)[:3] ** 2).sum(0), inertia.min(0)
     torque = np.maximum(length(weight), np.abs(N) * (inertia.max(0) - least))
     return np.maximum(turn, np.maximum(torque, length(rotor) * np.sqrt(turn)) / least)
-
-
-def condition_residual(points: Points) -> Array:
-    """How far the start is from a steady motion, 0 on one.
-
-    The larger of |w' less what theta' = 0 and constant n and m need| over the largest squared rate, and theta' over its root.
-    """
-    state = initial_state(points)
-    theta_dot, n, m = rates(points)
-    slope = np.array(equations.rhs(state, constants(points))[:3])
-    scale = squared_rate(points)
-    residual = start_residual(slope, state[3:], n, m, np.hypot(*state[:2]), scale)
-    return np.maximum(residual, ratio(np.abs(theta_dot), np.sqrt(scale)))
 
 
 # What vanishes on the families.

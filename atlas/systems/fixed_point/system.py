@@ -114,7 +114,7 @@ class FixedPoint(Gyrostat):
     start_condition = initial.START_CONDITION
     warnings = staticmethod(initial.warnings)
 
-    condition_residual = staticmethod(families.condition_residual)
+    squared_rate = staticmethod(families.squared_rate)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = MappingProxyType(
         {
@@ -149,11 +149,6 @@ class FixedPoint(Gyrostat):
     def oscillation_families(self, points: Points) -> Flags:
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]
-
-    def complete(self, points: Points) -> Mask:
-        return np.ones(shape_of(points), bool)
-
-    complete_any_axis = complete
 
     def geometry(
         self,

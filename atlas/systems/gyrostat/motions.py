@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import base
 from ..base import Array, Condition, Family, Points, TwoAxes, motion_about_axes, shape_of, shared
 from ..jacobian import STEP
 from ..vectors import across, dot, length, principal, ratio
@@ -32,15 +31,6 @@ def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
     w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
     w[2] += points["m"]
     return w
-
-
-def start_residual(slope: Array, gamma: Array, n: Array, m: Array, across: Array, square: Array) -> Array:
-    """|slope - n m gamma x e3| over a squared rate; beside the vertical, if less, of a rotation about e3, by its rate across that."""
-    needed = n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])
-    residual = ratio(length(slope - needed), square)
-    about_third = np.maximum(ratio(length(slope), square), ratio(np.abs(across), np.sqrt(square)))
-    beside = np.hypot(gamma[0], gamma[1]) <= base.FAMILY_TOLERANCE
-    return np.where(beside, np.minimum(residual, about_third), residual)
 
 
 def about_third_axis(points: Points) -> TwoAxes:

@@ -30,8 +30,7 @@ from ..gyrostat.motions import about_third_axis, each, linear, motion_of, relati
 from ..vectors import cross, ratio
 from . import conditions as the
 from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
-from .equations import rhs
-from .initial import body_vectors, constants, directions, initial_state
+from .initial import body_vectors, directions, initial_state
 
 # State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
@@ -303,13 +302,8 @@ FAMILIES = numbered(
 )
 
 
-def condition_residual(points: Points) -> Array:
-    """|w'-dot - n m gamma x e3| at the start, w' relative to the orbit, over the largest squared rate; 0 on an exact motion."""
-    state = initial_state(points)
-    w, gamma = state[:3], state[6:]
-    rates = np.array(rhs(state, constants(points)))
-    slope, n = rates[:3] - points["Omega"] * rates[6:], points["n"]
+def squared_rate(points: Points) -> Array:
+    """Largest squared rate of the start: of orbit, body and magnet."""
+    turn = np.maximum(points["Omega"] ** 2, (initial_state(points)[:3] ** 2).sum(0))
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-    field = magnetic_moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia
-    square = np.maximum(np.maximum(points["Omega"] ** 2, (w**2).sum(0)), field)
-    return motions.start_residual(slope, gamma, n, points["m"], n * np.hypot(gamma[0], gamma[1]), square)
+    return np.maximum(turn, magnetic_moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia)

@@ -37,7 +37,7 @@ class Satellite(Gyrostat):
     initial_state = staticmethod(initial.initial_state)
     steady_rates = staticmethod(initial.steady_rates)
 
-    condition_residual = staticmethod(families.condition_residual)
+    squared_rate = staticmethod(families.squared_rate)
     growth_about_vertical = staticmethod(initial.growth_about_vertical)
     families = families.FAMILIES | any_axis.FAMILIES | plane.FAMILIES
     geometries = MappingProxyType(
@@ -100,10 +100,6 @@ class Satellite(Gyrostat):
         stable, growth = self.linear_stability(points, np.where(in_plane, 0, flags))
         stable[in_plane], growth[in_plane] = plane.stability(subset(points, in_plane), rough=True)
         return stable, growth
-
-    def complete(self, points: Points) -> Mask:
-        """Without an orbit an undamped free or heavy body has more steady motions than the families."""
-        return (points["Omega"] > 0) | (points["damping"] > 0)
 
     def geometry(
         self,

@@ -1,0 +1,246 @@
+"""Steady motions by the equations alone: against families, measured labels, motions known exactly, and systems without theory."""
+
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from family_starts import STARTS
+from strategies import random_fixed_points, random_satellites
+from truth import cases, fixed_point_cases
+
+import atlas
+from atlas import systems
+from atlas.flags import Label, Status
+from atlas.systems import Parameter, System, steady
+from atlas.systems.steady import Existence, polynomial_degree, steady_motions
+from atlas.systems.vectors import cross, length
+
+KINDS = [(system, kind) for system, kinds in STARTS.items() for kind in kinds]
+TIMES = dict.fromkeys(("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), -1) | {"N": -2}
+TORQUES = dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), -2) | dict.fromkeys(
+    ("k1", "k2", "k3", "l1", "l2", "l3", "damping"), -1
+)
+
+
+def in_units(points, time, mass):
+    """The points in units of time and mass that are smaller by these factors."""
+    factors = {name: time**power for name, power in TIMES.items()} | dict.fromkeys("ABC", mass)
+    factors |= {name: mass * time**power for name, power in TORQUES.items()}
+    return {name: values * factors.get(name, 1.0) for name, values in points.items()}
+
+
+def family_rates(system, points):
+    """Sine of the angle between the axes, n and m of the family of each start."""
+    flags, _ = system.identify_family(points)
+    sine, n, m = (np.array(values) for values in system.steady_rates(points))
+    for family in system.families.values():
+        members = np.flatnonzero(flags == family.flag)
+        if family.axes is not None and members.size:
+            axes = family.axes({name: values[members] for name, values in points.items()})
+            sine[members] = np.linalg.norm(np.cross(axes.spin_axis, axes.fixed_axis, axis=0), axis=0)
+            n[members], m[members] = axes.precession_rate, axes.spin_rate
+    return sine, n, m
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS)
+def test_exact_starts_are_steady_in_all_units(name, kind):
+    """With the rates and the nutation of the family; the axes differ by rounding errors of derivatives alone."""
+    system, rng = systems.get(name), np.random.default_rng(2)
+    points = STARTS[name][kind](rng, 40)
+    for time, mass in ((1.0, 1.0), (1e8, 3e-8), (7e-9, 2e7)):
+        scaled = in_units(points, time, mass)
+        motion = steady_motions(system, scaled, 50.0 * time, 1e-5 / time, 1e-5)
+        assert (motion.answer == Existence.EXACT).all()
+        sine, n, m = family_rates(system, scaled)
+        s, spin, nu, turn = motion.axes
+        u = system.equations.frame_motion(system.initial_state(scaled), system.constants(scaled))[:3]
+        size = length(np.array(u)) + np.abs(turn)
+        assert (length(spin * s + turn * nu - u) <= 1e-12 * size).all()
+        # A rotation about one axis may be written as a precession as well.
+        known = (np.abs(n * m * sine) > 1e-3 / time**2) & (np.abs(turn * spin) > 0)
+        np.testing.assert_allclose(
+            (turn * spin * length(cross(nu, s)))[known] ** 2, (n * m * sine)[known] ** 2, rtol=1e-6
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "draw"), [("satellite", random_satellites), ("fixed_point", random_fixed_points)]
+)
+def test_random_starts_are_far(name, draw):
+    points = draw(np.random.default_rng(3), 500)
+    motion = steady_motions(systems.get(name), points, 30.0, 1e-5)
+    assert (motion.answer == Existence.FAR).all()
+    assert (motion.residual > 1e-3).all()
+
+
+def test_published_cases_are_decided():
+    """Case 38 needs the frequency of nutation and not that of the spin, case 58 the growth of a tilt of 1e-4."""
+    durations = np.array([case["T"] for case in cases("fixed_point")])
+    motion = steady_motions(systems.get("fixed_point"), fixed_point_cases(), durations, 1e-5)
+    # A free precession about an axis that is not the vertical is steady, and drifts about the vertical.
+    drifting = np.array([case["label"] == "drifting" and case["id"] != 109 for case in cases("fixed_point")])
+    np.testing.assert_array_equal(motion.answer, np.where(drifting, Existence.FAR, Existence.EXACT))
+
+
+# Rates and angles that are moved, by the system.
+MOVED = {"satellite": ("theta0", "m", "k3", "theta_dot0"), "fixed_point": ("theta0", "m", "l3", "theta_dot0")}
+ABOUT_THIRD = [(name, kind) for name, kind in KINDS if kind.split(",")[0] not in ("grioli", "balanced_field")]
+
+
+@pytest.mark.parametrize("name", STARTS)
+def test_moved_starts_are_not_decided_otherwise_than_measured(name):
+    """Starts moved by 1e-16 to 1e-1, spins up to 1e6, in any units."""
+    system, rng = systems.get(name), np.random.default_rng(4)
+    answers = set()
+    for kind in [kind for other, kind in ABOUT_THIRD if other == name]:
+        points = STARTS[name][kind](rng, 24)
+        points = {key: values[:24].copy() for key, values in points.items()}
+        size = points["A"].size
+        which, moves = (
+            rng.integers(4, size=size),
+            10 ** rng.uniform(-16, -1, size) * rng.choice([-1, 1], size),
+        )
+        for i, parameter in enumerate(MOVED[name]):
+            points[parameter] += np.where((which == i) & np.isnan(points.get("p0", np.nan)), moves, 0.0)
+        time, tolerance = 10 ** rng.uniform(-8, 8), 10 ** rng.uniform(-6, -3)
+        points = in_units(points, time, 10 ** rng.uniform(-8, 8))
+        duration = np.fmin(30.0 * time, 1000 / system.frequency_bound(points))
+        answer = steady_motions(system, points, duration, tolerance / time, tolerance).answer
+        ds = atlas.label_points(
+            name, points, duration=duration, rate_tolerance=tolerance / time, cylinder_tolerance=tolerance,
+            variables=["label", "status", "label_any_axis"],
+        )  # fmt: skip
+        ok = ds.status.values == Status.OK
+        exact, far = (ok & (answer == each) for each in (Existence.EXACT, Existence.FAR))
+        assert (ds.label.values[far] == Label.DRIFTING).all(), kind
+        assert (ds.label_any_axis.values[exact] != Label.DRIFTING).all(), kind
+        answers |= set(answer)
+    assert answers == {*Existence}
+
+
+class HeavyTop(System):
+    """A heavy body with a rotor in its own notation: states in another order, the vertical upwards."""
+
+    name, title, frame = "heavy_top_of_tests", "heavy top", "space"
+    rate_states = ("x", "y", "z")
+    names = ("J1", "J2", "J3", "r1", "r2", "r3", "p", "q", "c", "x0", "y0", "z0", "v1", "v2", "v3")
+    parameters = MappingProxyType(
+        {name: Parameter(name, "1", name, float(name in ("J1", "J2", "J3", "v3"))) for name in names}
+    )
+
+    class equations:
+        STATE = ("v1", "v2", "v3", "x", "y", "z")
+        FRAME_VECTORS = (("v1", "v2", "v3"),)
+        CONSTANTS = ("J1", "J2", "J3", "r1", "r2", "r3", "p", "q", "c")
+
+        def rhs(state, constants):
+            v1, v2, v3, x, y, z = state
+            J1, J2, J3, r1, r2, r3, p, q, c = constants
+            L1, L2, L3 = J1 * x + p, J2 * y + q, J3 * z + c
+            return (
+                v2 * z - v3 * y, v3 * x - v1 * z, v1 * y - v2 * x,
+                (L2 * z - L3 * y + r3 * v2 - r2 * v3) / J1,
+                (L3 * x - L1 * z + r1 * v3 - r3 * v1) / J2,
+                (L1 * y - L2 * x + r2 * v1 - r1 * v2) / J3,
+            )  # fmt: skip
+
+        def frame_motion(state, constants):
+            v1, v2, v3, x, y, z = state
+            return x, y, z, v1, v2, v3
+
+    def initial_state(self, points):
+        return np.array([points[name] for name in ("v1", "v2", "v3", "x0", "y0", "z0")])
+
+
+def tops(rng, count):
+    """Random heavy bodies and starts."""
+    names = HeavyTop.names
+    points = {name: rng.normal(size=count) for name in names}
+    parts = rng.uniform(0.3, 1.0, (3, count))
+    points |= dict(zip(names[:3], parts.sum(0) - parts, strict=True))
+    vertical = rng.normal(size=(3, count))
+    return points | dict(zip(names[-3:], vertical / length(vertical), strict=True))
+
+
+def known_tops(rng, count):
+    """Free symmetric precessions, free rotations about a principal axis, and Lagrange's precessions about an axis, in turn."""
+    points, kind, axis = tops(rng, count), np.arange(count) % 3, np.arange(count) // 3 % 3
+    free = kind < 2
+    for i in range(3):
+        across = axis != i
+        for name in (f"r{i + 1}", "pqc"[i]):
+            points[name] = np.where(across | (free & (name[0] == "r")), 0.0, points[name])
+        points["xyz"[i] + "0"] = np.where((kind == 1) & across, 0.0, points["xyz"[i] + "0"])
+    moments = np.array([points[f"J{i}"] for i in (1, 2, 3)])
+    own = np.take_along_axis(moments, axis[None], 0)[0]
+    moments = np.where(
+        (kind != 1) & (np.arange(3)[:, None] != axis),
+        np.fmax(moments[axis - 1, np.arange(count)], own / 2),
+        moments,
+    )
+    # A top about its axis: n (J m + rotor) + (J - A) n^2 cos - weight = 0, the weight against the vertical.
+    e, v = np.eye(3)[:, axis], np.array([points[name] for name in HeavyTop.names[-3:]])
+    n, m = rng.normal(size=(2, count))
+    lagrange, A = n * v + m * e, moments[axis - 1, np.arange(count)]
+    rotor = (e * np.array([points[name] for name in "pqc"])).sum(0)
+    weight = n * (own * m + rotor) + (own - A) * n**2 * (e * v).sum(0)
+    for i in range(3):
+        points[f"J{i + 1}"] = moments[i]
+        points["xyz"[i] + "0"] = np.where(kind == 2, lagrange[i], points["xyz"[i] + "0"])
+        points[f"r{i + 1}"] = np.where(kind == 2, weight * e[i], points[f"r{i + 1}"])
+    return points
+
+
+@pytest.fixture
+def top():
+    yield systems.register(HeavyTop())
+    del systems.SYSTEMS[HeavyTop.name]
+
+
+def test_motions_of_another_system_that_are_known(top):
+    assert polynomial_degree(top) == 2
+    for size in (1.0, 1e6):
+        points = known_tops(np.random.default_rng(5), 60)
+        points = {key: v * {"J": 1, "v": 1, "r": size**2}.get(key[0], size) for key, v in points.items()}
+        motion = steady_motions(top, points, 30.0 / size, 1e-5 * size, 1e-5)
+        assert (motion.answer == Existence.EXACT).all()
+    motion = steady_motions(top, tops(np.random.default_rng(6), 60), 30.0, 1e-5)
+    assert (motion.answer == Existence.FAR).all()
+    moved = points | {"z0": points["z0"] * 1.01, "c": points["c"] + 0.01 * size}
+    assert (steady_motions(top, moved, 30.0 / size, 1e-5 * size, 1e-5).answer != Existence.EXACT)[2::3].all()
+
+
+CHANGES = {
+    "tanh": (
+        "(L1 * y - L2 * x + r2 * v1 - r1 * v2) / J3",
+        "tanh(L1 * y - L2 * x) / J3",
+        "tanh(L1 * y - L2 * x)",
+    ),
+    "quotient": ("v2 * z - v3 * y", "v2 * z - v3 / y", "v3 / y"),
+    "power": ("v2 * z - v3 * y", "v2 * z - v3 * y**0.5", "y ** 0.5"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_systems_that_are_no_polynomials_have_a_reason(change, monkeypatch):
+    old, new, reason = CHANGES[change]
+    source = steady.arithmetic.functions(HeavyTop.equations)["rhs"]
+    monkeypatch.setattr(steady.arithmetic, "functions", lambda equations: {"rhs": source.replace(old, new)})
+    assert new in source.replace(old, new)
+    assert polynomial_degree(HeavyTop()) == f"{reason} is no polynomial in the states"
+
+
+@pytest.mark.parametrize("state", ["t", "charge"])
+def test_systems_with_another_state_have_a_reason(state):
+    class equations(HeavyTop.equations):
+        STATE = (*HeavyTop.equations.STATE, state)
+
+    system = HeavyTop()
+    system.equations = equations
+    assert f"the state {state} is neither" in polynomial_degree(system)
+
+
+def test_degrees_of_powers_and_constants(monkeypatch):
+    text = "def rhs(state, constants):\n    x, y, z, v1, v2, v3 = state\n    a = -x ** 3\n    b, c = a * y, sin(J1) / J2 ** 0.5\n    return a, b, c * x"
+    monkeypatch.setattr(steady.arithmetic, "functions", lambda equations: {"rhs": text})
+    assert polynomial_degree(HeavyTop()) == 4

@@ -414,7 +414,10 @@ def columns_of(
     """Variables and solved parameters of the points of a scene, or of some by their flat indices; the numbers of points of earlier atlases."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
-    columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in tile_types(scene).items()}
+    types = (
+        tile_types(scene) if points is None else {"label": "int8"} | tile_types(scene)
+    )  # refinement follows it
+    columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}
 
     def compute(tile: int, advance: Advance) -> None:
         part = tiles.indices(tile)

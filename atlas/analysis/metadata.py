@@ -37,7 +37,8 @@ def system_of(ds: xr.Dataset) -> System:
             f"the atlas is of the system {shown(name)}, which is not installed here; its package was {shown(package)}"
         )
     system = systems.get(name)
-    for variable in ds.variables.keys() & (data_variables(system).keys() | system.parameters.keys()):
+    numbers = ds.data_vars.keys() & data_variables(system) | ds.variables.keys() & system.parameters.keys()
+    for variable in numbers:
         if ds.variables[variable].dtype.kind not in "biuf":
             raise BadInput(f"{variable}: values of type {ds[variable].dtype}; an atlas has numbers there")
     return system

@@ -510,8 +510,11 @@ def condition_residual(system: System, points: Points) -> Array:
     """How far each start is from a steady motion about the third axis and the vertical, (points,); 0 on an exact one.
 
     The larger of |u' - n m gamma x e3| over the largest squared rate, u the angular velocity in the frame, and what of u across
-    e3 is not n gamma, over its root. Beside the vertical, if less, that of a rotation about e3.
+    e3 is not n gamma, over its root. Beside the vertical, if less, that of a rotation about e3. Of systems of which the theorem says
+    nothing that of the families, nan without any.
     """
+    if isinstance(polynomial_degree(system), str):
+        return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
     state, constants = system.initial_state(points), system.constants(points)
     _, n, m = system.steady_rates(points)
     slope = np.array(np.broadcast_arrays(*system.equations.rhs(state, constants)))

@@ -351,7 +351,7 @@ def test_every_flag_together_fits_into_the_codes_of_refinement():
     ]
     counts = [len(variables(SYSTEMS["satellite"])[name].flags) for name in names]
     flags = {name: np.array([0, count - 1], np.int8) for name, count in zip(names, counts, strict=True)}
-    decoded = refine._decode(refine._encode(flags, counts), counts)
+    decoded = refine._decode(refine._encode(list(flags.values()), counts), counts)
     for name, values in zip(names, decoded, strict=True):
         np.testing.assert_array_equal(values, flags[name])
 

@@ -123,7 +123,7 @@ def coarse_figures():
         yield
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # no longer than `whole_kernels`, which change its bits
 def longer_atlas(scene_text):
     """Text of a scene of about a second, and its result computed in memory."""
     import atlas
@@ -145,8 +145,9 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     scene = load_scene(tmp_path / "scene.toml")
     with monkeypatch.context() as patched:
         patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
-        run = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run")
+        run = RunFolder.prepare(plan := ScenePlan.of(scene), tmp_path / "run")
     assert run.tiling.count == 18
+    assert plan.points.kernel_hash == whole.atlas_kernel_hash
     return tmp_path, run, whole
 
 

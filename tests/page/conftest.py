@@ -17,13 +17,13 @@ def browser():
         yield tab
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def small_atlas(scene_text, tmp_path_factory):
     """Atlas of 63 points over two axes."""
     return _run(scene_text({}), tmp_path_factory)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def cube_atlas(scene_text, tmp_path_factory):
     """Atlas over three axes, the last of two values."""
     changes = {
@@ -34,7 +34,7 @@ def cube_atlas(scene_text, tmp_path_factory):
     return _run(scene_text(changes), tmp_path_factory)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def sampled_atlas(scene_text, tmp_path_factory):
     """Atlas of 32 sampled points."""
     ranges = {"sigma": {"from": 0.3, "to": 1.7}, "theta0": {"from": 0.2, "to": 1.4}}
@@ -42,13 +42,13 @@ def sampled_atlas(scene_text, tmp_path_factory):
     return _run(scene_text({"axes": None, "points": points}), tmp_path_factory)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def small_page(small_atlas):
     """Page of the small atlas."""
     return atlas_page(small_atlas, file="small.nc")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def address(small_page, tmp_path_factory):
     """Address of that page."""
     path = tmp_path_factory.mktemp("page") / "small.html"

@@ -53,6 +53,8 @@ CREATION, JOINING = "manifest.claim", "joining.claim"  # of the process that cre
 # As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
+# Names of what may be left of a run that was removed, or be there before it is created.
+REMNANT = re.compile("|".join([PROGRESS.pattern, *map(re.escape, (CREATION, JOINING, CLOCK))]))
 PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
     ("points", "done", "points_per_second"), int | float
 )
@@ -134,7 +136,7 @@ class RunFolder:
                 if path.exists() and not path.is_dir():
                     raise BadInput(f"{path}: this is a file, not a run folder")
                 files.check_folder(path / MANIFEST if path.exists() else path)
-            if not all(map(_is_remnant, names)):
+            if not all(REMNANT.fullmatch(name) or files.TEMPORARY.fullmatch(name) for name in names):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             scene, kernel = plan.scene, plan.points.kernel_hash
             attributes = dataset.provenance(
@@ -370,32 +372,18 @@ class RunFolder:
         for part in (TILES, LEVELS):
             with suppress(OSError):
                 self.place.inside(part).clear()
-        for name in [
-            *filter(PROGRESS.fullmatch, self.place.names()),
-            CREATION,
-            JOINING,
-            CLOCK,
-            NOTES,
-            MANIFEST,
-        ]:
+        for name in [*filter(REMNANT.fullmatch, self.place.names()), NOTES, MANIFEST]:
             self.place.remove(name)
         remove_empty(self.path)
-
-
-def _is_remnant(name: str) -> bool:
-    """Whether a content may be left of a run that was removed, or be there before it is created."""
-    if name in (CREATION, JOINING, CLOCK):
-        return True
-    return any(pattern.fullmatch(name) for pattern in (files.TEMPORARY, PROGRESS))
 
 
 def remove_empty(path: Path | str) -> None:
     """Remove what is left of a run that was removed, but for temporary files of processes at work."""
     place = place_at(path)
-    if all(map(_is_remnant, names := place.names())):
+    names = [name for name in place.names() if not files.TEMPORARY.fullmatch(name)]
+    if all(map(REMNANT.fullmatch, names)):
         for name in names:
-            if not files.TEMPORARY.fullmatch(name):
-                place.remove(name)
+            place.remove(name)
     if isinstance(path, Path):
         files.remove_leftovers(path)
         with suppress(OSError):

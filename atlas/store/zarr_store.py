@@ -14,6 +14,7 @@ import math
 import warnings
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -69,11 +70,8 @@ class PlaceStore(WrapperStore[Any]):
             raise BadInput(f"{self.place}/{key}: {error}") from None
         if self.sizes is not None and "/c" in key:
             # The errors of codecs would not name the object. Blosc begins with four bytes and the size of what it unpacks to.
-            size, is_own = (
-                int.from_bytes(content[4:8], "little"),
-                int.from_bytes(content[-4:], "little") == crc32c(content[:-4]),
-            )
-            if not is_own or size != self.sizes.get(key.partition("/")[0], size):
+            size, checksum = (int.from_bytes(part, "little") for part in (content[4:8], content[-4:]))
+            if checksum != crc32c(content[:-4]) or size != self.sizes.get(key.partition("/")[0], size):
                 raise BadInput(damaged)
         match byte_range:
             case RangeByteRequest():
@@ -98,33 +96,28 @@ def write_blocks(
     path: Path | str,
 ) -> None:
     """Write an atlas as `netcdf.write_blocks` does, whole or, on an object store, so that a part of it is known."""
-    if isinstance(path, Path):
-        with atomic_folder(path) as temporary:
-            _write(ds, chunk, names, blocks, Folder(temporary))
-        return
-    _write(ds, chunk, names, blocks, place_at(path))
-
-
-def _write(
-    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], place: Place
-) -> None:
-    # First of all what is there is a part of an atlas, whenever this process ends: also while earlier objects are removed.
-    attributes: dict[str, Any] = {VERSION: __version__}
-    metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
-    place.write(METADATA, json.dumps(metadata).encode())
-    if not isinstance(place, Folder):
-        place.clear(but=METADATA)
-    store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
-    for name, variable in ds.variables.items():
-        lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
-        if name not in names and variable.size <= MAX_WHOLE:
-            lengths = list(variable.shape)
-        encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
-        if name in names or variable.chunks is not None:
-            lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
-    template = ds.drop_attrs(deep=False).assign_attrs(attributes).assign(lazy)
-    with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
+    with (
+        atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
+        warnings.catch_warnings(),
+        zarr.config.set({"array.write_empty_chunks": True}),
+    ):
         warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
+        place = place_at(where)
+        # First of all what is there is a part of an atlas, whenever this process ends: also while earlier objects are removed.
+        attributes: dict[str, Any] = {VERSION: __version__}
+        metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+        place.write(METADATA, json.dumps(metadata).encode())
+        if not isinstance(place, Folder):
+            place.clear(but=METADATA)
+        store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
+        for name, variable in ds.variables.items():
+            lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
+            if name not in names and variable.size <= MAX_WHOLE:
+                lengths = list(variable.shape)
+            encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
+            if name in names or variable.chunks is not None:
+                lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
+        template = ds.drop_attrs(deep=False).assign_attrs(attributes).assign(lazy)
         template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
         group = zarr.open_group(store, mode="r+", use_consolidated=False)
         for name, variable in ds.variables.items():  # parameters too large for memory
@@ -137,12 +130,12 @@ def _write(
                 for write in writes:
                     write.result()
         zarr.consolidate_metadata(store)
-    metadata = json.loads(place.read(METADATA))
-    for name, value in ds.attrs.items():
-        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        metadata["attributes"][str(name)] = plain
-    metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
-    place.write(METADATA, json.dumps(metadata).encode())
+        metadata = json.loads(place.read(METADATA))
+        for name, value in ds.attrs.items():
+            plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+            metadata["attributes"][str(name)] = plain
+        metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
+        place.write(METADATA, json.dumps(metadata).encode())
 
 
 def _root_hash(metadata: dict[str, Any]) -> str:

@@ -110,13 +110,8 @@ def temporary_path(path: Path) -> Path:
 
 
 def sealed(content: Mapping[str, Any]) -> str:
-    """JSON text of some entries with a checksum of them, for `unsealed`."""
+    """JSON text of some entries with a checksum of them, for `parsed`."""
     return json.dumps({**content, "checksum": hash_of(content)}, indent=1)
-
-
-def unsealed(text: str | bytes) -> dict[str, Any]:
-    """Entries of a JSON text that `sealed` made; ValueError if it was changed."""
-    return parsed(text, is_sealed=True)
 
 
 def parsed(text: str | bytes, *, is_sealed: bool = False) -> dict[str, Any]:

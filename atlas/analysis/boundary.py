@@ -120,7 +120,7 @@ def _traced(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
     of = repr((code, scene, plane.extent, plane.fixed, what))
     path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
     with suppress(OSError, ValueError):
-        kept = files.unsealed(files.read_bytes(path))["lines"]
+        kept = files.parsed(files.read_bytes(path), is_sealed=True)["lines"]
         return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
     began = time.process_time()
     lines = trace()

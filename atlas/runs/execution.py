@@ -302,7 +302,7 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
     def integrate(indices: np.ndarray) -> Iterator[Part]:
         before, most = levels[-1].key if levels else "", math.prod(plan.tiling.tile)
         folder.check_kept()
-        level = Level.of(folder.place, folder.scene, folder.key, len(levels), before, indices, most)
+        level = Level.of(folder, len(levels), before, indices, most)
         levels.append(level)
         job = _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number)
         totals.add(job.compute(bar).table())
@@ -414,9 +414,8 @@ def columns_of(
     """Variables and solved parameters of the points of a scene, or of some by their flat indices; the numbers of points of earlier atlases."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
-    types = (
-        tile_types(scene) if points is None else {"label": "int8"} | tile_types(scene)
-    )  # refinement follows it
+    # Refinement follows the label, whether the scene asks for it or not.
+    types = ({} if points is None else {"label": "int8"}) | tile_types(scene)
     columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}
 
     def compute(tile: int, advance: Advance) -> None:
@@ -620,7 +619,7 @@ def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...])
     """The source of the tiles of a run or level whose bits this process computes."""
     run = RunFolder.open(path)
     try:
-        opened = None if level is None else Level.open(run.place, run.scene, run.key, level)
+        opened = None if level is None else Level.open(run, level)
     except FileNotFoundError:
         raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
     tiles = run.tiles if opened is None else opened.tiles

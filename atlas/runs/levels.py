@@ -13,17 +13,18 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from ..errors import BadInput, one_line
 from ..files import hash_of
-from ..scene.model import Scene
-from ..store.place import Place
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
 from ..store.tiling import MIN_POINTS_PER_TILE, Tiling
 from ..variables import variables
+
+if TYPE_CHECKING:
+    from .run import RunFolder
 
 LEVELS, POINTS = "levels", "points.tile"
 # Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
@@ -40,54 +41,43 @@ Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 class Level:
     """Some points of the finest grid of a run, which are computed in tiles like a grid of one axis."""
 
-    def __init__(
-        self,
-        run: Place,
-        scene: Scene,
-        run_key: str,
-        number: int,
-        before: str,
-        points: np.ndarray,
-        length: int,
-    ):
+    def __init__(self, run: RunFolder, number: int, before: str, points: np.ndarray, length: int):
         self.number, self.before, self.points, self.length = number, before, points, length
-        self.place = run.inside(f"{LEVELS}/{number:04d}")
+        self.place = run.place.inside(f"{LEVELS}/{number:04d}")
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
-        self.key = hash_of([run_key, number, before, length, digest])
-        outputs = {*scene.outputs, "label"} - {"growth_rate"}
-        measured = (v for v in variables(scene.system).values() if v.name in MEASURED or not v.flags)
+        self.key = hash_of([run.key, number, before, length, digest])
+        outputs = {*run.scene.outputs, "label"} - {"growth_rate"}
+        measured = (v for v in variables(run.scene.system).values() if v.name in MEASURED or not v.flags)
         types = {variable.name: variable.dtype for variable in measured if variable.name in outputs}
         tiling = Tiling(points.shape, (length,))
         self.tiles = Tiles(self.place, self.key, types, tiling, points)
         self.read_tile = lru_cache(maxsize=1)(lambda tile: self.tiles.read(tile)[1])
 
     @classmethod
-    def of(
-        cls, run: Place, scene: Scene, run_key: str, number: int, before: str, points: np.ndarray, most: int
-    ) -> Level:
+    def of(cls, run: RunFolder, number: int, before: str, points: np.ndarray, most: int) -> Level:
         """A level in tiles of at most so many points, which is written unless it is there."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
-        level = cls(run, scene, run_key, number, before, points, *Tiling.of(points.shape, most).tile)
+        level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)
         with suppress(BadInput, FileNotFoundError):
-            if cls.open(run, scene, run_key, number).key == level.key:
+            if cls.open(run, number).key == level.key:
                 return level
-        run.inside(LEVELS).make()  # not the run, which may have been removed
+        run.place.inside(LEVELS).make()  # not the run, which may have been removed
         level.place.make()
         header = {"key": level.key, "level": number, "before": before, "length": level.length}
         level.place.write(POINTS, encode(header, {"points": points.astype("<i8")}))
         return level
 
     @classmethod
-    def open(cls, run: Place, scene: Scene, run_key: str, number: int) -> Level:
+    def open(cls, run: RunFolder, number: int) -> Level:
         """A level that some process has begun; FileNotFoundError if none has, BadInput if it is damaged."""
-        place = run.inside(f"{LEVELS}/{number:04d}")
+        place = run.place.inside(f"{LEVELS}/{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}
-            header, columns = decode(content, facts, types, scene.size)
+            header, columns = decode(content, facts, types, run.scene.size)
             points, length = columns["points"], header.get("length")
             if type(length) is not int or not 0 < length <= points.size:
                 raise ValueError("its tiles are not allowed")
-            level = cls(run, scene, run_key, number, str(header.get("before")), points, length)
+            level = cls(run, number, str(header.get("before")), points, length)
             if header.get("key") != level.key:
                 raise ValueError("its key does not match its points")
             return level

@@ -93,9 +93,9 @@ class RunFolder:
         file = f"{place}/{MANIFEST}"
         try:
             try:
-                manifest = files.unsealed(place.read(MANIFEST))
+                manifest = files.parsed(place.read(MANIFEST), is_sealed=True)
             except FileNotFoundError:  # a store of version 0.1.0 had its run in a group
-                manifest = files.unsealed(place.read(f"atlas/{MANIFEST}"))
+                manifest = files.parsed(place.read(f"atlas/{MANIFEST}"), is_sealed=True)
         except FileNotFoundError:
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
@@ -174,26 +174,24 @@ class RunFolder:
     @classmethod
     def discard(cls, plan: ScenePlan, path: Path | str) -> None:
         """Remove another scene's run; BadInput if a process computes it."""
-        if MANIFEST not in place_at(path).names():
-            return  # `prepare` refuses anything else
-        try:
+        run = None
+        with suppress(BadInput):
             run = cls.open(path)
-        except BadInput:
-            return  # `prepare` refuses it
-        try:
             run.check_same(plan)
-        except BadInput:
-            processes = (process for _, process in claims.claimants(run.place) if process)
-            at_work = dict.fromkeys(processes, "this or another machine")
-            at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
-            if at_work:
-                process, host = at_work.popitem()
-                match = PROCESS_NAME.fullmatch(process)
-                raise BadInput(
-                    f"{run.path}: is computed by {f'process {match[3]}' if match else process} on {host}; wait for it, end it,"
-                    " or choose another name"
-                ) from None
-            run.remove()
+            return
+        if run is None:
+            return  # `prepare` refuses it
+        processes = (process for _, process in claims.claimants(run.place) if process)
+        at_work = dict.fromkeys(processes, "this or another machine")
+        at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
+        if at_work:
+            process, host = at_work.popitem()
+            match = PROCESS_NAME.fullmatch(process)
+            raise BadInput(
+                f"{run.path}: is computed by {f'process {match[3]}' if match else process} on {host}; wait for it, end it,"
+                " or choose another name"
+            )
+        run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
         """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
@@ -209,7 +207,7 @@ class RunFolder:
     def check_kept(self) -> None:
         """Raise OSError if another process has removed the run, or replaced it by another one."""
         with suppress(FileNotFoundError, NotADirectoryError, ValueError):
-            if files.unsealed(self.place.read(MANIFEST)).get("key") == self.key:
+            if files.parsed(self.place.read(MANIFEST), is_sealed=True).get("key") == self.key:
                 return
         raise OSError(
             f"{self.path}: another process has removed this run while it was computed; run its scene again"
@@ -228,7 +226,7 @@ class RunFolder:
         """The levels that have begun, without damaged ones, which are logged and written anew by the next run."""
         for number in count():
             try:
-                yield Level.open(self.place, self.scene, self.key, number)
+                yield Level.open(self, number)
             except FileNotFoundError:
                 return
             except BadInput as error:
@@ -317,7 +315,7 @@ class RunFolder:
         """What `save_notes` saved, or nothing; BadInput if it is damaged."""
         file = f"{self.place}/{NOTES}"
         try:
-            content = files.unsealed(self.place.read(NOTES))
+            content = files.parsed(self.place.read(NOTES), is_sealed=True)
             files.check_types(content, {"key": str, "attributes": dict, "totals": dict})
             files.check_types(content["attributes"], dict.fromkeys(content["attributes"], ATTRIBUTE))
             if content["key"] != self.key:

@@ -277,7 +277,7 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with pytest.raises(BadInput, match=r"fixed\.m \(0\.5 in the folder, 0\.6 now\)"):
         atlas.run(load_scene(scene_text({"fixed.m": 0.6})), out, progress=False)
-    manifest = files.unsealed((tmp_path / "run" / "manifest.json").read_text())
+    manifest = files.parsed((tmp_path / "run" / "manifest.json").read_text(), is_sealed=True)
     manifest["identity"]["cpu"] = "abacus"
     manifest["key"] = folder._key(manifest)
     (tmp_path / "other").mkdir()

@@ -194,7 +194,7 @@ def test_the_command_stops_and_continues_a_refined_run(
 
 def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_path):
     folder = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "night")
-    level = Level.of(folder.place, folder.scene, folder.key, 0, "", np.arange(0, 825, 8), 1000)
+    level = Level.of(folder, 0, "", np.arange(0, 825, 8), 1000)
     execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
     assert state(level.tiles).done == [0]
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):

@@ -46,10 +46,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of `workers` one-thread processes that only this machine can reach.
-
-    BadInput if only one of client and scheduler uses TLS, OSError if the scheduler is lost.
-    """
+    """A client of a scheduler, or of one-thread processes here; BadInput if only one side uses TLS, OSError if the scheduler is lost."""
     import distributed
     from distributed.comm.core import CommClosedError
     from distributed.utils import silence_logging_cmgr
@@ -112,10 +109,7 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` here as results come.
-
-    Raises a task's error, or OSError if each attempt lost its worker.
-    """
+    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` on each result; raises its error."""
     from distributed import wait
 
     source = iter(arguments)

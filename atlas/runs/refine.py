@@ -50,13 +50,7 @@ MAX_BOX_POINTS = 2**20
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder; its attributes.
-
-    The coarse grid is integrated. At each level the spacing is halved and the points within BOUNDARY_WIDTH of two points with
-    different flags are integrated, until every boundary runs between integrated points. On the finest grid two more sets are
-    integrated and traced in the same way: the points near boundaries of what theory predicts and those where an instability has
-    hardly time to grow; then the probe, a random share of all others. Elsewhere flags are copied from neighbours.
-    """
+    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder; its attributes."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, threads, integrate, folder)
@@ -68,12 +62,7 @@ def refined(
 
 
 class FineGrid:
-    """The finest grid of a scene: predictions at every point, measured flags where points are integrated.
-
-    With a folder its arrays are in files there, which have no names and are read and written as memory, so that the system keeps in
-    memory what there is room for, and measured numbers are in the tiles of the run alone. All else is derived for boxes of
-    MAX_BOX_POINTS or from the indices of the points that are integrated.
-    """
+    """The finest grid of a scene: predictions at every point, measured flags where points are integrated, else those of a neighbour."""
 
     def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
@@ -128,7 +117,7 @@ class FineGrid:
             self.slowly_unstable.reshape(-1)[existing] = slow
 
     def trace(self, levels: int, progress: bool) -> None:
-        """Integrate near boundaries of measured flags level by level, then near those of the predictions."""
+        """Integrate near boundaries of measured flags level by level, then near those of the predictions and where instabilities are slow."""
         for level in range(levels + 1):
             self.refine_to(level)
             if progress:
@@ -220,11 +209,7 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Expected number of points that `refined` integrates: those near the boundaries that theory predicts, and the probe.
-
-    The refinement is simulated on a grid of at most MAX_PREDICTED points. On each finer grid the points near boundaries grow like the
-    length (area, ...) of the boundaries in units of the spacing, and the points of slow instabilities like the number of all points.
-    """
+    """Expected number of points that `refined` integrates, from the refinement by predicted flags of at most MAX_PREDICTED points."""
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
@@ -255,6 +240,7 @@ def expected_points(plan: ScenePlan) -> float:
         expected = existing_share * math.prod(coarse)
     new_share = 1 - 2.0**-n_axes  # share of the points of a level that no coarser level has
     first = max(finer - levels, 0) + 1
+    # Points near boundaries grow like the length (area, ...) of these in units of the spacing, those of slow instabilities like all.
     expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
     expected += int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
     existing = existing_share * scene.size

@@ -145,10 +145,7 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, points: int, warnings: list[str],
     seconds: float | None = None, title: str = "", scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """CF and ACDD-1.3 attributes of an atlas, and the program's own: of a scene, or of points given with a title.
-
-    `points` were integrated in `seconds` of wall-clock time, if it is known.
-    """
+    """CF and ACDD-1.3 attributes, and the program's own, of a scene, or of points given with a title and their wall-clock time if known."""
     from ..jit import cpu
 
     about = About() if scene is None else scene.about

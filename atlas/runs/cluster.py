@@ -109,7 +109,7 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` on each result; raises its error."""
+    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` here with each result; raises the error of a task."""
     from distributed import wait
 
     source = iter(arguments)

@@ -176,9 +176,10 @@ class RunFolder:
         """Remove another scene's run; BadInput if a process computes it."""
         run = None
         with suppress(BadInput):
-            run = cls.open(path)
-            run.check_same(plan)
-            return
+            if MANIFEST in place_at(path).names():
+                run = cls.open(path)
+                run.check_same(plan)
+                return
         if run is None:
             return  # `prepare` refuses it
         processes = (process for _, process in claims.claimants(run.place) if process)

@@ -82,7 +82,7 @@ KEPT = REORDERED | {
 
 
 @cache
-def made(name: str, *changes: tuple[str, str]) -> xr.Dataset:
+def changed_atlas(name: str, *changes: tuple[str, str]) -> xr.Dataset:
     """The atlas of a scene, after changes of its text."""
     text = HEAD + SCENES[name]
     for old, new in changes:
@@ -137,7 +137,7 @@ def check_refused(ds: xr.Dataset, words: str) -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_points_keep_their_motions(seed):
     rng = np.random.default_rng([1, seed])
-    whole = ds = made(list(SCENES)[seed % len(SCENES)])
+    whole = ds = changed_atlas(list(SCENES)[seed % len(SCENES)])
     for change in rng.choice(list(KEPT), rng.integers(1, 4), replace=False):
         ds = KEPT[change](ds, rng)
     check_kept(whole, ds, rng)
@@ -159,7 +159,7 @@ def changed_coordinates(whole: xr.Dataset, rng: np.random.Generator) -> tuple[st
 @pytest.mark.parametrize("seed", range(12))
 def test_changed_coordinates_are_refused(seed):
     rng = np.random.default_rng([2, seed])
-    whole = made(list(SCENES)[seed % len(SCENES)])
+    whole = changed_atlas(list(SCENES)[seed % len(SCENES)])
     name, factor, ds = changed_coordinates(whole, rng)
     if factor == 1 + 1e-12:
         check_kept(whole, ds, rng)
@@ -186,7 +186,7 @@ def test_two_scenes_joined_along_a_new_dimension(seed):
     rng = np.random.default_rng([3, seed])
     name = list(SCENES)[seed % len(SCENES)]
     of = str(rng.choice(list(CHANGES[name])))
-    a, b = made(name), made(name, CHANGES[name][of])
+    a, b = changed_atlas(name), changed_atlas(name, CHANGES[name][of])
     if of == "k3_offset":
         b = b.assign_coords(k3_offset=a.k3_offset)
     both = xr.concat([a, b], "kind", **DIFFERENT)
@@ -197,11 +197,11 @@ def test_two_scenes_joined_along_a_new_dimension(seed):
 
 def halves(name: str, axis: str, *changes: tuple[str, str]) -> tuple[xr.Dataset, xr.Dataset, xr.Dataset]:
     """The atlases of both halves of an axis, the second after changes, and that of the whole axis."""
-    whole = made(name)
+    whole = changed_atlas(name)
     values, n = whole[axis].values, whole.sizes[axis] // 2
     text = next(line for line in SCENES[name].splitlines() if line.startswith(f"axes.{axis} = "))
     parts = [(text, f"axes.{axis} = {{values = {part.tolist()}}}") for part in (values[:n], values[n:])]
-    return made(name, parts[0]), made(name, parts[1], *changes), whole
+    return changed_atlas(name, parts[0]), changed_atlas(name, parts[1], *changes), whole
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def report(ds: xr.Dataset) -> list[str]:
 @pytest.mark.parametrize("seed", range(5))
 def test_neighbours_do_not_depend_on_the_order_of_the_points(seed):
     rng = np.random.default_rng([5, seed])
-    whole = made(("cylindrical", "plain", "solved", "offset", "draws")[seed % 5])
+    whole = changed_atlas(("cylindrical", "plain", "solved", "offset", "draws")[seed % 5])
     ds = whole = whole.assign(theta_max=whole.theta_max + 0.1 * whole.theta0)
     for change in rng.choice(
         [name for name in REORDERED if name != "stacked"], rng.integers(1, 4), replace=False
@@ -255,11 +255,11 @@ def test_neighbours_do_not_depend_on_the_order_of_the_points(seed):
 
 
 def test_neighbours_of_lists_are_none():
-    whole = made("cylindrical")
+    whole = changed_atlas("cylindrical")
     band = "outside a band"
     assert band in whole.atlas.compare()
     for ds in (
-        made("sample"),
+        changed_atlas("sample"),
         whole.stack(z=("sigma", "m")).reset_index("z"),
         whole.stack(z=("sigma", "m")),
     ):
@@ -270,7 +270,7 @@ def test_neighbours_of_lists_are_none():
 
 
 def test_the_nearest_of_two_values_is_the_smaller():
-    whole = made("cylindrical")
+    whole = changed_atlas("cylindrical")
     middle = {"sigma": float(whole.sigma[2:4].mean())}
     assert (
         whole.isel(sigma=slice(None, None, -1)).atlas.nearest(**middle).sigma
@@ -281,7 +281,7 @@ def test_the_nearest_of_two_values_is_the_smaller():
 def test_figures_show_the_same_values_of_a_reordered_axis(monkeypatch):
     from atlas.analysis import select
 
-    whole = made("cylindrical")
+    whole = changed_atlas("cylindrical")
     monkeypatch.setattr(select, "MAX_CELLS", 5)
     shuffled = REORDERED["shuffled"](whole, np.random.default_rng(6))
     expected, result = (select.plane_of(ds, None, None, {})[0] for ds in (whole, shuffled))
@@ -296,17 +296,17 @@ def test_figures_show_the_same_values_of_a_reordered_axis(monkeypatch):
         (lambda ds: ds.assign_coords(psi0=ds.psi0.assign_attrs(units="deg")), "psi0: units deg here, rad by"),
         (lambda ds: ds.rename(sigma="ratio"), "sigma: this axis of the scene is not in the dataset"),
         (lambda ds: ds.rename(sigma="theta0", theta0="sigma"), " here, no value of this axis of its scene"),
-        (lambda ds: ds.assign_attrs(atlas_scene=made("plain").attrs["atlas_scene"]), " here, no value of this axis of its scene"),
+        (lambda ds: ds.assign_attrs(atlas_scene=changed_atlas("plain").attrs["atlas_scene"]), " here, no value of this axis of its scene"),
         (lambda ds: ds.assign_attrs(atlas_system="fixed_point"), "atlas_system = 'fixed_point' here, satellite by its scene"),
         (lambda ds: ds.assign_coords(k3=ds.k3.where(ds.sigma < 1.5, 0.1)), " by the scene of this dataset"),
     ],
 )  # fmt: skip
 def test_other_scenes_and_units(change, words):
-    assert words in scene_problem(change(made("solved")))
+    assert words in scene_problem(change(changed_atlas("solved")))
 
 
 def test_a_lost_scene():
-    ds = made("solved").copy()
+    ds = changed_atlas("solved").copy()
     del ds.attrs["atlas_scene"]
     with pytest.raises(BadInput, match="the attribute atlas_scene with the scene is missing"):
         ds.atlas.trajectory(sigma=1.0, theta0=0.4)
@@ -314,7 +314,7 @@ def test_a_lost_scene():
 
 
 def test_maps_and_pages_of_changed_coordinates_have_no_theory(caplog, tmp_path, capsys):
-    whole = made("solved")
+    whole = changed_atlas("solved")
     ds = whole.assign_coords(theta0=np.rad2deg(whole.theta0).assign_attrs(whole.theta0.attrs))
     assert len(whole.atlas.map().axes[0].lines) > len(ds.atlas.map().axes[0].lines) == 0
     assert "no theory on this map: theta0 = 5.7" in caplog.text
@@ -361,7 +361,7 @@ def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("engine", ["netcdf4", "scipy", "zarr"])
 def test_files_of_plain_xarray_keep_their_scenes(engine, tmp_path):
-    path, whole = tmp_path / "plain", made("solved")
+    path, whole = tmp_path / "plain", changed_atlas("solved")
     if engine == "zarr":
         whole.to_zarr(path, consolidated=False)
     else:

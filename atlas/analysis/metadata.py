@@ -126,10 +126,10 @@ def axis_values(here: np.ndarray, axis: Axis) -> Array:
     return np.where(_close(here, nearest), nearest, here)
 
 
-def _close(here: np.ndarray, there: Array) -> Mask:
+def _close(here: np.ndarray, own: Array) -> Mask:
     """Which values of a coordinate are these to rounding, also of a difference of numbers of about 1."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
-    return np.asarray(np.isclose(here, there, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
+    return np.asarray(np.isclose(here, own, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
 
 def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:

@@ -29,9 +29,9 @@ TEXTS = {ast.List, ast.Set, ast.Tuple, ast.JoinedStr}
 
 def expressions(node):
     """Nodes from one downwards, without messages, types and looks of figures."""
-    called = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
+    function = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
     generic = ast.unparse(node.value).split(".")[-1] if isinstance(node, ast.Subscript) else ""
-    is_fixed = called in MESSAGES or re.fullmatch(r"[A-Z]\w*[a-z]\w*|dict|tuple", generic)
+    is_fixed = function in MESSAGES or re.fullmatch(r"[A-Z]\w*[a-z]\w*|dict|tuple", generic)
     if not is_fixed and not isinstance(node, ast.Raise | ast.Assert | ast.JoinedStr):
         yield node
         for child in ast.iter_child_nodes(node):
@@ -51,9 +51,9 @@ def changes(node):
             return [ast.Constant(value + 1), ast.Constant(abs(value - 1))]
         case ast.Subscript(value, ast.Tuple([first, second, *rest])):
             return [ast.Subscript(value, ast.Tuple([second, first, *rest]))]
-        case ast.Call(called, [first, second, *rest], words) if type(first) is type(second):
-            is_symmetric = ast.unparse(called).split(".")[-1] in SYMMETRIC
-            return [] if is_symmetric else [ast.Call(called, [second, first, *rest], words)]
+        case ast.Call(function, [first, second, *rest], words) if type(first) is type(second):
+            is_symmetric = ast.unparse(function).split(".")[-1] in SYMMETRIC
+            return [] if is_symmetric else [ast.Call(function, [second, first, *rest], words)]
         case ast.Name() | ast.Attribute() if (name := ast.unparse(node).split(".")[-1]) in OTHER:
             return [ast.Name(ast.unparse(node).removesuffix(name) + OTHER[name])]
     return []

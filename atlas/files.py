@@ -39,6 +39,11 @@ def exists_message(path: Path | str) -> str:
     return f"{path}: this file exists; {option('force', True)} replaces it"
 
 
+def damaged_message(path: object, error: Exception) -> str:
+    """Message about a part of a run that a run of the same scene replaces."""
+    return f"{path}: damaged: {one_line(error)}; run the scene again, which writes it anew"
+
+
 def foreign_message(path: Path | str) -> str:
     """Message about a place that holds what no command of this package wrote."""
     return f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose another name"

@@ -55,14 +55,10 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
     points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((2, 0), np.int64)]
     for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
         group = order[first:last]
-        points.append(_in_blocks(group))
+        # An incomplete block repeats its last point.
+        points.append(np.r_[group, np.full(-group.size % WIDTH, group[-1])].reshape(-1, WIDTH))
         rows.append(np.repeat(key[:, [first]], len(points[-1]), axis=1))
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
-
-
-def _in_blocks(points: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Points in blocks, (blocks, WIDTH), in this order; an incomplete block repeats its last."""
-    return np.r_[points, np.full(-points.size % WIDTH, points[-1])].reshape(-1, WIDTH)
 
 
 def schedule_of(step_sizes: StepSizes, where: NDArray[np.int64] | None = None) -> BlockSchedule:

@@ -387,10 +387,10 @@ def _run_in_memory(execution: _Execution) -> xr.Dataset:
         ds, points = dataset.dataset(scene, columns), scene.size
         attributes = half_step.half_step_sample(scene, plan.points, threads=threads)
     else:
-        silent = Progress(scene.size, show=False)
+        no_bar = Progress(scene.size, show=False)
 
         def integrate(indices: np.ndarray) -> Iterator[Part]:
-            columns, taken = columns_of(plan, silent, threads, execution.earlier, indices)
+            columns, taken = columns_of(plan, no_bar, threads, execution.earlier, indices)
             reused.update(taken)
             yield indices, columns
 

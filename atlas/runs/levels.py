@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from ..errors import BadInput, one_line
-from ..files import hash_of
+from ..errors import BadInput
+from ..files import damaged_message, hash_of
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
 from ..store.tiling import MIN_POINTS_PER_TILE, Tiling
 from ..variables import variables
@@ -84,9 +84,7 @@ class Level:
         except FileNotFoundError:
             raise
         except (OSError, ValueError, DamagedTile) as error:
-            raise BadInput(
-                f"{place}: damaged: {one_line(error)}; run the scene again, which writes it anew"
-            ) from None
+            raise BadInput(damaged_message(place, error)) from None
 
     def read(self, indices: np.ndarray) -> Iterator[Part]:
         """The points between the first and the last of some flat indices, and their variables, tile by tile."""

@@ -329,9 +329,7 @@ class RunFolder:
         except OSError as error:
             raise BadInput(f"{file}: cannot be read: {error.strerror}") from None
         except (ValueError, LookupError, TypeError, AttributeError) as error:
-            raise BadInput(
-                f"{file}: damaged: {one_line(error)}; run the scene again, which writes it anew"
-            ) from None
+            raise BadInput(files.damaged_message(file, error)) from None
 
     def join(self, out: Path | str) -> None:
         """Write the atlas as a NetCDF file or a Zarr store, box by box, in memory of constant size; an error keeps what is there."""

@@ -13,7 +13,7 @@ from ..flags import Agreement, Label, Stability
 from ..measure import rates
 from ..measure.circle import CIRCLES
 from ..measure.circle import label as circle_label
-from ..measure.instrument import Measured, Rule, Run, Tolerances, could_change
+from ..measure.instrument import Measured, Run, Tolerances, could_change
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..systems.base import (
@@ -86,7 +86,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     tolerances, nudged = plan.settings.tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = condition_residual(system, points)
-        motion = motion_of(system, base, duration, tolerances)
+        motion = steady_motions_of(system, base, duration, tolerances)
         family, family_residual = np.zeros(duration.shape, np.int8), np.full(duration.shape, np.inf)
         # A start that is far from every steady motion is on no family, unless it is on the vertical, as motions in the plane are.
         where = np.arange(duration.size)
@@ -99,7 +99,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         if motion is not None:
             in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
             motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
-        pushed = ~exact_starts(system, points, residual <= FAMILY_TOLERANCE) & nudged
+        pushed = nudged & ~exact_starts(system, points, nudged & (residual <= FAMILY_TOLERANCE))
         variables = predict(
             system, base, tolerances.rate, pushed, tolerances.angle, family, duration, motion=motion
         )
@@ -184,7 +184,9 @@ def departure_changes(run: Run, fine: Run) -> Mask | bool:
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
 
-def motion_of(system: System, points: Points, duration: Array, tolerances: Tolerances) -> SteadyMotion | None:
+def steady_motions_of(
+    system: System, points: Points, duration: Array, tolerances: Tolerances
+) -> SteadyMotion | None:
     """Whether each start is a steady motion by the equations of its system; None where these are no polynomials."""
     if isinstance(polynomial_degree(system), str):
         return None
@@ -223,10 +225,8 @@ def predict(
         exact, others = family > 0, np.flatnonzero(_about_other_axes(system, family))
         otherwise = np.full(family.shape, Label.NOT_COMPUTED, np.int8)
     else:
-        exact, others = (
-            motion.answer == Existence.EXACT,
-            np.flatnonzero(_turns_elsewhere(system, points, motion)),
-        )
+        exact = motion.answer == Existence.EXACT
+        others = np.flatnonzero(_turns_elsewhere(system, points, motion))
         otherwise = np.where(motion.answer == Existence.FAR, Label.DRIFTING, Label.NOT_COMPUTED)
     sine, n, m = system.steady_rates(points)
     zero, theta = np.zeros(family.shape), np.arcsin(np.minimum(np.abs(sine), 1.0))
@@ -235,33 +235,39 @@ def predict(
         "theta_min": theta, "theta_max": theta, "sine_max": np.abs(sine),
     }  # fmt: skip
     if motion is not None and others.size:
-        axes = TwoAxes(*(values[..., others] for values in motion.axes))
-        sampled = _statistics(system, subset(points, others), axes, times[others])
+        sampled, error = _statistics(
+            system, subset(points, others), motion.axes.subset(others), times[others]
+        )
     for name, frame_rate in _frame_rates(system, points).items():
         label = rates.rule(tolerances, frame_rate).label(measured)
         label[others] = Label.DRIFTING
         if motion is not None and others.size:
-            label[others] = _certain(rates.rule(tolerances, frame_rate[others]), *sampled)
+            rule = rates.rule(tolerances, frame_rate[others])
+            uncertain = could_change(rule, sampled, error)
+            label[others] = np.where(uncertain, Label.NOT_COMPUTED, rule.label(sampled))
         result[name] = np.where(exact, _after_nudge(label, stable, nudged), otherwise)
     return result
 
 
 def _turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
     """Whether a start is a steady motion about other axes than the third and the vertical."""
-    vertical = system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
-    others = (motion.axes.spin_axis[2] != 1.0) | (motion.axes.fixed_axis != np.array(vertical)).any(0)
+    others = (motion.axes.spin_axis[2] != 1.0) | (motion.axes.fixed_axis != _vertical(system, points)).any(0)
     return others & (motion.answer == Existence.EXACT)
+
+
+def _vertical(system: System, points: Points) -> Array:
+    """The frame's vertical at the start, in body axes, (3, points)."""
+    motion = system.equations.frame_motion(system.initial_state(points), system.constants(points))
+    return np.array(motion[3:])
 
 
 def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) -> tuple[Measured, Measured]:
     """Measurements of exact motions from which labels are decided, from samples, and their errors."""
-    vertical = np.array(
-        system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
-    )
     # Multiples of the golden section, which are even and resonate with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
-    u, g = motion_about_axes(axes, vertical, times)
-    sine, theta = np.hypot(g[0], g[1]), np.arctan2(np.hypot(g[0], g[1]), g[2])
+    u, g = motion_about_axes(axes, _vertical(system, points), times)
+    sine = np.hypot(g[0], g[1])
+    theta = np.arctan2(sine, g[2])
     psi_dot = (u[0] * g[0] + u[1] * g[1]) / sine**2
     values = {"psi_dot": psi_dot, "phi_dot": u[2] - psi_dot * g[2], "normal_rate": (u * g).sum(0)}
     measured = {f"{name}_std": value.std(0) for name, value in values.items()}
@@ -283,13 +289,6 @@ def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) 
         "sine_max": _SAMPLING_ERROR * np.ptp(sine, axis=0),
     }
     return measured, error
-
-
-def _certain(rule: Rule, measured: Measured, error: Measured) -> Flags:
-    """Label by a rule, not_computed where the errors could change it."""
-    return np.where(could_change(rule, measured, error), Label.NOT_COMPUTED, rule.label(measured)).astype(
-        np.int8
-    )
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
@@ -343,7 +342,7 @@ def predict_any_axis(
     names = {own: own.replace("predicted", "predicted_any_axis") for own in _frame_rates(system, base)}
     times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
     with np.errstate(all="ignore"):
-        motion = motion_of(system, base, times, tolerances) if motion is None else motion
+        motion = steady_motions_of(system, base, times, tolerances) if motion is None else motion
         if motion is None:
             known = (theory["family"] > 0) & ~_about_other_axes(system, theory["family"])
             return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
@@ -369,9 +368,7 @@ def _circle(
     In a turning frame the axes must be that of the body and the vertical: a motion with a third rate has none, nan.
     """
     s, m, fixed, n = axes
-    vertical = np.array(
-        system.equations.frame_motion(system.initial_state(points), system.constants(points))[3:]
-    )
+    vertical = _vertical(system, points)
     # One rotation is about an axis at rest in the body, so that the fixed axis is any, such as the vertical.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
@@ -421,7 +418,7 @@ def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:
     where = np.flatnonzero(candidates)
     if where.size:
         part = subset(points, where)
-        motion = motion_of(system, part, np.ones(where.size), Tolerances(np.inf, np.inf))
+        motion = steady_motions_of(system, part, np.ones(where.size), Tolerances(np.inf, np.inf))
         if motion is None:
             flag, residual = system.identify_family(part)
             exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)

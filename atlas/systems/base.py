@@ -62,6 +62,10 @@ class TwoAxes(NamedTuple):
     fixed_axis: Array  # unit vector, (3, points)
     precession_rate: Array  # n, rad per time unit, (points,)
 
+    def subset(self, where: Any) -> TwoAxes:
+        """The motions at some points, by their indices or a mask."""
+        return TwoAxes(*(values[..., where] for values in self))
+
 
 @dataclass(frozen=True)
 class Observable:

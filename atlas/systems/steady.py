@@ -166,8 +166,8 @@ class _Node(NamedTuple):
         return cls(start, axes, state, fixed, u, frame)
 
     def subset(self, where: Any) -> _Node:
-        axes = TwoAxes(*(values[..., where] for values in self.axes))
-        return _Node(self.start.subset(where), axes, *(values[..., where] for values in self[2:]))
+        rest = (values[..., where] for values in self[2:])
+        return _Node(self.start.subset(where), self.axes.subset(where), *rest)
 
     def residual(self) -> Array:
         """Magnitude of the residual of the equations for u, (3, points); infinite where v' = v x u fails."""
@@ -266,15 +266,15 @@ class _Starts(NamedTuple):
         for p, q in (
             (p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1) if gcd(p, q) == 1
         ):
-            there = two & (np.abs(np.abs(n) * q - np.abs(m) * p) <= RATIO * np.abs(n) * q)
-            nodes = np.where(there, 2 * degree * (p + q) + 1, nodes)
-            period = np.where(there, 2 * np.pi * p / np.where(there, np.abs(n), 1.0), period)
+            at_ratio = two & (np.abs(np.abs(n) * q - np.abs(m) * p) <= RATIO * np.abs(n) * q)
+            nodes = np.where(at_ratio, 2 * degree * (p + q) + 1, nodes)
+            period = np.where(at_ratio, 2 * np.pi * p / np.where(at_ratio, np.abs(n), 1.0), period)
 
         def node(j: NDArray[np.intp] | int, at: NDArray[np.intp]) -> _Node:
             instant, angle = period[at] * j / nodes[at], 2 * np.pi / count
             alpha = np.where(period[at] > 0, n[at] * instant, angle * (j // alpha_of[at])) * (n[at] != 0)
             beta = np.where(period[at] > 0, m[at] * instant, angle * j) * (m[at] != 0)
-            return _Node.of(self.subset(at), TwoAxes(*(values[..., at] for values in axes)), alpha, beta)
+            return _Node.of(self.subset(at), axes.subset(at), alpha, beta)
 
         rest, rounding = np.abs(self.rest(axes)[0]), np.full(n.size, ROUNDING)
         allowed = ROUNDING * (np.abs(n) + length(self.frame) + np.abs(m * s))
@@ -417,7 +417,7 @@ def _of_chunk(
             if derived:  # Rates far beyond the bound cancel, and their errors are as large.
                 near &= np.fmax(*np.abs((candidate.spin_rate, candidate.precession_rate))) <= 8 * own.bound
             near = np.flatnonzero(near)
-            part = TwoAxes(*(values[..., near] for values in candidate))
+            part = candidate.subset(near)
             worst, steady = own.subset(near).is_steady(part, degree, derived)
             members = among[near[steady]]
             for values, new in zip(axes, part, strict=True):
@@ -425,7 +425,7 @@ def _of_chunk(
             size[members] = worst[steady] / start.bound[members] ** 2
             answer[members] = Existence.EXACT
     others = np.flatnonzero(answer != Existence.EXACT)
-    part = TwoAxes(*(values[..., others] for values in axes))
+    part = axes.subset(others)
     far = _is_far(start.subset(others), part, duration[others], rate_tolerance, angle)
     answer[others[far]] = Existence.FAR
     return *axes, np.nan_to_num(size, nan=0.0), answer
@@ -501,8 +501,8 @@ def _is_far(start: _Starts, axes: TwoAxes, duration: Array, rate_tolerance: floa
     where = undecided(where, (changes * lasting)[:, where])
     for first in range(0, where.size, 2048):
         part = where[first : first + 2048]
-        own = TwoAxes(*(values[..., part] for values in axes))
-        undecided(part, lasting[part] * start.subset(part).departure(own, duration[part]))
+        departure = start.subset(part).departure(axes.subset(part), duration[part])
+        undecided(part, lasting[part] * departure)
     return far
 
 

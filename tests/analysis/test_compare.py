@@ -50,7 +50,7 @@ def test_off_the_families_a_satellite_drifts_with_and_without_an_orbit():
         "Omega": np.array([1.0, 0.0]),
         "theta_dot0": np.array([0.1, 0.1]),
     }
-    motion = theory.motion_of(system, start, np.full(2, 50.0), Tolerances(1e-5, 1e-5))
+    motion = theory.steady_motions_of(system, start, np.full(2, 50.0), Tolerances(1e-5, 1e-5))
     predicted = theory.predict(system, start, 1e-5, False, duration=np.full(2, 50.0), motion=motion)
     assert predicted["family"].tolist() == [0, 0]
     assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.DRIFTING]

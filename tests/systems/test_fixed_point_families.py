@@ -85,7 +85,7 @@ def test_every_case_has_its_label_and_geometry():
     from atlas.measure.instrument import Tolerances
 
     points, durations = fixed_point_cases(), np.array([case["T"] for case in cases("fixed_point")])
-    motion = theory.motion_of(FIXED_POINT, points, durations, Tolerances(1e-5, 1e-5))
+    motion = theory.steady_motions_of(FIXED_POINT, points, durations, Tolerances(1e-5, 1e-5))
     predicted = theory.predict(FIXED_POINT, points, 1e-5, False, duration=durations, motion=motion)
     predicted = predicted["predicted"]
     labels = [case["label"] for case in cases("fixed_point")]

@@ -9,7 +9,7 @@ PACKAGE = Path(__file__).parent
 # Everything from the scene to the tile: equations, kernels, grid, labels, the registry of variables, and which
 # points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
 NUMERIC_SOURCES = (
-    "flags.py", "jit.py", "variables.py", "engine/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
+    "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "papers/**/*.py", "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/execution.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
     "runs/plan.py",
     "validation/half_step.py",

@@ -90,7 +90,7 @@ def whole_kernels():
     That kernel is compiled once for all modules that use it; a kernel for each set of terms takes some 10 s.
     `tests/engine/test_simplify.py` compares both kinds.
     """
-    from atlas.engine.specialization import GENERIC, Specialization
+    from atlas.kernel.specialization import GENERIC, Specialization
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Specialization, "of", classmethod(lambda cls, system, zero, equal: GENERIC))

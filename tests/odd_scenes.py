@@ -18,8 +18,8 @@ import numpy as np
 import tomli_w
 
 from atlas import BadInput, label_points, load_scene
-from atlas.engine import assemble
 from atlas.errors import MAX_MESSAGE
+from atlas.kernel import assemble
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.runs.plan import ScenePlan

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from atlas.engine.specialization import Specialization
+from atlas.kernel.specialization import Specialization
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.scene.grid import Grid

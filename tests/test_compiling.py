@@ -2,8 +2,8 @@
 
 import threading
 
-from atlas import compiling
-from atlas.compiling import ANNOUNCEMENT, Stopwatch, announced, compilation
+from atlas.kernel import compiling
+from atlas.kernel.compiling import ANNOUNCEMENT, Stopwatch, announced, compilation
 
 
 class Clock:

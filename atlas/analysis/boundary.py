@@ -17,9 +17,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from .. import compiling, files, sources, systems
+from .. import files, sources, systems
 from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
+from ..kernel import compiling
 from ..scene.model import Scene
 from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values
 from ..systems.gyrostat import Gyrostat

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, text_table
+from ..kernel.compiling import Stopwatch
 from ..measure.instrument import Variable
 from ..runs.execution import columns_of
 from ..runs.plan import ScenePlan

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from ..engine.statistics import RATES
-from ..engine.tableaux import METHODS
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, printable, shown, text_table
+from ..kernel.statistics import RATES
+from ..kernel.tableaux import METHODS
 from ..measure import circle
 from ..measure.instrument import Variable
 from ..scene.checks import choice, whole_number

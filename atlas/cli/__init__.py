@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NoReturn
 
 from .._version import __version__
-from ..compiling import announced
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import (
     STOPPED,
@@ -21,6 +20,7 @@ from ..interruption import (
     signals_as_interrupt,
     start_deadline,
 )
+from ..kernel.compiling import announced
 from . import atlases, scenes, studies
 from .options import BAD_INPUT, DONE, FAILED, Parser
 

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import atlas
 
-from ..compiling import Stopwatch
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
+from ..kernel.compiling import Stopwatch
 from .options import (
     QUIET,
     RUN_FOLDER,
@@ -179,7 +179,7 @@ def check_scene(options: argparse.Namespace) -> None:
 )
 def list_kernels(options: argparse.Namespace) -> None:
     """List the compiled kernels."""
-    from .. import jit
+    from ..kernel import machine_code
 
     if options.warm is not None:
         import numpy as np
@@ -200,10 +200,10 @@ def list_kernels(options: argparse.Namespace) -> None:
         from ..analysis.boundary import LINES_FOLDER
 
         shutil.rmtree(cache_folder() / LINES_FOLDER, ignore_errors=True)
-        say(f"removed {jit.clear()} kernels from {cache_folder()}")
+        say(f"removed {machine_code.clear()} kernels from {cache_folder()}")
         return
-    files = jit.cached()
-    kernels = [(name, size) for name, size, _ in files if jit.is_kernel(name)]
+    files = machine_code.cached()
+    kernels = [(name, size) for name, size, _ in files if machine_code.is_kernel(name)]
     say(
         f"{cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
         f" {sum(size for _, size, _ in files) / 1e6:.1f} MB"

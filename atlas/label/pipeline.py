@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..engine import numeric_bound
-from ..engine.ensemble import Ensemble
-from ..engine.stepsize import ROUNDING, StepSizes
-from ..engine.tableaux import METHODS
 from ..flags import Label, Status
+from ..kernel import numeric_bound
+from ..kernel.ensemble import Ensemble
+from ..kernel.stepsize import ROUNDING, StepSizes
+from ..kernel.tableaux import METHODS
 from ..measure.chaos import TangentRuns
 from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
 
-from ..engine import specialization, tangent
-from ..engine.specialization import GENERIC, Specialization
+from ..kernel import specialization, tangent
+from ..kernel.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
 from ..scene.model import Scene, Settings

@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..compiling import Stopwatch
 from ..errors import BadInput, allowed_text, shown
+from ..kernel.compiling import Stopwatch
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine.ensemble import Ensemble
-from ..engine.stepsize import StepSizes
 from ..flags import Agreement, Label, Stability
+from ..kernel.ensemble import Ensemble
+from ..kernel.stepsize import StepSizes
 from ..measure import rates
 from ..measure.circle import CIRCLES
 from ..measure.circle import label as circle_label

@@ -11,12 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from .. import systems
-from ..engine import blocks, numeric_bound
-from ..engine.augmented import with_frame_vector
-from ..engine.ensemble import Ensemble
-from ..engine.stepsize import StepSizes, steps_between_instants
-from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput
+from ..kernel import blocks, numeric_bound
+from ..kernel.augmented import with_frame_vector
+from ..kernel.ensemble import Ensemble
+from ..kernel.stepsize import StepSizes, steps_between_instants
+from ..kernel.tableaux import METHODS, Method
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine import augmented, blocks, tangent
-from ..engine.ensemble import Ensemble
-from ..engine.generated import WIDTH
-from ..engine.stepsize import StepSizes, count_ladder, steps_of_length
-from ..engine.tableaux import METHODS
-from ..engine.tangent import METHOD
 from ..flags import Label, Regularity, Status
+from ..kernel import augmented, blocks, tangent
+from ..kernel.ensemble import Ensemble
+from ..kernel.generated import WIDTH
+from ..kernel.stepsize import StepSizes, count_ladder, steps_of_length
+from ..kernel.tableaux import METHODS
+from ..kernel.tangent import METHOD
 from ..systems.base import Array, Flags, Mask, Points, System
 from .instrument import Instrument, Variable
 
@@ -187,7 +187,7 @@ class TangentRuns:
     """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
 
     system: System
-    kernel: ModuleType  # see `engine.specialization.tangent_kernel`
+    kernel: ModuleType  # see `kernel.specialization.tangent_kernel`
     ensemble: Ensemble
     steps: TangentSteps
     rate_unit: Array  # see `System.rate_unit`

@@ -21,9 +21,9 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.ensemble import Ensemble
-from ..engine.stepsize import ROUNDING
 from ..flags import Agreement, Label, Status
+from ..kernel.ensemble import Ensemble
+from ..kernel.stepsize import ROUNDING
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import cross, dot
 from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
@@ -55,7 +55,7 @@ class Sum(IntEnum):
 
 
 def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_unit):
-    """Add a node to the sums of lane l, see `engine.ensemble.Plug`."""
+    """Add a node to the sums of lane l, see `kernel.ensemble.Plug`."""
     slot, weight = i & 3, 0.5 if i == 0 or i == intervals else 1.0
     rate = axes[a + Axis.FRAME_RATE, l]
     u1 = nodes[slot, 0, l] + rate * nodes[slot, 3, l]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine.ensemble import Ensemble
-from ..engine.kernel import NODES_PER_LEVEL
 from ..flags import SettledBy, Status
+from ..kernel.ensemble import Ensemble
+from ..kernel.integrate import NODES_PER_LEVEL
 from ..systems.base import Array, Mask, Points, System
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.body import length

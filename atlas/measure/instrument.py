@@ -2,7 +2,7 @@
 
 An instrument is a frozen object of a class derived from `Instrument`, whose members default to "this
 instrument has nothing of it". The main one of a plan (`label.plan`) integrates the points in its kernel;
-the others add to its sums (`engine.ensemble.Plug`), or run a kernel of their own.
+the others add to its sums (`kernel.ensemble.Plug`), or run a kernel of their own.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.ensemble import Ensemble, Integration
-from ..engine.statistics import Row
-from ..engine.stepsize import StepSizes
+from ..kernel.ensemble import Ensemble, Integration
+from ..kernel.statistics import Row
+from ..kernel.stepsize import StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
 # Least turn in rad of a body in a run; kernels add 1e-100 to divisors that may be 0.
@@ -187,7 +187,7 @@ class Run:
 class Instrument:
     """A measurement."""
 
-    # Of instruments that add to the sums of the kernel: see `engine.ensemble.Plug`.
+    # Of instruments that add to the sums of the kernel: see `kernel.ensemble.Plug`.
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether no run may end before its duration
@@ -237,7 +237,7 @@ class Instrument:
         return {}
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """See `engine.ensemble.Plug`."""
+        """See `kernel.ensemble.Plug`."""
         return np.empty((0, start.size))
 
 
@@ -273,7 +273,7 @@ class MainInstrument(Instrument):
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """See `engine.ensemble.Ensemble.integrate`; of one that may stop early."""
+        """See `kernel.ensemble.Ensemble.integrate`; of one that may stop early."""
         raise NotImplementedError
 
     def step_sizes(

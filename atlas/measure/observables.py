@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine import observe
-from ..engine.stepsize import INTERPOLATION_ERROR, StepSizes
-from ..engine.tableaux import METHODS
 from ..flags import Status, Steadiness
+from ..kernel import observe
+from ..kernel.stepsize import INTERPOLATION_ERROR, StepSizes
+from ..kernel.tableaux import METHODS
 from ..systems import arithmetic
 from ..systems.base import Array, Flags, Mask, Observable, System
 from .instrument import MainInstrument, Measured, Rule, Run, Variable

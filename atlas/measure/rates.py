@@ -1,5 +1,5 @@
 """The rates of the body's third axis: labels about it and the vertical, and their errors, expected from the
-step sizes or measured by a second run. The statistics are in `engine.statistics`.
+step sizes or measured by a second run. The statistics are in `kernel.statistics`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..engine.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
-from ..engine.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
-from ..engine.tableaux import METHODS
 from ..flags import Agreement, Label, Stability, Status
+from ..kernel.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
+from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
+from ..kernel.tableaux import METHODS
 from ..systems.base import Array, Flags, Mask, System
 from ..systems.steady import polynomial_degree
 from .instrument import MainInstrument, Measured, Rule, Run, Tolerances, Variable

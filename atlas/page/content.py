@@ -30,9 +30,9 @@ from ..analysis.metadata import (
     scene_problem,
     system_of,
 )
-from ..engine.tableaux import METHODS
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable
 from ..flags import Regularity
+from ..kernel.tableaux import METHODS
 from ..plotting import cells
 from ..plotting.cells import ColorScale, color_scale
 from ..plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, MapOptions, Panel, panel_of, tiles_done

@@ -11,13 +11,13 @@ import numpy as np
 import xarray as xr
 
 from ..analysis.metadata import axes_of, settings_of
-from ..engine import assemble
-from ..engine.augmented import with_frame_vector
-from ..engine.differentiate import simplify
-from ..engine.ensemble import Ensemble
-from ..engine.stepsize import StepSizes, steps_between_instants
-from ..engine.tableaux import METHODS
 from ..errors import BadInput
+from ..kernel import assemble
+from ..kernel.augmented import with_frame_vector
+from ..kernel.differentiate import simplify
+from ..kernel.ensemble import Ensemble
+from ..kernel.stepsize import StepSizes, steps_between_instants
+from ..kernel.tableaux import METHODS
 from ..label.trajectory import frame_vector
 from ..scene import grid
 from ..scene.model import Duration, Scene
@@ -35,7 +35,7 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # Both as in `engine.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by
+    # Both as in `kernel.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by
     # the first axis of the frame.
     state: Array
     constants: Array

@@ -17,9 +17,9 @@ import xarray as xr
 from matplotlib import rc_context
 
 from ..analysis.metadata import map_variable, scene_of, system_of
-from ..engine.tableaux import METHODS
 from ..errors import BadInput, attribute_text
 from ..files import atomic_write, writable
+from ..kernel.tableaux import METHODS
 from ..plotting.maps import atlas_map
 from ..plotting.style import STYLE
 from ..scene import checks

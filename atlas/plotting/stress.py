@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..engine.tableaux import METHODS
+from ..kernel.tableaux import METHODS
 from ..validation.stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
 from ..validation.work_precision import nanmedian, summary
 from .style import STYLE, WIDTHS

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..engine import blocks
 from ..errors import BadInput
+from ..kernel import blocks
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
 from ..scene import grid

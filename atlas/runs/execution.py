@@ -23,11 +23,11 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..compiling import Stopwatch, announced
-from ..engine import blocks
 from ..errors import BadInput, shown
 from ..files import check_folder, check_name, exists_message
 from ..interruption import Stopped, explain_kept
+from ..kernel import blocks
+from ..kernel.compiling import Stopwatch, announced
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..process import process_name

@@ -18,11 +18,11 @@ import numpy as np
 
 from .. import sources, systems
 from .._version import __version__
-from ..engine import blocks, numeric_bound
-from ..engine.stepsize import StepSizes
-from ..engine.tableaux import METHODS
-from ..engine.tangent import METHOD as TANGENT_METHOD
 from ..errors import BadInput
+from ..kernel import blocks, numeric_bound
+from ..kernel.stepsize import StepSizes
+from ..kernel.tableaux import METHODS
+from ..kernel.tangent import METHOD as TANGENT_METHOD
 from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
@@ -197,7 +197,7 @@ def identity(plan: Plan) -> dict[str, str]:
     import numba
     import scipy
 
-    from .. import jit
+    from ..kernel import machine_code
 
     # The hash is computed from source files, so before the check whether these have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
@@ -216,8 +216,8 @@ def identity(plan: Plan) -> dict[str, str]:
         "code": sources.code(),
         **system_code,
         "kernel": kernel,
-        "cpu": jit.cpu(),
-        **{f"NUMBA_{name}": value for name, value in jit.settings().items()},
+        "cpu": machine_code.cpu(),
+        **{f"NUMBA_{name}": value for name, value in machine_code.settings().items()},
         "numpy_simd": " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", ())),
         "python": f"{sys.version_info.major}.{sys.version_info.minor}",
         "libc": " ".join(platform.libc_ver()) or platform.release(),

@@ -11,8 +11,8 @@ from typing import Any
 
 import tomli_w
 
-from ..engine.tableaux import METHODS
 from ..errors import MAX_TEXT, BadInput, printable
+from ..kernel.tableaux import METHODS
 from ..measure.instrument import Tolerances
 from ..systems.base import Array, System
 from . import checks

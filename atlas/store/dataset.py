@@ -146,7 +146,7 @@ def provenance(
     seconds: float | None = None, title: str = "", scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """CF and ACDD-1.3 attributes, and the program's own, of a scene, or of points given with a title and their wall-clock time if known."""
-    from ..jit import cpu
+    from ..kernel.machine_code import cpu
 
     about = About() if scene is None else scene.about
     packages = ("numpy", "numba", "llvmlite", "xarray", "netCDF4", "scipy")

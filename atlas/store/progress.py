@@ -12,7 +12,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from .. import compiling
+from ..kernel import compiling
 from ..process import is_running, process_name
 
 # Seconds between two plain lines, two updates of the live line, and two of the file.

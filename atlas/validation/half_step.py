@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..engine.statistics import RATES
 from ..flags import Label
+from ..kernel.statistics import RATES
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import DOP853, solve_ivp
 
-from ..engine.statistics import NEEDS_PSI, RATES, Row, finish
 from ..errors import BadInput
+from ..kernel.statistics import NEEDS_PSI, RATES, Row, finish
 from ..measure import observables, rates
 from ..measure.rates import state_distance
 from ..scene.model import Settings
@@ -311,7 +311,7 @@ def integrate_observed_group(
     periods, duration = observables.whole_periods(system, constants, duration)
 
     def slope(time: float, flat: Array) -> Array:
-        """Slopes of the states and of the integrals of g, g^2 and u g, see `engine.observe`."""
+        """Slopes of the states and of the integrals of g, g^2 and u g, see `kernel.observe`."""
         state = flat.reshape(-1, size)[:states]
         change = observe(system, state, constants) - first
         rows = [duration * rate for rate in equations.rhs(state, constants)]

@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 
 from .. import systems
-from ..engine import blocks, numeric_bound
-from ..engine.ensemble import Ensemble
-from ..engine.specialization import kernel
-from ..engine.stepsize import StepSizes
-from ..engine.tableaux import METHODS, Method
 from ..errors import BadInput, text_table
 from ..flags import Flag, Label, Status
+from ..kernel import blocks, numeric_bound
+from ..kernel.ensemble import Ensemble
+from ..kernel.specialization import kernel
+from ..kernel.stepsize import StepSizes
+from ..kernel.tableaux import METHODS, Method
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..measure.instrument import Variable

@@ -13,15 +13,15 @@ from typing import Any, TypeAlias
 import numpy as np
 import xarray as xr
 
-from ..compiling import Stopwatch
-from ..engine import numeric_bound
-from ..engine.ensemble import Ensemble
-from ..engine.generated import WIDTH
-from ..engine.specialization import kernel
-from ..engine.stepsize import StepSizes
-from ..engine.tableaux import METHODS
 from ..errors import BadInput, attribute_text, text_table
 from ..flags import Label
+from ..kernel import numeric_bound
+from ..kernel.compiling import Stopwatch
+from ..kernel.ensemble import Ensemble
+from ..kernel.generated import WIDTH
+from ..kernel.specialization import kernel
+from ..kernel.stepsize import StepSizes
+from ..kernel.tableaux import METHODS
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..measure.observables import whole_periods

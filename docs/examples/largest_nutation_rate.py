@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from atlas.engine.poles import place_of_turn
+from atlas.kernel.poles import place_of_turn
 from atlas.measure.instrument import Instrument, Variable
 
 

@@ -15,11 +15,11 @@ from statistics import median
 
 import numpy as np
 
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.statistics import Row
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.statistics import Row
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.measure.circle import CIRCLES
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS

@@ -36,12 +36,11 @@ from numba.extending import intrinsic
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 import atlas
-from atlas import jit
-from atlas.engine import blocks
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import Specialization, kernel, source, tangent_kernel
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tangent import METHOD
+from atlas.kernel import blocks, machine_code
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import Specialization, kernel, source, tangent_kernel
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tangent import METHOD
 from atlas.measure import chaos
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
@@ -303,7 +302,7 @@ def print_kernels(cases: list[Case], steps: list[Instructions | None], timings: 
 def print_machine(steps: list[Instructions | None], points: int, rk4_steps: int, repeat: int) -> None:
     """Print the processor and its measured rates of packed instructions."""
     print(
-        f"Processor {jit.cpu()}, {blocks.available_threads()} usable; {points} points x {rk4_steps} steps of rk4"
+        f"Processor {machine_code.cpu()}, {blocks.available_threads()} usable; {points} points x {rk4_steps} steps of rk4"
     )
     if steps[0] is None:
         print("No packed x86 instructions found in the kernels: no issue limit.")

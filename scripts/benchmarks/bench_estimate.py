@@ -15,8 +15,8 @@ import numpy as np
 from bench_engine import random_points
 
 import atlas
-from atlas.engine.statistics import RATES
 from atlas.flags import Status
+from atlas.kernel.statistics import RATES
 from atlas.systems import SYSTEMS
 
 NAMES = (*RATES, "theta_min", "theta_max")

@@ -23,8 +23,8 @@ from typing import TypeVar
 import numpy as np
 
 import atlas
-from atlas.engine.ensemble import Ensemble
 from atlas.flags import Label
+from atlas.kernel.ensemble import Ensemble
 from atlas.label.pipeline import evaluate
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid

@@ -38,13 +38,12 @@ from matplotlib.figure import Figure
 from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
-from atlas import jit
-from atlas.engine import assemble
-from atlas.engine.differentiate import simplify
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import Specialization, kernel
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
+from atlas.kernel import assemble, machine_code
+from atlas.kernel.differentiate import simplify
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import Specialization, kernel
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.plotting.style import STYLE, WIDTHS
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
@@ -463,7 +462,7 @@ def machine(rounds: int) -> str:
             versions.append(f"{package} {importlib.metadata.version(package)}")
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
     return (
-        f"best of {rounds} rounds on one `{jit.cpu()}` processor of {os.cpu_count()}, load average {load};"
+        f"best of {rounds} rounds on one `{machine_code.cpu()}` processor of {os.cpu_count()}, load average {load};"
         f" {', '.join(versions)}"
     )
 

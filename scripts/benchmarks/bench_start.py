@@ -17,8 +17,8 @@ PROCESSES = 5  # after one that compiles the kernel and the modules where they a
 CODE = """
 import os, sys, time
 import atlas
-from atlas import jit
-from atlas.engine import blocks
+from atlas.kernel import machine_code
+from atlas.kernel import blocks
 from atlas.runs import execution
 
 scene = atlas.load_scene(sys.argv[1])

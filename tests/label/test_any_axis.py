@@ -22,8 +22,8 @@ from truth import assert_shards_and_threads_agree, cases, columns_of
 
 import atlas
 from atlas import cli, systems
-from atlas.engine import specialization
 from atlas.flags import Label, Status
+from atlas.kernel import specialization
 from atlas.label import pipeline, theory
 from atlas.label.plan import Plan
 from atlas.measure import circle as any_axis

@@ -7,8 +7,8 @@ import pytest
 from strategies import default_points, random_fixed_points, random_satellites
 
 import atlas
-from atlas.engine.statistics import RATES
 from atlas.flags import Label, Status
+from atlas.kernel.statistics import RATES
 from atlas.systems import SYSTEMS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

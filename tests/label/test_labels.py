@@ -10,10 +10,10 @@ from strategies import select
 from truth import cases, fixed_point_cases, satellite_cases
 
 import atlas
-from atlas.engine.statistics import STATISTICS
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Status
+from atlas.kernel.statistics import STATISTICS
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.label import pipeline, theory
 from atlas.measure import rates
 from atlas.scene.model import Settings, Tolerances

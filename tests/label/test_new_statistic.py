@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from strategies import default_points, evaluate
 
 from atlas import variables
-from atlas.engine import assemble
 from atlas.flags import Status
+from atlas.kernel import assemble
 from atlas.label.plan import Plan
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS

@@ -12,8 +12,8 @@ from plugins import PENDULUM
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, blocks
-from atlas.engine.ensemble import Ensemble
+from atlas.kernel import assemble, blocks
+from atlas.kernel.ensemble import Ensemble
 from atlas.label.trajectory import point_columns
 from atlas.page import motion
 from atlas.page.page import atlas_page

@@ -11,8 +11,8 @@ import pytest
 from numpy import cos, sqrt
 
 import atlas
-from atlas.engine import assemble, blocks
-from atlas.engine.augmented import with_frame_vector
+from atlas.kernel import assemble, blocks
+from atlas.kernel.augmented import with_frame_vector
 from atlas.label.trajectory import frame_vector
 from atlas.page import motion
 from atlas.page.motion import CannotTranslate, translate

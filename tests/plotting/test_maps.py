@@ -20,9 +20,9 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import boundary, metadata, select
 from atlas.analysis import plane as planes
-from atlas.compiling import announced
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
+from atlas.kernel.compiling import announced
 from atlas.plotting import cells, content, maps, style, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from atlas.engine import blocks
+from atlas.kernel import blocks
 from atlas.runs import estimate
 from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
 from atlas.runs.plan import ScenePlan

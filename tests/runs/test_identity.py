@@ -15,7 +15,8 @@ import pytest
 import scipy
 
 import atlas
-from atlas import BadInput, jit, sources
+from atlas import BadInput, sources
+from atlas.kernel import machine_code
 from atlas.label.plan import Plan
 from atlas.runs import execution, plan
 from atlas.runs.plan import ScenePlan
@@ -50,7 +51,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
 @pytest.mark.parametrize(
     "name",
     [
-        "flags.py", "jit.py", "variables.py", "engine/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
+        "flags.py", "kernel/machine_code.py", "variables.py", "kernel/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
         "label/theory.py", "measure/rates.py", "store/dataset.py", "store/tile.py", "runs/execution.py",
     ],
 )  # fmt: skip
@@ -107,7 +108,7 @@ def test_a_file_that_appears_after_the_import_is_noticed(scene, package):
     ("name", "owner", "attribute", "value"),
     [
         ("atlas", plan, "__version__", "9.9"),
-        ("cpu", jit, "cpu", lambda: "another"),
+        ("cpu", machine_code, "cpu", lambda: "another"),
         ("kernel", Plan, "kernel_hash", "0" * 16),
         ("NUMBA_SLP_VECTORIZE", numba.config, "SLP_VECTORIZE", 1),
         ("numpy", np, "__version__", "9.9"),

@@ -8,7 +8,7 @@ import atlas
 from atlas import load_scene
 from atlas.analysis.compare import summary
 from atlas.cli import main
-from atlas.engine.tableaux import METHODS
+from atlas.kernel.tableaux import METHODS
 from atlas.runs.estimate import dry_run
 from atlas.runs.plan import ScenePlan
 

@@ -11,9 +11,10 @@ import pytest
 from truth import assert_same_bytes, state, tile_path
 
 import atlas
-from atlas import BadInput, jit, load_scene
+from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.files import process_name
+from atlas.kernel import machine_code
 from atlas.runs import claims, execution
 from atlas.runs import run as folder
 from atlas.runs.plan import ScenePlan
@@ -174,7 +175,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
     assert state(run.tiles).damaged == {3: "it is a tile of another run or place"}
     before = run.place.walk()
     with monkeypatch.context() as patched:
-        patched.setattr(jit, "cpu", lambda: "another")
+        patched.setattr(machine_code, "cpu", lambda: "another")
         for shared in ({}, {"shard": (1, 2)}):
             with pytest.raises(BadInput, match=r"differs in cpu \(.* in the folder, another now\)$"):
                 atlas.run(scene, place, progress=False, **shared)

@@ -10,8 +10,8 @@ from strategies import default_points, random_fixed_points
 from truth import exponents_along_runs
 
 import atlas
-from atlas.engine.differentiate import simplify
 from atlas.flags import EnergyStability, Label, SettledBy, Stability, Status
+from atlas.kernel.differentiate import simplify
 from atlas.systems.arithmetic import functions
 from atlas.systems.fixed_point import FIXED_POINT, equations
 from atlas.systems.fixed_point.equations import rhs

@@ -12,12 +12,12 @@ from strategies import evaluate
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, numeric_bound, observe, poles, sampling
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Regularity, Status, Steadiness
+from atlas.kernel import assemble, numeric_bound, observe, poles, sampling
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.measure import observables
 from atlas.measure.instrument import Run
 from atlas.scene.model import Settings
@@ -285,7 +285,7 @@ def test_lines_of_the_spectrum_of_an_observable(pendulum):
 
 
 def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
-    from atlas.engine import blocks
+    from atlas.kernel import blocks
 
     points = random_points(5)
     sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-6), np.full(5, 3.0), np.full(5, 40.0))

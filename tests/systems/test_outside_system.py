@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 import atlas
 from atlas import cli, systems
-from atlas.engine import numeric_bound
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Agreement, Label, Status
+from atlas.kernel import numeric_bound
+from atlas.kernel.tableaux import METHODS
 from atlas.systems.base import Condition, Family, Parameter, System
 from atlas.validation import stress, work_precision
 from atlas.variables import variables

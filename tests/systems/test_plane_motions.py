@@ -13,11 +13,11 @@ from truth import REFERENCE, monodromy_matrix
 
 import atlas
 from atlas.analysis.compare import report
-from atlas.engine import tangent
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import tangent_kernel
 from atlas.errors import BadInput
 from atlas.flags import Label, Regularity, Stability
+from atlas.kernel import tangent
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import chaos
 from atlas.systems.base import derived_values, rate_std, unsteady
 from atlas.systems.gyrostat.plane import PlaneMotions

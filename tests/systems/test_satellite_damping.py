@@ -19,9 +19,9 @@ from truth import (
 )
 
 import atlas
-from atlas.engine.differentiate import simplify
 from atlas.errors import BadInput
 from atlas.flags import EnergyStability, Label, Stability
+from atlas.kernel.differentiate import simplify
 from atlas.systems.arithmetic import functions
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.equations import rhs

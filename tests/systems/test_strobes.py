@@ -88,7 +88,7 @@ def test_statistics_are_those_of_the_instants(forced):
 
 
 def test_results_depend_on_no_neighbour_or_cut(forced, monkeypatch):
-    from atlas.engine import blocks
+    from atlas.kernel import blocks
 
     given, _ = points()
     names = ["strobed_x_std", "v_drift", "x_mean", "step"]

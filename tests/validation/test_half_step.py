@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 from strategies import default_points, evaluate
 
-from atlas.engine.statistics import RATES
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Label
+from atlas.kernel.statistics import RATES
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.systems import SYSTEMS

@@ -16,10 +16,10 @@ from strategies import (
 )
 
 import atlas
-from atlas.engine.specialization import GENERIC
-from atlas.engine.stepsize import StepSizes
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Label, Stability, Status
+from atlas.kernel.specialization import GENERIC
+from atlas.kernel.stepsize import StepSizes
+from atlas.kernel.tableaux import METHODS
 from atlas.label import pipeline, theory
 from atlas.label.theory import predict
 from atlas.measure.instrument import could_change

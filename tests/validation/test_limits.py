@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from strategies import default_points
 
-from atlas.engine.tableaux import METHODS
+from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
 from atlas.validation import stress
 

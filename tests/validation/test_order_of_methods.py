@@ -6,9 +6,9 @@ from scipy.special import ellipj, ellipk
 from strategies import default_points, select
 from truth import fixed_point_cases, satellite_cases
 
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.tableaux import METHODS
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
 from atlas.systems.base import unsteady
 

@@ -8,9 +8,9 @@ import pytest
 from strategies import default_points, evaluate
 
 import atlas
-from atlas.engine.statistics import RATES
-from atlas.engine.tableaux import METHODS
 from atlas.flags import Label
+from atlas.kernel.statistics import RATES
+from atlas.kernel.tableaux import METHODS
 from atlas.scene import grid
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene

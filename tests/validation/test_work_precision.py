@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from atlas.cli import main
-from atlas.engine.tableaux import METHODS
 from atlas.errors import BadInput
+from atlas.kernel.tableaux import METHODS
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
 from atlas.validation import half_step, reference

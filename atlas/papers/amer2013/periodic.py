@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...engine.tableaux import RK8
 from ...flags import PeriodicSolution
+from ...kernel.tableaux import RK8
 from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 

@@ -60,12 +60,21 @@ def of_steps(matrices: Array) -> tuple[Array, Array]:
 @cache
 def _compiled() -> Any:
     """The function `integrate` in machine code."""
-    from ... import jit  # here, because every command imports the systems
+    from ...kernel import machine_code  # here, because every command imports the systems
 
     numbers = "\n".join(f"{name} = {globals()[name]!r}" for name in ("LANES", "GAUSS", "RESCALING"))
-    functions = [f"{jit.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve, add)]
-    return jit.load(
-        "\n\n".join([jit.HEADER, numbers, *functions, f"{jit.KERNEL}\n{inspect.getsource(integrate)}"])
+    functions = [
+        f"{machine_code.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve, add)
+    ]
+    return machine_code.load(
+        "\n\n".join(
+            [
+                machine_code.HEADER,
+                numbers,
+                *functions,
+                f"{machine_code.KERNEL}\n{inspect.getsource(integrate)}",
+            ]
+        )
     ).integrate
 
 

@@ -8,9 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.interpolate import KroghInterpolator
 
-from atlas.engine.sampling import MIN_INTERVALS
-from atlas.engine.stepsize import INTERPOLATION_ERROR, StepSizes, count_ladder
-from atlas.engine.tableaux import METHODS
+from atlas.kernel.sampling import MIN_INTERVALS
+from atlas.kernel.stepsize import INTERPOLATION_ERROR, StepSizes, count_ladder
+from atlas.kernel.tableaux import METHODS
 from atlas.scene.model import Settings
 
 

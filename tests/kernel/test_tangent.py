@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from strategies import random_fixed_points, random_satellites, select, specialization_of
 
-from atlas.engine import assemble, augmented, blocks, tangent
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import tangent_kernel
+from atlas.kernel import assemble, augmented, blocks, tangent
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import chaos
 from atlas.systems import SYSTEMS
 

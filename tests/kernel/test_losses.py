@@ -13,13 +13,13 @@ from strategies import default_points, random_satellites, select
 
 import atlas
 from atlas import systems
-from atlas.engine import assemble, augmented, blocks, tangent
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.statistics import Row
-from atlas.engine.tableaux import METHODS
 from atlas.errors import BadInput
 from atlas.flags import Status
+from atlas.kernel import assemble, augmented, blocks, tangent
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.statistics import Row
+from atlas.kernel.tableaux import METHODS
 from atlas.measure.circle import CIRCLES
 from atlas.systems import arithmetic
 from atlas.systems.satellite import SATELLITE, equations

@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from strategies import random_fixed_points, random_satellites
 
-from atlas.engine import assemble, blocks
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.statistics import Row
+from atlas.kernel import assemble, blocks
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.statistics import Row
 from atlas.measure import circle
 from atlas.measure.circle import CIRCLES, Axis, Sum
 from atlas.systems import SYSTEMS

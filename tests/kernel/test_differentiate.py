@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from strategies import random_fixed_points, random_satellites
 
-from atlas.engine.assemble import functions
-from atlas.engine.differentiate import differential
+from atlas.kernel.assemble import functions
+from atlas.kernel.differentiate import differential
 from atlas.systems import SYSTEMS
 
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}

@@ -8,11 +8,11 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 from strategies import random_fixed_points, random_satellites
 
-from atlas.engine import assemble, blocks
-from atlas.engine.ensemble import Ensemble
-from atlas.engine.specialization import kernel
-from atlas.engine.statistics import finish
-from atlas.engine.tableaux import METHODS
+from atlas.kernel import assemble, blocks
+from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.specialization import kernel
+from atlas.kernel.statistics import finish
+from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
 
 SATELLITE = SYSTEMS["satellite"]

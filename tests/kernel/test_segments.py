@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.engine import ensemble
+from atlas.kernel import ensemble
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 

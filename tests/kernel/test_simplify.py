@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from strategies import evaluate, specialization_of
 
 import atlas
-from atlas.engine.differentiate import simplify
-from atlas.engine.specialization import GENERIC
 from atlas.flags import Label, Status
+from atlas.kernel.differentiate import simplify
+from atlas.kernel.specialization import GENERIC
 from atlas.label.plan import Plan
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene

@@ -14,8 +14,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from atlas import files, jit
-from atlas.compiling import ANNOUNCEMENT, announced
+from atlas import files
+from atlas.kernel import machine_code
+from atlas.kernel.compiling import ANNOUNCEMENT, announced
 from atlas.systems.satellite.system import SATELLITE
 
 # A point at which no term of the equations vanishes: its kernel is that of many other tests.
@@ -26,7 +27,7 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(copied_package, tmp_
     """A copy of the package, one sign of the right-hand side edited: the result must change; a comment must not."""
     package, variables = copied_package
     code = (
-        "import atlas; from atlas.engine.specialization import kernel_hash, source; from atlas.systems import SYSTEMS\n"
+        "import atlas; from atlas.kernel.specialization import kernel_hash, source; from atlas.systems import SYSTEMS\n"
         f"ds = atlas.label_points('satellite', {ALL_TERMS}, duration=5.0, tolerance=1e-6)\n"
         "result = [kernel_hash(source(SYSTEMS['satellite'], 'rk4')), float(ds.theta_dot_rms[0]).hex()]\n"
     )
@@ -53,13 +54,13 @@ def test_an_edited_line_is_never_answered_by_a_stale_kernel(copied_package, tmp_
     assert changed[1] != names["result"][1]
 
 
-SOURCE = f"{jit.HEADER}\n\n{jit.KERNEL}\ndef integrate(x):\n    return x + 1.0\n"
+SOURCE = f"{machine_code.HEADER}\n\n{machine_code.KERNEL}\ndef integrate(x):\n    return x + 1.0\n"
 
 
 def fresh(source: str = SOURCE):
     """The module of a kernel as a new process gets it."""
-    sys.modules.pop(f"atlas_kernel_{jit.digest(source)}", None)
-    return jit.load(source)
+    sys.modules.pop(f"atlas_kernel_{machine_code.digest(source)}", None)
+    return machine_code.load(source)
 
 
 @pytest.fixture
@@ -85,8 +86,8 @@ def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, 
 
 
 # A kernel of three functions.
-SHIFTED = f"{jit.HEADER}\nK = 2.0\n\n\n{jit.INLINE}\ndef scaled(x):\n    return K * x\n\n\n{jit.INLINE}\n"
-SHIFTED += f"def shifted(x):\n    return scaled(x) + 1.0\n\n\n{jit.KERNEL}\ndef integrate(x):\n    return shifted(x)\n"
+SHIFTED = f"{machine_code.HEADER}\nK = 2.0\n\n\n{machine_code.INLINE}\ndef scaled(x):\n    return K * x\n\n\n{machine_code.INLINE}\n"
+SHIFTED += f"def shifted(x):\n    return scaled(x) + 1.0\n\n\n{machine_code.KERNEL}\ndef integrate(x):\n    return shifted(x)\n"
 
 
 def test_kernels_share_the_machine_code_of_equal_functions(cache):
@@ -96,10 +97,10 @@ def test_kernels_share_the_machine_code_of_equal_functions(cache):
         module = fresh(source)
         assert module.integrate(3.0) == result
         assert sum(module.shifted.stats.cache_hits.values()) == hits
-    kernels = [jit.is_kernel(name) for name, _, _ in jit.cached()]
+    kernels = [machine_code.is_kernel(name) for name, _, _ in machine_code.cached()]
     assert (kernels.count(True), kernels.count(False)) == (3, 4)
-    assert jit.clear() == 3
-    assert jit.cached() == []
+    assert machine_code.clear() == 3
+    assert machine_code.cached() == []
 
 
 def test_a_kernel_is_announced_when_it_is_compiled_and_not_when_it_is_cached(cache, capsys):
@@ -187,10 +188,10 @@ class Planted:
 
 def plant(file: Path, witness: Path) -> None:
     """Write a file with a valid hash that runs code when it is loaded, as another user of the folder could."""
-    dispatcher = jit.load(SOURCE).integrate
+    dispatcher = machine_code.load(SOURCE).integrate
     (signature,) = dispatcher.overloads
     _, key = dispatcher._cache._place(signature, dispatcher.overloads[signature].codegen)
-    file.write_bytes(jit._hashed(key, pickle.dumps((Planted(witness),))))
+    file.write_bytes(machine_code._hashed(key, pickle.dumps((Planted(witness),))))
     file.chmod(0o600)
 
 
@@ -247,7 +248,7 @@ def test_a_full_or_read_only_disk_compiles_in_memory_with_one_warning(cache, cap
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         yield
 
-    monkeypatch.setattr(jit, "atomic_write", full)
+    monkeypatch.setattr(machine_code, "atomic_write", full)
     assert fresh().integrate(1.0) == 2.0
     assert fresh().integrate(1.0) == 2.0
     (message,) = caplog.messages
@@ -264,7 +265,7 @@ def test_a_folder_that_vanishes_is_made_again(cache, caplog):
 
 KILLED = """
 import itertools, os, signal
-from atlas import jit
+from atlas.kernel import machine_code
 
 calls, replace = itertools.count(), os.replace
 
@@ -274,7 +275,7 @@ def killed(*names):
     replace(*names)
 
 os.replace = killed
-jit.load({source!r}).integrate(3.0)
+machine_code.load({source!r}).integrate(3.0)
 """
 
 
@@ -283,17 +284,17 @@ def test_a_process_that_is_killed_while_it_compiles_leaves_whole_functions(numbe
     """The next one takes them from the folder, compiles the others, and leaves nothing else there."""
     code = KILLED.format(number=number, source=SHIFTED)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    assert len(jit.cached()) == number
+    assert len(machine_code.cached()) == number
     module = fresh(SHIFTED)
     assert module.integrate(3.0) == 7.0
     assert sum(module.shifted.stats.cache_hits.values()) == (number > 1)
     assert [path.name for path in cache.iterdir() if path.name.startswith(".")] == []
-    assert len(jit.cached()) == 3
+    assert len(machine_code.cached()) == 3
     assert caplog.messages == []
 
 
 def test_processes_that_compile_at_once_all_succeed(cache):
-    code = f"from atlas import jit; print(jit.load({SOURCE!r}).integrate(1.0))"
+    code = f"from atlas.kernel import machine_code; print(machine_code.load({SOURCE!r}).integrate(1.0))"
     processes = [
         subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -313,11 +314,11 @@ def test_cache_is_listed_and_cleared(cache):
     ended = re.sub(r"-\d+-\d+$", "-4000000-1", files.process_name())
     (cache / f".atlas-{ended}-00000000.tmp").write_text("left by a process that was killed")
     (cache / "mine.txt").write_text("")
-    assert [(name, size) for name, size, _ in jit.cached()] == [
+    assert [(name, size) for name, size, _ in machine_code.cached()] == [
         (file.name, file.stat().st_size), (earlier.name, 4),
     ]  # fmt: skip
-    assert jit.clear() == 2
-    assert jit.cached() == []
+    assert machine_code.clear() == 2
+    assert machine_code.cached() == []
     assert [path.name for path in cache.iterdir()] == ["mine.txt"]
 
 
@@ -338,9 +339,9 @@ def numba_variable(monkeypatch):
     ],
 )  # fmt: skip
 def test_harmless_variables_of_numba_do_not_change_the_hash(name, value, numba_variable):
-    before = jit.digest(SOURCE)
+    before = machine_code.digest(SOURCE)
     numba_variable(f"NUMBA_{name}", value)
-    assert jit.digest(SOURCE) == before
+    assert machine_code.digest(SOURCE) == before
 
 
 @pytest.mark.parametrize(
@@ -352,17 +353,17 @@ def test_harmless_variables_of_numba_do_not_change_the_hash(name, value, numba_v
     ],
 )  # fmt: skip
 def test_variables_of_numba_that_change_machine_code_change_the_hash(name, value, numba_variable):
-    before = jit.digest(SOURCE)
+    before = machine_code.digest(SOURCE)
     numba_variable(f"NUMBA_{name}", value)
-    assert jit.digest(SOURCE) != before
+    assert machine_code.digest(SOURCE) != before
 
 
 def test_instructions_of_the_processor_change_the_hash(monkeypatch):
     """Two machines of one processor name may allow other instructions."""
-    before, features = jit.digest(SOURCE), dict(jit.llvm.get_host_cpu_features())
+    before, features = machine_code.digest(SOURCE), dict(machine_code.llvm.get_host_cpu_features())
     some = next(name for name, has in features.items() if has)
-    monkeypatch.setattr(jit.llvm, "get_host_cpu_features", lambda: features | {some: False})
-    assert jit.digest(SOURCE) != before
+    monkeypatch.setattr(machine_code.llvm, "get_host_cpu_features", lambda: features | {some: False})
+    assert machine_code.digest(SOURCE) != before
 
 
 def test_the_cache_stays_in_its_folder_whatever_numba_is_told(cache, numba_variable):
@@ -399,12 +400,12 @@ def changes(when):
 
 
 before = snapshot()
-import atlas.jit
+import atlas.kernel.machine_code
 
 source, empty_cache, point = sys.argv[1:]
 all_changes = changes("after the import")
 usual_cache, os.environ["ATLAS_CACHE"] = os.environ["ATLAS_CACHE"], empty_cache
-assert atlas.jit.load(source).integrate(1.0) == 2.0
+assert atlas.kernel.machine_code.load(source).integrate(1.0) == 2.0
 os.environ["ATLAS_CACHE"] = usual_cache
 all_changes += changes("after a compilation")
 import atlas

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from atlas.engine.sampling import (
+from atlas.kernel.sampling import (
     END,
     LONG,
     MIN_INTERVALS,
@@ -15,7 +15,7 @@ from atlas.engine.sampling import (
     rule_position,
     sample,
 )
-from atlas.engine.statistics import theta_from
+from atlas.kernel.statistics import theta_from
 
 
 def rule(intervals: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """Kernel modules: `source` writes the text for the compiler, `plain_module` the same for the interpreter.
 
-Both consist of `kernel` and what it calls, the equations of a system and what `generated` declares. In the
-plain one `kernel` is the file itself, so that a debugger or a coverage tool steps through it.
+Both consist of `integrate` and what it calls, the equations of a system and what `generated` declares. In the
+plain one `integrate` is the file itself, so that a debugger or a coverage tool steps through it.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import augmented, generated, kernel, observe, tangent
+from . import augmented, generated, integrate, observe, tangent
 from .differentiate import differential, simplify
 from .ensemble import Plug
 from .statistics import Row
 from .tableaux import METHODS, Method
 
 # Kernels that measure the change of first integrals.
-MEASURING = (kernel, observe)
+MEASURING = (integrate, observe)
 
 
 def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
@@ -121,7 +121,7 @@ def source(
     zero: Collection[str] = (),
     equal: Mapping[str, str] = {},
     *,
-    of: ModuleType = kernel,
+    of: ModuleType = integrate,
     plugs: tuple[Plug, ...] = (),
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
@@ -130,7 +130,7 @@ def source(
     for equations that cannot be differentiated, and if a first integral or a loss has the name of a function of the
     kernel.
     """
-    from .. import jit  # here, because what only draws atlases needs no compiler
+    from . import machine_code  # here, because what only draws atlases needs no compiler
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
@@ -147,11 +147,14 @@ def source(
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
     texts = generated_functions | sources
-    parts = [f"{jit.KERNEL if name == 'integrate' else jit.INLINE}\n{text}" for name, text in texts.items()]
+    parts = [
+        f"{machine_code.KERNEL if name == 'integrate' else machine_code.INLINE}\n{text}"
+        for name, text in texts.items()
+    ]
     lines = [f"{name} = {value!r}" for name, value in constants.items()]
     if arithmetic.uses_functions(generated_functions):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
-    return jit.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+    return machine_code.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
 
 
 def plain_module(
@@ -160,7 +163,7 @@ def plain_module(
     zero: Collection[str] = (),
     equal: Mapping[str, str] = {},
     *,
-    of: ModuleType = kernel,
+    of: ModuleType = integrate,
     plugs: tuple[Plug, ...] = (),
 ) -> ModuleType:
     """The same kernel as plain Python, slow; arguments as for `source`."""
@@ -206,7 +209,7 @@ def _constants(
         "OBSERVABLES": observables,
         "PLUGGED": plugged,
         "PLUGGED_GIVEN": sum(plug.given for plug in plugs) + (strobed > 0),
-        "NODE_ROWS": 2 * (observables if of is observe else kernel.MOTION),
+        "NODE_ROWS": 2 * (observables if of is observe else integrate.MOTION),
         "SUMS": observed if of is observe else len(Row) + plugged,
         **({"STROBED": strobed} if strobed else {}),
     }
@@ -270,7 +273,7 @@ def _generated_functions(
         ]
         + ["return largest"],
     }
-    if of is kernel:
+    if of is integrate:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
         lines, row, first = [], 0, 0
@@ -382,7 +385,7 @@ def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> li
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
     return [
-        f"if i % {kernel.NODES_PER_LEVEL} == 0:",
+        f"if i % {integrate.NODES_PER_LEVEL} == 0:",
         "    for l in range(WIDTH):",
         f"        {', '.join(terms)}, = {name}(load_state(state, l), load_constants(constants, l))",
         f"        total = ({total}) * inverse_unit[l] * inverse_unit[l]",

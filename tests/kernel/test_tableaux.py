@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from atlas.engine.tableaux import METHODS, RK4, Method
+from atlas.kernel.tableaux import METHODS, RK4, Method
 
 
 def test_a_wrong_tableau_is_refused():

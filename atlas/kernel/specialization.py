@@ -9,8 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from ..systems.base import System
-from . import assemble, observe, tangent
-from . import kernel as kernel_of_bodies
+from . import assemble, integrate, observe, tangent
 from .ensemble import Plug
 
 
@@ -41,7 +40,7 @@ def source(
     of: ModuleType | None = None,
 ) -> str:
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
-    of = of or (observe if system.observables else kernel_of_bodies)
+    of = of or (observe if system.observables else integrate)
     zero, equal = specialization.zero, dict(specialization.equal)
     with _jit().PARSING:
         return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
@@ -69,6 +68,6 @@ def kernel_hash(*sources: str) -> str:
 
 def _jit() -> Any:
     """The compiler, which nothing imports that only reads or draws atlases."""
-    from .. import jit
+    from . import machine_code
 
-    return jit
+    return machine_code

@@ -5,9 +5,10 @@ import pytest
 from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
-from atlas.engine import kernel, poles, sampling
-from atlas.engine.poles import Passage, Term, Turn
-from atlas.engine.statistics import NO_ZERO, Row
+from atlas.kernel import integrate as kernel
+from atlas.kernel import poles, sampling
+from atlas.kernel.poles import Passage, Term, Turn
+from atlas.kernel.statistics import NO_ZERO, Row
 
 
 @pytest.mark.parametrize("intervals", [9, 30])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from . import extension as _extension
 from . import interruption as _interruption
 
 if _interruption.is_command():
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from .analysis.branches import branches as branches
     from .analysis.equilibria import equilibria as equilibria
     from .errors import BadInput as BadInput
+    from .faces import *  # noqa: F403
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
     from .runs.backend import open_atlas as open_atlas
@@ -50,8 +52,11 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
         globals()[name] = value
         return value
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name in _extension.parts("functions"):
+        return _extension.load("functions", name)
+    missing = _extension.not_loaded() if name[0] != "_" else ""
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{missing}")
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted({*__all__, *(name for name in _extension.parts("functions") if "." not in name)})

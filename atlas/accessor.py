@@ -14,6 +14,8 @@ import numpy as np
 import xarray as xr
 
 from .errors import MAX_MESSAGE, BadInput, attribute_text, shown, text_table
+from .extension import load, parts
+from .faces import Questions
 from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-    from .page.page import Page
     from .plotting.style import Width
     from .plotting.trajectory import Film
 
@@ -30,7 +31,7 @@ MAX_LINES = 1000  # of the spectrum of a signal
 
 @xr.register_dataset_accessor("atlas")
 @typed
-class Atlas:
+class Atlas(Questions):
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
 
     Each raises BadInput for names and values that the dataset does not have, and where it cannot answer: without axes, flags
@@ -46,7 +47,8 @@ class Atlas:
 
     def __repr__(self) -> str:
         """The questions, one in a line."""
-        methods = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
+        own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
+        methods = own | {name: load("questions", name) for name in parts("questions")}
         rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
         return text_table(rows)
 
@@ -126,19 +128,6 @@ class Atlas:
             self._ds, variable, x=x, y=y, row=row, col=col, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
             labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
         )  # fmt: skip
-
-    def page(self) -> Page:
-        """One HTML file with maps of all variables, the values of each point, and its motion, integrated in the page.
-
-        Returns
-        -------
-        Page
-            Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
-            Of atlases of more than `atlas.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
-        """
-        from .page.page import atlas_page
-
-        return atlas_page(self._ds)
 
     def select(self, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
         """The points with the flags named.

@@ -13,7 +13,7 @@ from .measure.ends import ENDS
 from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
-from .systems.base import System
+from .systems.base import System, derived_variables
 
 # Every instrument, in the order of the variables in a file; the first of a system is its main one.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos(), *ENDS]
@@ -53,7 +53,7 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
             d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,
             comment=d.comment, optional=True,
         )
-        for d in system.derived.values()
+        for d in derived_variables(system).values()
     ]  # fmt: skip
     registry = {variable.name: variable for variable in listed}
     if len(registry) < len(listed) and system.observables:

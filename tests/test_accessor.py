@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy import stats
 
 import atlas
-from atlas import BadInput, load_scene
+from atlas import BadInput, extension, load_scene
 from atlas.accessor import Atlas
 from atlas.analysis import metadata, plane
 from atlas.analysis.metadata import map_variable
@@ -458,7 +458,8 @@ def test_questions_that_need_a_scene_or_an_atlas_are_errors():
 
 def test_the_accessor_lists_its_questions(small):
     lines = repr(small.atlas).splitlines()
-    public = [name for name in vars(Atlas) if not name.startswith("_")]
+    public = [*(name for name in vars(Atlas) if not name.startswith("_")), *extension.parts("questions")]
+    assert set(public) <= set(dir(small.atlas))
     assert [line.split()[0] for line in lines] == [f"ds.atlas.{name}()" for name in public]
 
 

@@ -10,8 +10,8 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis.metadata import axes_of, scene_of, scene_problem
 from atlas.cli import main
-from atlas.page.content import layout
-from atlas.page.page import atlas_page
+from atlas.extensions.page.content import layout
+from atlas.extensions.page.page import atlas_page
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
 

@@ -57,10 +57,15 @@ def test_help_and_check_load_neither_compiler_nor_xarray(command):
     assert result.returncode == 0, result.stderr
 
 
-def test_papers_and_the_compiler_are_loaded_by_what_uses_them():
+def test_the_stub_of_the_faces_is_current():
+    script = PACKAGE.parent / "scripts" / "tools" / "make_faces.py"
+    assert subprocess.run([sys.executable, script, "--check"], cwd=PACKAGE.parent, check=False).returncode == 0
+
+
+def test_extensions_and_the_compiler_are_loaded_by_what_uses_them():
     code = (
-        "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.execution, atlas.page.page\n"
-        "sys.exit(any(name.startswith(('atlas.papers', 'numba')) for name in sys.modules))"
+        "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.execution\n"
+        "sys.exit(any(name.startswith(('atlas.extensions', 'numba')) for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0
 

@@ -15,8 +15,8 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.errors import MAX_MESSAGE, MAX_TEXT
+from atlas.extensions.page import content, page
 from atlas.files import process_name
-from atlas.page import content, page
 from atlas.runs.status import status as status_of
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

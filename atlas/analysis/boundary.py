@@ -22,7 +22,7 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
 from ..kernel import compiling
 from ..scene.model import Scene
-from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values
+from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values, derived_variables
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
@@ -91,7 +91,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
         if any(axes_of(scene)[dim].name in getattr(tie, "drawn", ()) for tie in scene.ties.values()):
             raise BadInput(f"{dim}: its values number random draws, between which theory has no lines")
-    derived = scene.system.derived.get(variable)
+    derived = derived_variables(scene.system).get(variable)
     whole = Plane.of(scene, plane, dims)
     if derived is not None and derived.is_count and variable in plane:
         counts = plane[variable].transpose(*dims)
@@ -103,7 +103,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
     frame = IN_SPACE if variable.endswith("_inertial") else ""
     names = {kind: kind if kind in FRAMELESS else kind + frame for kind in KINDS}
     borders = {kind: borders[name] for kind, name in names.items() if name in borders}
-    if variable in RESONANCE_VARIABLES and variable in scene.system.derived and len(dims) == 2:
+    if variable in RESONANCE_VARIABLES and variable in derived_variables(scene.system) and len(dims) == 2:
         nonlinear = variable in (NONLINEAR, *NORMAL_FORM)
         traced = _traced(lambda: resonance_lines(whole, nonlinear=nonlinear), whole, "resonances", nonlinear)
         borders = borders | traced

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text
 from ..systems.base import PublishedEquation, System
+from .published import published_equations
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
 
@@ -41,7 +42,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
             "paper_wording": family.paper_wording,
             "stability": stability,
         }
-        equations = [row for row in system.published() if row.family == family.name]
+        equations = [row for row in published_equations(system) if row.family == family.name]
         rows.append(description | _max_residuals(equations))
     return rows
 
@@ -59,7 +60,7 @@ def published(system: System, family: str | None = None, errata: bool = False) -
             **_max_residuals([row]),
             "effect": row.effect,
         }
-        for row in system.published()
+        for row in published_equations(system)
         if family in (None, row.family) and not (errata and row.verdict == "true")
     ]
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
+from .. import extension
 from .._version import __version__
 from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
 from ..interruption import (
@@ -91,15 +92,15 @@ def parser() -> argparse.ArgumentParser:
         atlases.label_points_of_file,
         atlases.print_comparison,
         atlases.draw_map,
-        atlases.make_page,
         atlases.draw_trajectory,
         atlases.draw_branches,
         scenes.copy_example,
         studies.measure_accuracy,
         studies.print_conditions,
         studies.run_stress_cases,
-        studies.draw_figures,
         scenes.list_kernels,
     ):
+        each.add(commands)
+    for each in extension.every("commands"):
         each.add(commands)
     return top

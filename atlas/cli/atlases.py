@@ -257,16 +257,3 @@ def draw_map(options: argparse.Namespace) -> None:
     for path in paths:
         style.save(figure, path, options.dpi)
         say(f"wrote {path}")
-
-
-@command("page", ATLAS, *out_options("FILE", ".html (default: ATLAS.html)"))
-def make_page(options: argparse.Namespace) -> None:
-    """Make one HTML file of an atlas, in which points can be integrated."""
-    from ..page.page import FORMATS, atlas_page
-
-    name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
-    out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])
-    with atlas.open_atlas(options.atlas) as ds:
-        page = atlas_page(ds, file=Path(options.atlas).name)
-    page.save(out, force=options.force)
-    say(f"wrote {out}, {len(page.html.encode()) / 1e6:.1f} MB; open it in any browser")

@@ -13,7 +13,7 @@ from ..kernel.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
 from ..scene.model import Scene, Settings
-from ..systems.base import System
+from ..systems.base import System, derived_variables
 from ..variables import INSTRUMENTS, main_instrument
 
 
@@ -45,7 +45,11 @@ class Plan:
 
     def without_derived(self) -> Plan:
         """The same without the variables from theory alone, which may take long."""
-        names = None if self.outputs is None else [n for n in self.outputs if n not in self.system.derived]
+        names = (
+            None
+            if self.outputs is None
+            else [n for n in self.outputs if n not in derived_variables(self.system)]
+        )
         return replace(self, outputs=names)
 
     @property

@@ -21,7 +21,7 @@ from ..scene.model import Scene
 from ..store import finished
 from ..store.progress import clock
 from ..store.tile import encode, tile_types
-from ..systems.base import derived_values
+from ..systems.base import derived_values, derived_variables
 from .plan import ScenePlan
 from .refine import expected_points
 
@@ -51,7 +51,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     points = existing if scene.refine is None else expected_points(plan)
     cost = _measure(plan, processors)
     # The derived variables of one point, from as many points as take a few tenths of a second.
-    has_derived = not scene.system.derived.keys().isdisjoint(scene.outputs)
+    has_derived = not derived_variables(scene.system).keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
     while has_derived and derived_seconds < 0.2 and count < existing_points.size:
         count = min(max(4 * count, 6), existing_points.size)
@@ -93,7 +93,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Bytes on the disk of so many integrated points, compressed."""
-    types, derived = tile_types(plan.scene), plan.scene.system.derived  # which are not measured
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # which are not measured
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
@@ -114,7 +114,7 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     """Integrate a tile from the middle of the grid, after one point, for which the kernel is compiled."""
-    outputs = tuple(name for name in plan.scene.outputs if name not in plan.scene.system.derived)
+    outputs = tuple(name for name in plan.scene.outputs if name not in derived_variables(plan.scene.system))
     scene, tile = replace(plan.scene, outputs=outputs), plan.tiling.count // 2
     sample = grid.points_at_indices(scene, plan.tiling.indices(tile))
     sample = sample if sample.exists.any() else plan.sample

@@ -19,6 +19,7 @@ from ..systems.base import (
     Mask,
     Points,
     System,
+    derived_variables,
     on_family,
     shape_of,
 )
@@ -225,7 +226,7 @@ def check(scene: Scene) -> Grid:
                 " give a number of time units"
             )
         on_grid = grid.subset(grid.exists)
-        for name, derived in scene.system.derived.items():
+        for name, derived in derived_variables(scene.system).items():
             if name in scene.outputs:
                 try:
                     derived.check(on_grid.base, on_grid.duration)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from .. import extension
 from ..errors import BadInput, allowed_text, one_line, shown, text_table
 from . import arithmetic, plugins
 from .base import Observable, Parameter, System
 from .check import check, check_complete, check_start
 from .fixed_point import FIXED_POINT
-from .lagrangian import from_lagrangian
 from .satellite import SATELLITE
 
 __all__ = [
@@ -32,6 +32,13 @@ BUILT_IN = (SATELLITE.name, FIXED_POINT.name)
 # Those that were asked for or registered; the installed ones that nobody has asked for are not imported.
 SYSTEMS: dict[str, System] = {system.name: system for system in (SATELLITE, FIXED_POINT)}
 _ORIGINS: dict[System, plugins.Origin] = {}
+
+
+def __getattr__(name: str) -> Any:
+    """A function of an extension."""
+    if f"systems.{name}" in extension.parts("functions"):
+        return extension.load("functions", f"systems.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}{extension.not_loaded()}")
 
 
 def register(system: System | type[System]) -> System:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import wraps
-from importlib import import_module
+from functools import cache, wraps
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import extension
 from ..errors import BadInput
 from ..flags import Stability
 from .arithmetic import TIME_UNIT
@@ -238,8 +238,6 @@ class System(ABC):
     """Citation of the paper that the system comes from."""
     doi: str = ""
     """DOI of that paper."""
-    paper: str = ""
-    """Name of a package whose module ``published`` holds the equations of that paper, ``PUBLISHED``; imported when asked for."""
 
     # Equations.
 
@@ -588,10 +586,8 @@ class System(ABC):
         return np.zeros(steady.shape, np.int8)
 
     def published(self) -> Sequence[PublishedEquation]:
-        """Equations of the system's paper, as printed and as true: those of the package `paper`, if it is named."""
-        if not self.paper:
-            return ()
-        return import_module(f"{self.paper}.published").PUBLISHED
+        """Equations of the system's paper, as printed and as true; extensions may have more."""
+        return ()
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme points for the command `atlas stress`."""
@@ -656,11 +652,25 @@ def _magnitude(condition: Condition, points: Points) -> Array:
     return np.where(np.isnan(value), np.inf, value)
 
 
+@cache
+def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
+    """Quantities from theory that a scene may list, by name: of the system, then of extensions; BadInput for a name given twice."""
+    variables = dict(system.derived)
+    for of_system in extension.every("variables"):
+        for name, variable in of_system(system).items():
+            if name in variables:
+                raise BadInput(
+                    f"the system {system.name}: an extension has a variable {name} too; rename one"
+                )
+            variables[name] = variable
+    return MappingProxyType(variables)
+
+
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
     """The derived variables of these names, at points before any nudge; shared results are computed once."""
-    variables = [variable for name, variable in system.derived.items() if name in names]
+    variables = [variable for name, variable in derived_variables(system).items() if name in names]
     columns: dict[str, NDArray[Any]] = {}
     for variable in variables:
         if variable.together is None:

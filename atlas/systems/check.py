@@ -17,6 +17,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
 _BY_EQUATIONS = "the equations and their FRAME_VECTORS decide which starts are steady motions"
 # Members that no system has -> what stands for them.
 REPLACED = {
+    "paper": "the rows of a paper are `published` of an extension",
     "complete": _BY_EQUATIONS,
     "complete_any_axis": _BY_EQUATIONS,
     "any_axis_rates": f"{_BY_EQUATIONS}; those of a family are its axes",

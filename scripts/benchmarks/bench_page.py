@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT / "tests" / "page"))
 import browser  # noqa: E402
 
 import atlas  # noqa: E402
-from atlas.page.page import atlas_page  # noqa: E402
+from atlas.extensions.page.page import atlas_page  # noqa: E402
 
 OPENINGS = 3
 # ms from the request to the first paint, to the map, and of a click on the point in the middle.

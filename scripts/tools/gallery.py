@@ -25,10 +25,11 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas.cli.scenes import figure_options
+from atlas.extensions.amer2013 import figures as amer2013
+from atlas.extensions.page.page import atlas_page
 from atlas.flags import Agreement
 from atlas.label import theory
-from atlas.page.page import atlas_page
-from atlas.plotting import amer2013, maps, style
+from atlas.plotting import maps, style
 from atlas.scene.read import scene_from
 from atlas.systems import System
 

@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from atlas.papers.yehia2021 import lagrange
+from atlas.extensions.yehia2021 import lagrange
 from atlas.systems.base import Array, Points
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.families import FAMILIES, steady_motion

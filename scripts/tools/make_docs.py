@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from atlas.analysis import catalogue
+from atlas.extensions.amer2013 import claims
+from atlas.extensions.amer2013.figures import amplitude_table, periodic_solutions
 from atlas.flags import Agreement, Flag, Label, Stability, Status
-from atlas.papers.amer2013 import claims
-from atlas.plotting.amer2013 import amplitude_table, periodic_solutions
 from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System

@@ -17,12 +17,12 @@ import atlas
 from atlas import BadInput, files, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
+from atlas.extensions.amer2013.variables import MAX_RADIANS
 from atlas.scene import checks, expressions, grid, model, points, read, tables
 from atlas.scene.expressions import Expression
 from atlas.store import dataset
 from atlas.store import tiling as tiles
 from atlas.systems import SYSTEMS
-from atlas.systems.fixed_point.system import MAX_RADIANS
 from atlas.variables import COMPUTED, data_variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

@@ -6,7 +6,7 @@ from family_starts import STARTS
 from scipy.integrate import solve_ivp
 from strategies import default_points, in_other_units, random_fixed_points, random_satellites, select
 
-from atlas.papers.yehia2021.published import residual as missing_torque
+from atlas.extensions.yehia2021.published import residual as missing_torque
 from atlas.systems import base
 from atlas.systems.fixed_point import FIXED_POINT, any_axis
 from atlas.systems.fixed_point import equations as fixed_point_equations

@@ -13,8 +13,8 @@ from strategies import default_points
 
 import atlas
 from atlas.errors import BadInput
+from atlas.extensions.amer2013 import fast_spin, published
 from atlas.flags import Agreement, Label, Stability, Status
-from atlas.papers.amer2013 import fast_spin, published
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 from atlas.systems import get

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import nonzero_satellite, random_satellites, satellite_on_family
 from truth import cases, satellite_cases
 
-from atlas.papers.yehia2021.published import PUBLISHED, residual
+from atlas.extensions.yehia2021.published import PUBLISHED, residual
 from atlas.systems.base import on_family, unsteady
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.families import FAMILIES, steady_motion

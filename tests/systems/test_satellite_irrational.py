@@ -5,7 +5,7 @@ import pytest
 import sympy as sp
 from truth import BODY_NAMES, lagrangian_arguments, lagrangian_functions, paper_vectors, satellite_symbols
 
-from atlas.papers.yehia2021.published import (
+from atlas.extensions.yehia2021.published import (
     ENTRIES,
     PUBLISHED,
     determinant_quotient,

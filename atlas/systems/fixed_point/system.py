@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
-from importlib import import_module
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -11,77 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ...flags import PeriodicSolution
-from ..base import Array, DerivedVariable, Flags, Mask, Points, identify, shape_of
+from ..base import Array, Flags, Mask, Points, identify, shape_of
 from ..gyrostat import Body, Gyrostat, rotations
 from ..gyrostat.equilibria import NOT_CERTAIN
 from ..gyrostat.stress_cases import fixed_point_cases
 from . import any_axis, equations, families, initial
-
-PAPER = "atlas.papers.amer2013"
-# Longest run that is integrated for the errors of its solution, in radians of the fastest frequency: some seconds for a
-# chunk of points.
-MAX_RADIANS = 1000.0
-
-
-def solution_errors(module: str, form: str) -> dict[str, DerivedVariable]:
-    """Errors of the fast-spin solution in a module of the paper, which is loaded where they are wanted."""
-    suffix = "" if form == "true" else f"_{form}"
-    names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
-
-    def together(
-        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
-    ) -> dict[str, Array]:
-        solution = import_module(f"{PAPER}.{module}").first_order
-        errors = import_module(f"{PAPER}.fast_spin").errors(points, duration, solution, pause)
-        return dict(zip(names, errors, strict=True))
-
-    def check(points: Points, duration: Array) -> None:
-        import_module(f"{PAPER}.{module}").check(points, duration)
-
-    comment = (
-        "against the full equations from the formula's own start, with r0 and gamma0'' of the point; over the"
-        f" duration of the run; nan beyond {MAX_RADIANS:g} rad of the fastest frequency"
-    )
-    text = f"in the first-order solution (33), {form}"
-    rows = (
-        (names[0], "rad", f"largest error of gamma {text}"),
-        (names[1], "1", f"largest error of p + i q {text}, over its largest magnitude"),
-    )
-    return {row[0]: DerivedVariable.of_group(together, *row, comment, check=check) for row in rows}
-
-
-SOLUTION_ERRORS = solution_errors("fast_spin", "true") | solution_errors("published", "printed")
-
-
-def periodic_solutions() -> dict[str, DerivedVariable]:
-    """Stability, period and trace of the exact periodic solution near (33)."""
-    names = "periodic_stability", "periodic_period", "periodic_trace"
-
-    def together(
-        _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
-    ) -> dict[str, NDArray[Any]]:
-        return dict(zip(names, import_module(f"{PAPER}.periodic").of_points(points, pause), strict=True))
-
-    def check(points: Points, duration: Array) -> None:
-        with np.errstate(all="ignore"):
-            import_module(f"{PAPER}.fast_spin").fast_spin(points)
-
-    comment = (
-        "of the full equations (1) with r0 and gamma0'' of the point, followed from eps = 0 at constant l / (A r0); not of the"
-        " motion that is integrated; nan where none is reached"
-    )
-    text = "of the exact periodic solution near (33)"
-    flags = {names[0]: PeriodicSolution.meanings()}
-    rows = (
-        (names[0], "1", f"Floquet stability {text}"),
-        (names[1], "s", f"period {text}"),
-        (names[2], "1", f"rho + 1/rho {text}, rho the multiplier that is not 1"),
-    )
-    return {
-        row[0]: DerivedVariable.of_group(together, *row, comment, check=check, flags=flags.get(row[0]))
-        for row in rows
-    }
 
 
 class FixedPoint(Gyrostat):
@@ -96,7 +29,6 @@ class FixedPoint(Gyrostat):
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"
     )
-    paper = PAPER
 
     equations = equations
     parameters = initial.PARAMETERS
@@ -125,7 +57,6 @@ class FixedPoint(Gyrostat):
         }
     )
     stress_cases = fixed_point_cases
-    derived = MappingProxyType(SOLUTION_ERRORS | periodic_solutions())
     body = staticmethod(initial.body)
     axial_rotor = "l3"
     conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)

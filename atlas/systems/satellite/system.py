@@ -23,7 +23,6 @@ class Satellite(Gyrostat):
     frame_axes = ("radius", "velocity", "normal")
     reference = "H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128"
     doi = "10.22055/JACM.2021.37913.3113"
-    paper = "atlas.papers.yehia2021"
 
     equations = equations
     parameters = initial.PARAMETERS

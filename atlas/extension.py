@@ -1,0 +1,112 @@
+"""Extensions: what a package adds to the core, named by the entry points `atlas.extensions` of installed packages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from .errors import BadInput, one_line
+
+GROUP = "atlas.extensions"
+# "module:name", of a module in the package of the record.
+Reference = str
+
+
+@dataclass(frozen=True, eq=False)
+class Extension:
+    """What a package adds to the core; each part is imported when it is asked for.
+
+    The entry point of the extension's name is the record. Parts are references, "module:name", to modules inside `package`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the extension, and of its entry point.
+    package : str
+        Package that contains the modules, such as ``__name__`` of the module of the record.
+    title : str
+        What the extension adds, in a few words.
+    functions : mapping of str to str, optional
+        Public name below `atlas` -> function.
+    questions : mapping of str to str, optional
+        Name of a method of ``ds.atlas`` -> function whose first argument is the dataset.
+    commands : mapping of str to str, optional
+        Name of a command of the shell -> object made by `atlas.cli.options.command`.
+    variables : mapping of str to str, optional
+        Name of a variable from theory -> function of a system that returns these `DerivedVariable` by name, or none of a
+        system that they have no meaning for.
+    published : mapping of str to str, optional
+        Name of a system -> sequence of `PublishedEquation`, rows of its catalogue.
+    """
+
+    name: str
+    package: str
+    title: str
+    functions: Mapping[str, Reference] = field(default_factory=dict)
+    questions: Mapping[str, Reference] = field(default_factory=dict)
+    commands: Mapping[str, Reference] = field(default_factory=dict)
+    variables: Mapping[str, Reference] = field(default_factory=dict)
+    published: Mapping[str, Reference] = field(default_factory=dict)
+
+    def load(self, reference: Reference) -> Any:
+        """The object that a reference names."""
+        module, _, name = reference.partition(":")
+        return getattr(import_module(f"{self.package}.{module}"), name)
+
+
+# Kinds of parts: names -> references.
+PARTS = tuple(each.name for each in fields(Extension) if each.name not in ("name", "package", "title"))
+
+
+@cache
+def _found() -> tuple[dict[str, Extension], dict[str, str]]:
+    """The extensions by name, in alphabetical order, and the reason for each that cannot be loaded."""
+    extensions, broken = {}, {}
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            record = entry.load()
+            if not isinstance(record, Extension) or record.name != entry.name:
+                raise TypeError(f"{entry.value} is no Extension of this name")
+            extensions[record.name] = record
+        except Exception as error:  # whatever its code raises
+            broken[entry.name] = f"{type(error).__name__}: {one_line(error)}"
+    return extensions, broken
+
+
+def extensions() -> Mapping[str, Extension]:
+    """The extensions of all installed packages by name, in alphabetical order."""
+    return _found()[0]
+
+
+def not_loaded() -> str:
+    """End of a message about an unknown name: the extensions that might have it and cannot be loaded."""
+    return "".join(f"; the extension {name} cannot be loaded ({why})" for name, why in _found()[1].items())
+
+
+@cache
+def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
+    """Every part of one of the PARTS by name; BadInput if two extensions give the same name."""
+    found: dict[str, tuple[Extension, Reference]] = {}
+    for extension in extensions().values():
+        for name, reference in getattr(extension, kind).items():
+            if name in found:
+                raise BadInput(
+                    f"{name} is among the {kind} of two extensions, {found[name][0].name} and {extension.name}: remove one"
+                )
+            found[name] = extension, reference
+    return found
+
+
+def load(kind: str, name: str) -> Any:
+    """A part by its kind and name, KeyError if no extension has it."""
+    extension, reference = parts(kind)[name]
+    return extension.load(reference)
+
+
+def every(kind: str) -> list[Any]:
+    """The different objects of one of the PARTS, in the order of the extensions."""
+    return [extension.load(reference) for extension, reference in dict.fromkeys(parts(kind).values())]

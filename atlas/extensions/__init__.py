@@ -1,0 +1,1 @@
+"""The extensions of this package: nothing in the core imports them."""

@@ -1,0 +1,23 @@
+"""Amer, Abo Essa, Ibrahim & Amer 2013: the gyrostat about a fixed point in a central Newtonian field."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    "amer2013",
+    __name__,
+    "equations, claims and figures of Amer et al. as printed and as true; errors of their solution",
+    commands={"figures": "commands:draw_figures"},
+    variables=dict.fromkeys(
+        (
+            "first_order_error",
+            "first_order_rate_error",
+            "first_order_error_printed",
+            "first_order_rate_error_printed",
+        ),
+        "variables:solution_errors",
+    )
+    | dict.fromkeys(
+        ("periodic_stability", "periodic_period", "periodic_trace"), "variables:periodic_solutions"
+    ),
+    published={"fixed_point": "published:PUBLISHED"},
+)

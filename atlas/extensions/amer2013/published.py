@@ -1,0 +1,287 @@
+"""The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
+
+For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their amounts where a
+number can be measured. The formulas are in the table [printed] of equations.toml, the steps between (6) and (27) in
+`reduction`. Each function has the signature and the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from ...analysis.published import Readings, row
+from ...errors import BadInput
+from ...systems.base import Array, Points, PublishedEquation
+from . import fast_spin, reduction
+from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
+from .reduction import CONTENT, VARIABLES, Values, evaluate, state
+
+COEFFICIENTS = ("chi", "chi1", "nu", "X", "chi2", "nu2")
+
+
+def frequency_squared(spin: FastSpin) -> Array:
+    """omega'^2 = A1^2 - 2 A1 l3 / (A r0), after (8); may be negative."""
+    return spin.A1**2 - 2 * spin.A1 * spin.l3 / (spin.A * spin.r0)
+
+
+def numbers(spin: FastSpin) -> Values:
+    """The numbers of a body by their names in [printed]."""
+    names = ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0", "A1", "a", "z", "scale", "eps", "M3")
+    return reduction.numbers(spin, *names) | {"squared": frequency_squared(spin)}
+
+
+def formulas(values: Values, *names: str) -> Array:
+    """Formulas of [printed], shape (names, ...)."""
+    return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
+
+
+@lru_cache(maxsize=8)  # a right-hand side asks for them at every step
+def coefficients(spin: FastSpin) -> Values:
+    """The numbers of a body with chi, chi1 and nu of (10), X, chi2 and nu2 of (11); BadInput where they divide by zero."""
+    values = numbers(spin)
+    if np.any(spin.A1 == 0):
+        raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
+    if np.any((values["squared"] == 1) | (values["squared"] == 0)):
+        raise BadInput("omega'^2 = 0 or 1: chi, chi1 and nu of (10) divide by omega'^2 or 1 - omega'^2")
+    formulas(values, *COEFFICIENTS)
+    return values
+
+
+def rhs(spin: FastSpin, y: Array) -> Array:
+    """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
+    values = numbers(spin) | state(y)
+    return formulas(values, *(f"d_{name}" for name in VARIABLES))
+
+
+def integrals(spin: FastSpin, y: Array) -> Array:
+    """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
+    return formulas(numbers(spin) | state(y), "energy", "area", "length")
+
+
+def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
+    """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) with F1 and Phi1 of (16); x0 is x at tau = 0."""
+    (p, v, g, u), (p0, v0, g0, u0), known = x, x0, coefficients(spin)
+    A, C, A1, a, r0, eps, X, chi2 = (known[name] for name in ("A", "C", "A1", "a", "r0", "eps", "X", "chi2"))
+    l1, l2, y1, y2 = (known[name] for name in ("l1", "l2", "y1", "y2"))
+    twist = (v0 * u0 - v * u) - X / (A * r0) * l2 * (v0 - v)
+    S21 = a * ((p0 * g0 - p * g) - X * twist) + y1 * (g0 - g) + y2 * (1 - a * X * C / A) * (u0 - u)
+    inner = (v**2 - 2 * y2 / A * v + 2 * v * chi2 * u) / C - A1 * p * (y2 / A - v) / C
+    F1 = -known["chi1"] * l1 / (A * r0) + l2 / (A1 * r0) * inner
+    Phi1 = l1 * S21 / (A * r0) + u * (l1 / A * (y2 / A - v) - l2 * p) / (C * r0)
+    return np.array([v, C * A1 * y1 / A + eps * F1 - known["squared"] * p, u, l1 / (A * r0) + eps * Phi1 - g])
+
+
+def first_order(spin: FastSpin, tau: Array) -> Array:
+    """The periodic solution (33); tau broadcasts with the fields of spin; returns y of shape (6, ...)."""
+    return formulas(coefficients(spin) | {"tau": tau}, *VARIABLES)
+
+
+def to_quasilinear(spin: FastSpin, y: Array) -> Array:
+    """(p2, gamma2) of y, by (10); shape (2, ...)."""
+    return formulas(coefficients(spin) | state(y), "p2", "gamma2")
+
+
+def period_correction(spin: FastSpin, turns: int = 1) -> Array:
+    """alpha(eps) of (33) with beta3 = 0, its value to the lowest order."""
+    return turns * formulas(coefficients(spin), "alpha")[0]
+
+
+def angles(spin: FastSpin, t: Array) -> Array:
+    """theta, psi and phi after (34) with h = 0, shape (3, ...)."""
+    values = coefficients(spin)
+    now, start = (formulas(values | {"t": time}, "theta", "psi", "phi") for time in (t, np.zeros_like(t)))
+    theta, psi, phi = now - start
+    return np.array([np.arctan(spin.M3) + theta, psi, np.pi / 2 + phi])
+
+
+def check(points: Points, duration: Array) -> None:
+    """Raise BadInput for points without the printed solution, and for runs too long to be integrated to its errors."""
+    with np.errstate(all="ignore"):
+        coefficients(fast_spin.fast_spin(points))
+    fast_spin.check(points, duration)
+
+
+def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
+    """alpha for one turn, from the mean rate of the phase of g1 + i g1' over whole turns of the full equations."""
+    tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
+    y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
+    rate = fast_spin.rhs(spin, y)
+    speed = -((rate[3] + 1j * rate[4]) / (y[3] + 1j * y[4])).imag
+    window = np.sin(np.pi * tau / tau[-1]) ** 2  # removes the oscillations with the period of a turn
+    return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
+
+
+# What the two readings of a formula are worth: both held against the equations of motion.
+
+Formula = Callable[[FastSpin, Array], Array]
+
+
+def _readings(
+    measure: Callable[[FastSpin, np.random.Generator, Any], Any],
+    printed: Any,
+    true: Any,
+    draw: Callable[[np.random.Generator], FastSpin] = random_spin,
+) -> Readings:
+    """The magnitude of a measure (body, random generator, reading) for both readings; `draw` draws the body."""
+
+    def measured(reading: Any, rng: np.random.Generator) -> float:
+        return float(np.abs(measure(draw(rng), rng, reading)).max())
+
+    return partial(measured, printed), partial(measured, true)
+
+
+def _of_motion(
+    index: int | list[int], spin: FastSpin, rng: np.random.Generator, right_side: Formula
+) -> Array:
+    y = rng.normal(size=6)
+    return (right_side(spin, y) - true_rate(spin, y))[index]
+
+
+def _constancy(index: int | list[int], spin: FastSpin, rng: np.random.Generator, constants: Formula) -> Array:
+    begin = fast_spin.first_order(spin, np.array(0.0))
+    y = fast_spin.integrate(spin, begin, np.linspace(0, 2 * np.pi, 41))
+    return np.ptp(constants(spin, y)[index], axis=-1)
+
+
+def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Array:
+    y = rng.normal(size=6)
+    return (true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]
+
+
+def _coupling(
+    spin: FastSpin, rng: np.random.Generator, of: Callable[[FastSpin], tuple[Array, Array]]
+) -> Array:
+    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
+    chi1, nu = of(spin)
+    forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
+    carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
+    return np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu)
+
+
+def _reduced(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
+    """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
+    y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
+    exact = fast_spin.reduced(spin, true_acceleration(spin, y))[index // 2]
+    term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
+    return (right_side(spin, fast_spin.to_quasilinear(spin, y))[index] - exact) / term
+
+
+def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:
+    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
+    tau = np.linspace(0, 2 * np.pi, 41)
+    y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
+    forced = np.abs(spin.forced)
+    size = (forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,))[index]
+    return np.abs(solution(spin, tau) - y)[index].max() / size
+
+
+def _of_angle(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
+    """Error of theta, psi or phi over two turns, over the swing that is first order in eps."""
+    from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
+
+    tau = np.linspace(0, 4 * np.pi, 401)
+    begin = fast_spin.first_order(spin, np.array(0.0))
+    p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
+    t = tau / spin.r0
+    psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
+    exact = (np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2)))[index]
+    return np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced))
+
+
+def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
+    """chi less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion w = mu / Omega."""
+    y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
+    return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
+
+
+def _in_other_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[FastSpin], Array]) -> Array:
+    """Relative change of a dimensionless number when the unit of mass is halved."""
+    doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
+    return term(replace(spin, **doubled)) / term(spin) - 1
+
+
+def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[FastSpin], Any]) -> Array:
+    """h'' + f^2 h - 1 at a random time, for 1/f times the integral h of 1 with the kernel sin(w (tau - t1))."""
+    (f, w), tau = frequencies(spin), rng.uniform(0.5, 5.0)
+    return (w * np.cos(w * tau) + f**2 * (1 - np.cos(w * tau)) / w) / f - 1
+
+
+_ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
+_FAST = partial(random_spin, r0=50.0)
+_FASTEST = partial(random_spin, r0=1e5)
+READINGS: dict[str, Readings] = {
+    "(1), second equation": _readings(partial(_of_motion, 1), rhs, fast_spin.rhs),
+    "(1) but for the second equation, (5)": _readings(
+        partial(_of_motion, [0, 2, 3, 4, 5]),
+        *2 * (lambda spin, y: rhs(replace(spin, N=spin.N * spin.gamma0), y),),
+    ),
+    "(2), (3), S2": _readings(partial(_constancy, [1, 2]), integrals, integrals),
+    "(3), S1": _readings(partial(_constancy, 0), integrals, fast_spin.integrals),
+    "(4)": _readings(partial(_of_motion, 0), rhs, fast_spin.rhs),
+    "(7), (15)": _readings(
+        # the square of the rate at which q1 grows with p1
+        lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
+        frequency_squared,
+        lambda spin: spin.Omega**2,
+    ),
+    "(9)": _readings(_direction_cosine, -1, 1),
+    "(10), chi1 and nu": _readings(
+        _coupling,
+        lambda spin: formulas(coefficients(spin), "chi1", "nu"),
+        lambda spin: (spin.chi1, spin.nu),
+        partial(random_spin, l1=0.0, l2=0.0),
+    ),
+    "(10), chi": _readings(
+        _constant_10, lambda spin: coefficients(spin)["chi"], lambda spin: np.zeros(()), _FAST
+    ),
+    "(15), second equation": _readings(
+        partial(_reduced, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
+    ),
+    "(16), (27)-(33)": _readings(
+        _in_other_units,
+        lambda spin: (spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
+        lambda spin: (spin.C * spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
+    ),
+    # (19), with the true frequency, has no forcing
+    "(19), (20), (25)": _readings(
+        partial(_reduced, 1),
+        lambda spin, x: np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]]),
+        fast_spin.quasilinear,
+        _FASTEST,
+    ),
+    "(24), h_k": _readings(
+        _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
+    ),
+    "(24), g_k": _readings(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
+    # by how much W1 has the wrong sign
+    "(32)": _readings(
+        lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
+    ),
+    **{
+        f"(33), {name}": _readings(
+            partial(_of_solution, index), first_order, fast_spin.first_order, paper_spin
+        )
+        for index, name in enumerate(("p1", "q1", "r1", "g1", "g1'", "g1''"))
+    },
+    # relative errors of alpha
+    "(33), alpha": _readings(
+        lambda spin, rng, correction: correction(spin) / measured_period_correction(spin) - 1,
+        period_correction,
+        fast_spin.period_correction,
+        partial(random_spin, r0=1e3),
+    ),
+    "theta after (34)": _readings(partial(_of_angle, 0), angles, fast_spin.angles, paper_spin),
+    "psi after (34)": _readings(partial(_of_angle, 1), angles, fast_spin.angles, paper_spin),
+    "phi after (34)": _readings(partial(_of_angle, 2), angles, fast_spin.angles, paper_spin),
+    "section VI, data": (None, None),
+    **reduction.READINGS,
+}
+
+PUBLISHED: Sequence[PublishedEquation] = tuple(
+    row(entry, READINGS[number]) for number, entry in reduction.ENTRIES.items()
+)

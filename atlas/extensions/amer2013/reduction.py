@@ -1,0 +1,232 @@
+"""Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
+
+Each row changes its own equation alone: k, the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in
+both readings, and A^-1 y2 is C A^-1 y2. S1 and S2 are from (2), or from (3) with its own misprint corrected; S11 to S22 are
+(13), corrected. Residuals are in units of the difference of the two readings, or of the exact value where both are one; where
+an equation is an expansion in eps, the true one is of order eps. Terms with l2 / (A r0), which is of order eps, in S12 and S22
+are of higher order and left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+
+from ...analysis.published import Readings, expression, load
+from ...systems.base import Array
+from . import fast_spin, periodic
+from .fast_spin import (
+    PAPER_BODIES,
+    PAPER_ROTORS,
+    FastSpin,
+    paper_body,
+    random_spin,
+    true_acceleration,
+    true_rate,
+)
+
+Values = dict[str, Any]
+Entry = Mapping[str, Any]
+VARIABLES = ("p1", "q1", "r1", "g1", "g2", "g3")  # p1, q1, r1, g1, g1' and g1'' of (1)
+CONTENT = load(__package__)
+ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
+
+
+def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT["definitions"]) -> Any:
+    """Value of an expression in the names of equations.toml; names that it contains are evaluated first, by their definitions."""
+    parsed = expression("equations.toml", text)
+    for name in parsed.names - values.keys():
+        values[name] = evaluate(definitions[name], values, definitions)
+    return parsed.value(values)
+
+
+def reading(number: str, which: str, values: Values) -> Any:
+    """An equation as printed or as true."""
+    entry = ENTRIES[number]
+    return sum(evaluate(term, values) for term in entry.get(f"terms_{which}", entry["terms_true"]))
+
+
+def numbers(spin: FastSpin, *names: str) -> Values:
+    """These numbers of a body by their names, and its rotor y."""
+    return {name: getattr(spin, name) for name in names} | dict(zip(("y1", "y2", "y3"), spin.y, strict=True))
+
+
+def names(spin: FastSpin) -> Values:
+    """The numbers of a body by their names, in their true forms."""
+    X, momentum = 1 / spin.Omega, spin.A * spin.r0
+    fields = (
+        "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
+    )  # fmt: skip
+    return numbers(spin, *fields) | {
+        "mu1": spin.mu.real, "mu2": spin.mu.imag, "s1": spin.l1 / momentum, "s2": spin.l2 / momentum,
+        "s3": spin.l3 / momentum, "X": X, "chi2": spin.chi1 + spin.G0, "nu2": spin.nu - X,
+    }  # fmt: skip
+
+
+def state(y: Array, prefix: str = "") -> Values:
+    """The variables of (1), or their rates, by their names."""
+    return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
+
+
+# (3), corrected, and states that satisfy (2) with it.
+
+
+def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
+    """S1 and S2 of (3), corrected, of a state y that left the start y0."""
+    (p0, q0, _, g10, g20, _), (p, q, _, g1, g2, g3) = y0, y
+    a, k = spin.a, spin.k
+    y1, y2, y3 = spin.y
+    transverse = g10**2 - g1**2 + g20**2 - g2**2
+    S1 = a * (p0**2 - p**2 + q0**2 - q**2) + k * (a * transverse + 1 - g3**2) - 2 * spin.z * (1 - g3)
+    S2 = a * (p0 * g10 - p * g1 + q0 * g20 - q * g2) + y1 * (g10 - g1) + y2 * (g20 - g2) + y3 * (1 - g3)
+    return S1, S2
+
+
+def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
+    """r1 and g1'' of a state by (2), from its other variables and the start."""
+    S1, S2 = S1_S2(spin, y0, y)
+    r = np.sqrt(1 + spin.eps**2 * S1)
+    return np.array([*y[:2], r, *y[3:5], (1 + spin.eps * S2) / r])
+
+
+def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
+    """A random start with r1 = g1'' = 1, and a random state with the same energy and area, (2) with (3)."""
+    y0, y = rng.normal(size=(2, 6))
+    y0[[2, 5]] = y[[2, 5]] = 1.0
+    for _ in range(60):  # a contraction by a factor of order eps
+        y = on_integrals(spin, y0, y)
+    return y0, y
+
+
+def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
+    """y of the variables (p2, p2', gamma2, gamma2'), on the integrals (2) of a start, or with r1 = g1'' = 1."""
+    p, v, g, u = x
+    eps, q, g2, r, g3 = spin.eps, 0.0, 0.0, 1.0, 1.0
+    for _ in range(60):
+        field = spin.z / spin.a - spin.k * spin.A1 * g3
+        q = spin.mu.imag * r - v - eps * (spin.chi1 * u + field * g2)
+        q = q / (spin.A1 * r + spin.l3 / (spin.A * spin.r0))
+        g2 = (u + eps * (spin.nu * v + q * g3)) / r
+        y = np.array(np.broadcast_arrays(p + eps * spin.chi1 * g, q, r, g + eps * spin.nu * p, g2, g3))
+        if start is not None:
+            r, g3 = on_integrals(spin, start, y)[[2, 5]]
+    return y
+
+
+def variables(x0: Array, x: Array) -> Values:
+    """p = p2, v = p2', g = gamma2, u = gamma2' at x, at x0 with 0, and D with a name: its value at x0 less that at x."""
+
+    def products(x: Array) -> Values:
+        of = dict(zip("pvgu", x, strict=True))
+        return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
+
+    first, second = products(x0), products(x)
+    differences = {f"D{name}": first[name] - second[name] for name in first}
+    return (
+        dict(zip("pvgu", x, strict=True)) | dict(zip(("p0", "v0", "g0", "u0"), x0, strict=True)) | differences
+    )
+
+
+# What the names of a row stand for, by its key `at`: (random generator, entry) -> values.
+
+
+def _states(rng: np.random.Generator, entry: Entry) -> Values:
+    """Two random states of one motion, the second with its S1 and S2."""
+    spin = random_spin(rng, r0=entry.get("r0", 1e4))
+    y0, y = random_states(rng, spin)
+    x0, x = (fast_spin.to_quasilinear(spin, each) for each in (y0, y))
+    S1, S2 = S1_S2(spin, y0, y)
+    return names(spin) | variables(x0, x) | state(y) | {"S1": S1, "S2": S2}
+
+
+def _motion(rng: np.random.Generator, entry: Entry) -> Values:
+    """A random state with random S1, S2, which are what (2) makes of r1 and g1'', its rates and accelerations."""
+    spin = random_spin(rng, r0=entry.get("r0", 1e4))
+    p, q, g1, g2, S1, S2 = rng.normal(size=6)
+    r = np.sqrt(1 + spin.eps**2 * S1)
+    y = np.array([p, q, r, g1, g2, (1 + spin.eps * S2) / r])
+    rates = state(true_rate(spin, y), "d_") | state(true_acceleration(spin, y), "dd_")
+    return names(spin) | state(y) | rates | {"S1": S1, "S2": S2}
+
+
+def _generating(rng: np.random.Generator, entry: Entry) -> Values:
+    """The solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
+    spin = random_spin(rng, **{"r0": entry["r0"]} if "r0" in entry else {})
+    E, eta = rng.uniform(0.5, 1.5, 2) * (entry.get("amplitude", 1.0), 1)
+    phases = 2 * np.pi * np.arange(12) / 12
+    tau, t1 = phases[:, None], phases
+    M1, M2, w = E * np.cos(eta), E * np.sin(eta), spin.Omega
+    x0 = np.array([M1, w * M2, spin.M3, 0.0])
+    p, v = M1 * np.cos(t1) + M2 * np.sin(t1), w * (M2 * np.cos(t1) - M1 * np.sin(t1))
+    x = np.array(np.broadcast_arrays(p, v, spin.M3 * np.cos(tau), -spin.M3 * np.sin(tau)))
+    beta = dict(zip(("b1", "b2", "b3"), rng.uniform(0.1, 1.0, 3), strict=True))
+    return (
+        names(spin) | variables(x0, x) | {"M1": M1, "M2": M2, "E": E, "eta": eta, "t1": t1, "tau": tau} | beta
+    )
+
+
+def _series(rng: np.random.Generator, entry: Entry) -> Values:
+    """Two states given by their variables at several eps, k and the rotor the same, and p2'', gamma2'' of the motion."""
+    eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
+    C, gamma0, rotor = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
+    spin = FastSpin.of(1.0, C, C / gamma0, rng.uniform(1, 2), *rotor, 1 / eps, gamma0).of_shape(eps.shape)
+    x0, x = rng.normal(size=(2, 4, 1)) * np.ones(eps.size)
+    y = of_variables(spin, x, of_variables(spin, x0))
+    rate = fast_spin.rhs(spin, y)
+    acceleration = 0.5 * (
+        fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate)
+    )  # exact: (1) is quadratic
+    exact = zip(("dd_p", "dd_g"), fast_spin.reduced(spin, acceleration), strict=True)
+    return names(spin) | variables(x0, x) | dict(exact)
+
+
+@cache
+def _periodic(body: str, rotor: float) -> Values:
+    """The exact periodic solution of a body of section VI at tau = 0, and its variables p2 to gamma2'."""
+    spin = paper_body(body, rotor).of_shape((1,))
+    start = periodic.solutions(spin).start
+    x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
+    return names(spin) | state(start) | x | {"b1": 0.0, "b2": 0.0, "b3": 0.0}
+
+
+def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
+    """That of a random one with a rotor."""
+    return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
+
+
+AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
+    "states": _states, "motion": _motion, "generating": _generating, "series": _series, "orbit": _orbit,
+}  # fmt: skip
+
+
+def _reduced(entry: Entry, values: Values, value: Any) -> Any:
+    """A coefficient of the series in eps, or the mean over all phases, where the entry asks so."""
+    if "order" in entry:
+        eps = values["eps"]
+        return np.linalg.solve(np.vander(eps, increasing=True), value + 0 * eps)[entry["order"]]
+    return np.mean(value) if "mean" in entry else value
+
+
+def residual(entry: Entry, which: str, rng: np.random.Generator) -> float:
+    """Largest error of a reading, over the difference of the two readings or the exact value."""
+    values = AT[entry["at"]](rng, entry)
+    exact, printed, true = (
+        _reduced(entry, values, value)
+        for value in (
+            evaluate(entry["exact"], values),
+            *(reading(entry["number"], of, values) for of in ("printed", "true")),
+        )
+    )
+    size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)
+    return float(np.abs((printed if which == "printed" else true) - exact).max() / size)
+
+
+READINGS: dict[str, Readings] = {
+    number: (partial(residual, entry, "printed"), partial(residual, entry, "true"))
+    for number, entry in ENTRIES.items()
+    if "at" in entry
+}

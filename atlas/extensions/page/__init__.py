@@ -1,0 +1,11 @@
+"""One HTML file that shows an atlas: map, values and motions, without a server."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    "page",
+    __name__,
+    "one HTML file of an atlas, with its motions",
+    questions={"page": "page:page"},
+    commands={"page": "commands:make_page"},
+)

@@ -1,0 +1,154 @@
+"""One HTML file that shows an atlas, without a server and without anything from the network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import io
+import json
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+from matplotlib import rc_context
+
+from ...analysis.metadata import map_variable, scene_of, system_of
+from ...errors import BadInput, attribute_text
+from ...files import atomic_write, writable
+from ...kernel.tableaux import METHODS
+from ...plotting.maps import atlas_map
+from ...plotting.style import STYLE
+from ...scene import checks
+from .content import MAX_BYTES, MAX_POINTS, Content, Layout, layout
+from .motion import CannotTranslate, sources, translate
+
+# In one scope; the last one starts the page.
+SCRIPTS = ("map.js", "point.js", "motion.js", "controls.js")
+FORMATS = (".html", ".htm")
+FALLBACK_DPI = 110
+FRAME_HEIGHT = 900  # pixels of a page in a notebook
+NO_MOTION = "null"
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page about an atlas.
+
+    Attributes
+    ----------
+    html : str
+        The whole file. It loads nothing, and its content-security policy forbids it to.
+    """
+
+    html: str
+
+    def save(self, path: str | Path, *, force: bool = False) -> None:
+        """Write the page, all of it or nothing.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write, .html or .htm.
+        force : bool, optional
+            Replace an existing file.
+
+        Raises
+        ------
+        BadInput
+            For another suffix, an existing file, and a path that cannot be written.
+        """
+        path = writable(path, FORMATS, force=force)
+        with atomic_write(path) as temporary:
+            temporary.write_text(self.html, encoding="utf-8")
+
+    def _repr_html_(self) -> str:
+        """The page in a frame of its own, which can reach neither the notebook around it nor the network."""
+        return (
+            f'<iframe title="atlas" sandbox="allow-scripts" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
+            f' srcdoc="{html.escape(self.html)}"></iframe>'
+        )
+
+
+def page(ds: xr.Dataset) -> Page:
+    """One HTML file with maps of all variables, the values of each point, and its motion, integrated in the page.
+
+    Returns
+    -------
+    Page
+        Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
+        Of atlases of more than `atlas.extensions.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
+    """
+    return atlas_page(ds)
+
+
+def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
+    """Make the page of an atlas, whose name in the commands of the page is `file`."""
+    system, scene = system_of(ds), scene_of(ds)
+    file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
+    method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
+    checks.choice("damaged: the attribute atlas_method", method, METHODS)
+    script, fault = "", {}
+    try:
+        # Its trajectories are those of the atlas but for rounding: kernels fuse products and sums, browsers do not.
+        texts = sources(system, method)
+        script = f"{translate(texts)}\nreturn {{{', '.join(f'{name}: {name}$' for name in texts)}}};"
+    except CannotTranslate as error:
+        fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
+    count = max_points
+    while True:
+        shown = layout(ds, count)
+        content = Content(shown, file)
+        try:
+            motions = fault or content.motion_table()
+        except BadInput as error:
+            motions = {"fault": f"No motions in this page: {error}"}
+        table = content.table(motions)
+        if content.store.nbytes <= MAX_BYTES or count < 1000:
+            break
+        count = int(count * min(0.9, MAX_BYTES / content.store.nbytes))
+    return Page(_assembled(table, script, _fallback(shown)))
+
+
+def _fallback(shown: Layout) -> str:
+    """A picture of the map for readers without scripts, as a data address."""
+    middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
+    buffer = io.BytesIO()
+    figure = atlas_map(shown.ds, map_variable(shown.whole), select=middle or None, width="page")
+    with rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
+    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
+    """The file: template, style, script and data, with a policy that allows these and nothing else."""
+    folder = files(__package__)
+    style = folder.joinpath("page.css").read_text(encoding="utf-8")
+    program = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    body = f"(() => {{\n{equations}\n}})()" if equations else NO_MOTION
+    script = f'"use strict";\nconst equations = {body};\n{program}'
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
+        " base-uri 'none'; form-action 'none'"
+    )
+    # The text cannot end the element around it.
+    text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    parts = {
+        "policy": html.escape(policy),
+        "title": html.escape(table["title"]),
+        "style": style,
+        "script": script,
+        "data": text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"),
+        "picture": f'<img src="{picture}" alt="{html.escape(table["title"])}">',
+    }
+    template = folder.joinpath("template.html").read_text(encoding="utf-8")
+    # In one pass, so that no part is searched for the names of others.
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
+
+
+def _hash(text: str) -> str:
+    """Source expression of a content-security policy for an element with this text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"

@@ -1,0 +1,328 @@
+"""Equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, with residuals of both readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...analysis.published import expression, load, row
+from ...systems.base import Array, PublishedEquation
+from ...systems.gyrostat.motions import angular_velocity
+from ...systems.gyrostat.nonlinear import NormalForm, derivatives
+from ...systems.gyrostat.oscillations import Equilibria
+from ...systems.gyrostat.plane import PlaneMotions
+from ...systems.satellite import SATELLITE
+from ...systems.satellite.equations import rhs
+from ...systems.satellite.families import FAMILIES, steady_motion
+from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
+from . import lagrange
+
+Point = dict[str, Array]
+Entry = Mapping[str, Any]
+Values = Mapping[str, float | str]
+
+CONTENT = load(__package__)
+STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
+
+
+def random_point(rng: np.random.Generator) -> Point:
+    """A random point of order 1, with Omega = 1."""
+    names = [name for name in PARAMETERS if name != "damping"]
+    point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
+    point["damping"] = np.zeros(1)  # not of the paper
+    point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C")}
+    point |= {"Omega": np.ones(1), "theta0": rng.uniform(0.4, 1.2, 1), "theta_dot0": np.zeros(1)}
+    return point | {"phi0": np.zeros(1)}
+
+
+def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
+    """The point with further values: numbers, or expressions in what stands before them."""
+    point = dict(point)
+    for name, value in values.items():
+        point[name] = expression(name, str(value)).value(point) + np.zeros(1)
+    return point
+
+
+def euler_state(point: Point) -> list[Array]:
+    """psi, theta, phi and their rates at the start, in the order of lagrange.STATE."""
+    return [point[name] for name in STATE]
+
+
+# Conditions: the residual is measured on the motion.
+
+
+def residual(point: Point) -> float:
+    """Largest error of the acceleration over 13 times of the steady motion w' = n gamma + m e3 of one point."""
+    t = np.linspace(0.0, 13.0, 13)
+    state = steady_motion(point, t)
+    rates = np.array(rhs(state, constants(point)[:, None]))
+    zero = np.zeros_like(state[6])
+    needed = (point["n"] + point["Omega"]) * point["m"] * np.array([state[7], -state[6], zero])
+    return float(np.abs(rates[:3] - needed).max())
+
+
+def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    starts = entry["start"] if isinstance(entry["start"], list) else [entry["start"]]
+    point = random_point(rng)
+    return max(residual(with_values(point, start | entry.get(f"as_{reading}", {}))) for start in starts)
+
+
+def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """By how much a true motion breaks the printed limits; as true, its residual."""
+    point = with_values(random_point(rng), entry["start"])
+    for name in entry.get("solve", ()):
+        point[name] = FAMILIES[entry["family"]].solve[name](point)
+    if reading == "true":
+        return residual(point)
+    return float(np.abs(expression("breaks", entry["breaks"]).value(point))[0])
+
+
+TIMES = np.linspace(0.0, 13.0, 13)
+
+
+def _along(entry: Entry, reading: str, point: Mapping[str, Any], step: complex = 0) -> list[Array]:
+    """w, alpha, gamma and beta of a closed form at TIMES + step."""
+    form = entry["form"] | (entry.get("form_true", {}) if reading == "true" else {})
+    values = {**point, "t": TIMES + step}
+    alpha, beta, gamma, turn = (
+        np.array([expression(name, str(entry)).value(values) + 0 * values["t"] for entry in entries])
+        for name, entries in {**form, "turn": [0, 0, form["turn"]]}.items()
+    )
+    return [turn + point["Omega"] * gamma, alpha, gamma, beta]
+
+
+def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of the rates, and of beta = gamma x alpha, along a closed form of the motion."""
+    point = with_values(random_point(rng), entry["start"])
+    w, alpha, gamma, beta = _along(entry, reading, point)
+    # A derivative by a complex step is exact to round-off.
+    slopes = [part.imag / 1e-30 for part in _along(entry, reading, point, 1e-30j)[:3]]
+    rates = np.array(rhs(np.concatenate([w, alpha, gamma]), constants(point)))
+    orientation = np.abs(beta - np.cross(gamma, alpha, axis=0)).max()
+    return float(max(np.abs(np.concatenate(slopes) - rates).max(), orientation))
+
+
+def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of w from its precession about the normal and its spin, by the axes X, Y, Z at rest in space."""
+    motion = ENTRIES[entry["motion"]]
+    point = with_values(random_point(rng), motion["start"])
+
+    def axes(step: complex = 0) -> Array:
+        _, alpha, gamma, beta = _along(motion, "true", point, step)
+        angle = point["Omega"] * (TIMES + step)
+        cosine, sine = np.cos(angle), np.sin(angle)
+        return np.array([cosine * alpha - sine * beta, sine * alpha + cosine * beta, gamma])
+
+    still, moving = axes(), axes(1e-30j).imag / 1e-30
+    w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
+    texts = entry.get("inertial_true", entry["inertial"]) if reading == "true" else entry["inertial"]
+    precession, spin = (expression(entry["number"], str(text)).value(point) for text in texts)
+    return float(np.abs(w - precession * still[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
+
+
+# Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
+
+
+def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, Any]:
+    """t, at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
+    if "time" not in entry:
+        return {"t": rng.uniform(0.5, 5.0), "even": 1}
+    if entry["time"] == 35:
+        i = int(rng.integers(1, 11))
+        return {"t": np.pi * i / point["m"], "even": (-1) ** i}
+    j = int(rng.integers(0, 10))
+    return {"t": np.pi / (2 * point["m"]) + np.pi * j / point["m"], "even": (-1) ** j}
+
+
+def parts(point: Mapping[str, Any]) -> dict[str, Any]:
+    """A point at an instant, and the abbreviations of section 4."""
+    return with_values(point, CONTENT["abbreviations"])
+
+
+def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
+    """Sum of the terms of an equation in one reading."""
+    terms = entry[f"terms_{reading}"]
+    if isinstance(terms, str):
+        terms = ENTRIES[terms]["terms_true"]
+    return np.sum([expression(entry["number"], term).value(values) for term in terms], axis=0)
+
+
+def true_left_side(point: Point, t: Any, number: int) -> Array:
+    """Left side of (5), (6) or (7), corrected, on the precession."""
+    moved = {**point, "psi0": point["psi0"] + point["n"] * t, "phi0": point["m"] * t}
+    zero = np.zeros(1)
+    return lagrange.equations(euler_state(moved), (zero, zero, zero), constants(moved))[number - 5]
+
+
+def _equation_on_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    point = random_point(rng)
+    at = instant(entry, rng, point)
+    left = left_side(entry, reading, parts(point | at))
+    return float(np.abs(left - true_left_side(point, at["t"], entry["left_side"]))[0])
+
+
+def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    point = random_point(rng)
+    values = with_values(
+        point | instant(entry, rng, point), entry.get("start", {}) | entry.get(f"as_{reading}", {})
+    )
+    return max(float(np.abs(expression("vanish", text).value(values)).max()) for text in entry["vanish"])
+
+
+# What no expression says: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
+
+
+def _free(rng: np.random.Generator) -> Point:
+    """A random state of any body with sin theta not small."""
+    rate, angle = rng.uniform(0.4, 1.2, 1), rng.uniform(0, 2 * np.pi, 1)
+    return {**random_point(rng), "theta_dot0": rate, "phi0": angle}
+
+
+def _at_state(rng: np.random.Generator) -> dict[str, Any]:
+    """A random state with its true accelerations, by the names of [state]."""
+    p = _free(rng)
+    state = euler_state(p)
+    accelerations = lagrange.rhs(state, constants(p))[3:]
+    names = (*lagrange.STATE, "psi_accel", "theta_accel", "phi_accel")
+    return with_values(p | dict(zip(names, (*state, *accelerations), strict=True)), CONTENT["state"])
+
+
+def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """(4) less (2) with (3), by the vectors of (1), at a random state."""
+    p = _at_state(rng)
+    alpha, gamma = directions(p)
+    inertia, k, mu = body_vectors(p)
+    w = angular_velocity(p, p["n"] + p["Omega"], gamma)
+    potential = 1.5 * p["Omega"] ** 2 * inertia * alpha**2 + mu * (p["h1"] * alpha + p["h3"] * gamma)
+    exact = (0.5 * inertia * w**2 + k * w - potential).sum(0)
+    return float(np.abs(left_side(entry, reading, p) - exact)[0])
+
+
+def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    p = _at_state(rng)
+    if reading == "printed":
+        return float(np.abs(left_side(entry, reading, p))[0])
+    accelerations = [p[f"{name}_accel"] for name in ("psi", "theta", "phi")]
+    left = lagrange.equations(euler_state(p), accelerations, constants(p))[int(entry["number"][1]) - 5]
+    return float(np.abs(left)[0])
+
+
+def determinant_quotient(angles: Array) -> float:
+    """The determinant of (43) over the product of sines on its right, which is to be c_*."""
+    columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
+    pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
+    return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
+
+
+def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Relative difference of c_* of (43) between two random sets of angles, none of them close together."""
+    first, second = (
+        determinant_quotient(2 * np.pi / 5 * (np.arange(5) + rng.uniform(0, 0.7, 5))) for _ in range(2)
+    )
+    return abs(first / second - 1)
+
+
+def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Errors of alpha' = alpha x w', gamma' = gamma x w' and |alpha| = 1, alpha.gamma = 0 at a random state of (1)."""
+    p = _free(rng)
+    moved = {angle: p[angle] + 1e-30j * p[rate] for angle, rate in zip(STATE[:3], STATE[3:], strict=True)}
+    still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
+    w = angular_velocity(p, p["n"], still[1])
+    turning = max(np.abs(m - np.cross(v, w, axis=0)).max() for v, m in zip(still, moving, strict=True))
+    return float(max(turning, abs((still[0] ** 2).sum() - 1), abs((still[0] * still[1]).sum())))
+
+
+def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest difference of w' by Lagrange's equations, corrected, from that of the Euler-Poisson equations, over |w'|."""
+    p = with_values(_free(rng), entry.get(f"as_{reading}", {}))
+    state = np.array(euler_state(p))
+
+    def w(state):
+        moved = p | dict(zip(STATE, state, strict=True))
+        return angular_velocity(moved, moved["n"] + p["Omega"], directions(moved)[1])
+
+    by_lagrange = w(state + 1e-30j * np.array(lagrange.rhs(state, constants(p)))).imag / 1e-30
+    exact = np.array(rhs(np.concatenate([w(state), *directions(p)]), constants(p))[:3])
+    return float(np.abs(by_lagrange - exact).max() / np.abs(exact).max())
+
+
+def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Share of the paper's true conditions whose motions satisfy the Euler-Poisson equations too, or what it lacks of 1."""
+    rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
+    share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
+    return float(share if reading == "printed" else 1 - share)
+
+
+def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from what it is at amplitude 0."""
+    p = with_values(random_point(rng), entry["plane"])
+    motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
+    if "rho" in entry:
+        return float(np.abs(motion.multipliers()[0] - 2 - expression("rho", entry["rho"]).value(p))[0])
+    x, rate = np.array(motion.pitch(TIMES[:, None, None] / 4 + 0.01 * np.arange(-4, 5)[:, None]))[..., 0]
+    slopes = np.array([x, rate]) @ np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 8.4
+    needed = rate[:, 4], -1.5 * np.abs(p["B"] - p["A"]) / p["C"] * np.sin(2 * x[:, 4])
+    return float(np.abs(slopes - needed).max())
+
+
+def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """What f^4 - P f^2 + Q lacks of 0 at the frequencies of the normal form of a random motion."""
+    p = with_values(random_point(rng), entry["normal_form"])
+    rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
+    form = NormalForm.of(*derivatives(rest, np.zeros(1, int)))
+    squares = (np.array([form.l1, form.l2]) * rest.rate) ** 2
+    P, Q = (expression(name, entry[name]).value(p) for name in "PQ")
+    return float(np.abs(squares**2 - P * squares + Q).max())
+
+
+def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
+    i = np.arange(1, 11)
+    x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
+    waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])
+    return float(10 - np.linalg.matrix_rank(np.concatenate([waves * (i % 2), waves * (1 - i % 2)])))
+
+
+def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
+    psi0 = 0.0 if reading == "printed" else np.pi / 2
+    p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
+    alpha, gamma = directions(p)
+    across = np.array([alpha[2, 0], -np.sin(p["theta0"][0]) * np.cos(psi0)])
+    along = -across[0] / (across @ across)
+    return float(np.hypot(1 + along * across[0], along * across[1]))
+
+
+# By the key or the function of an entry: the measure (entry, reading, random generator); [measures] describes them.
+MEASURES = {
+    "lagrangian": _lagrangian_error,
+    "lagrange": _equation_of_motion,
+    "kinematics": _kinematics,
+    "both_forms": _both_forms,
+    "shared": _shared,
+    "lost_rank": _lost_rank,
+    "plane": _plane,
+    "normal_form": _normal_form,
+    "determinant": _determinant,
+    "apex_distance": _apex_distance,
+    "left_side": _equation_on_motion,
+    "vanish": _vanishing,
+    "inertial": _inertial,
+    "form": _closed_form,
+    "breaks": _beyond,
+    "start": _condition,
+}
+ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
+
+
+def _published(entry: Entry) -> PublishedEquation:
+    """The row of an entry of equations.toml."""
+    key = entry.get("function") or next(key for key in MEASURES if key in entry)
+    readings = partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")
+    return row(entry, readings, CONTENT["measures"].get(key, "").format(**entry))
+
+
+PUBLISHED = tuple(map(_published, ENTRIES.values()))

@@ -1,0 +1,28 @@
+"""Names that extensions add to `atlas` and to `ds.atlas`; `faces.pyi` has them for type checkers.
+
+`scripts/tools/make_faces.py` writes `faces.pyi` from the extensions of this package.
+"""
+
+from __future__ import annotations
+
+from types import MethodType
+from typing import Any
+
+import xarray as xr
+
+from . import extension
+from .scene.checks import typed
+
+
+class Questions:
+    """Questions of extensions to a dataset, as methods."""
+
+    _ds: xr.Dataset
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in extension.parts("questions"):
+            raise AttributeError(f"'Atlas' object has no attribute {name!r}{extension.not_loaded()}")
+        return MethodType(typed(extension.load("questions", name)), self._ds)
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *extension.parts("questions")})

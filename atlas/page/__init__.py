@@ -1,1 +1,0 @@
-"""One HTML file that shows an atlas: map, values and motions, without a server."""

@@ -1,1 +1,0 @@
-"""Yehia & El-kenani 2021: the magnetised satellite-gyrostat on a circular orbit."""

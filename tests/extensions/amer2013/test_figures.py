@@ -1,0 +1,186 @@
+"""The paper's figures: quantities and rotors are those of its captions, curves those of the equations."""
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from scipy.interpolate import make_interp_spline
+
+from atlas.cli import main
+from atlas.errors import BadInput
+from atlas.extensions.amer2013 import claims, fast_spin
+from atlas.extensions.amer2013 import figures as amer2013
+
+# The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.
+CAPTIONS = {
+    1: ("p2", False, (0, 10, 20)),
+    2: ("p2", False, (30, 40, 50)),
+    3: ("gamma2", False, (30, 40, 50)),
+    4: ("p2", True, (50,)),
+    5: ("gamma2", True, (10,)),
+}
+
+
+@pytest.mark.parametrize("number", amer2013.NUMBERS)
+def test_every_figure_has_the_quantity_of_its_caption(number):
+    figure = amer2013.paper_figure(number)
+    quantity, phase_plane, rotors = CAPTIONS[(number - 1) % 5 + 1]
+    assert (figure.quantity, figure.phase_plane, figure.rotors) == (quantity, phase_plane, rotors)
+    assert figure.body == ("A > C" if number in (*range(6, 11), *range(16, 21)) else "A < C")
+    assert figure.numerical == (number > 10)
+    assert quantity in figure.caption
+    assert f"A = B {figure.body[2:]}" in figure.caption
+
+
+def test_rk4_has_order_four():
+    def error(intervals):
+        tau = np.linspace(0, 10, intervals + 1)
+        path = amer2013.rk4(lambda y: np.array([y[1], -y[0]]), np.array([1.0, 0.0]), tau)
+        return np.abs(path - [np.cos(tau), -np.sin(tau)]).max()
+
+    assert error(100) / error(200) == pytest.approx(16, rel=0.1)
+
+
+@pytest.mark.parametrize("number", [2, 7, 12, 17])
+def test_curves_are_those_of_the_equations(number):
+    """The true curves against the full equations by DOP853; the printed ones are far from them."""
+    figure = amer2013.paper_figure(number)
+    tau = np.linspace(0, amer2013.END, 1001)
+    motion = amer2013.curves(figure, tau)
+    for i, rotor in enumerate(figure.rotors):
+        spin = fast_spin.paper_body(figure.body, rotor)
+        y0 = fast_spin.paper_start(spin)
+        exact = fast_spin.to_quasilinear(spin, fast_spin.integrate(spin, y0, tau))
+        size = np.ptp(exact[0])
+        start = float(spin.C * spin.A1 * spin.y[0] / spin.A)
+        for source, path in motion.items():
+            if "(33)" not in source and source != "periodic":  # these have other starts
+                np.testing.assert_allclose(path[:2, 0, i], [start, 0], atol=1e-6 * size)
+        np.testing.assert_allclose(motion["(1)"][..., i], exact, atol=1e-8 * size)
+        # the exact periodic solution returns, and its p2 rests where the exact motion has its centre
+        periodic = motion["periodic"][..., i]
+        assert np.ptp(periodic[0]) < 1e-5 * size
+        assert periodic[0, 0] == pytest.approx(0.5 * (exact[0].max() + exact[0].min()), rel=1e-4)
+        np.testing.assert_allclose(periodic[2:, 500], periodic[2:, 0], atol=1e-3)
+        if figure.numerical:
+            assert np.abs(motion["(15), true"][0, :, i] - exact[0]).max() < 1e-4 * size
+            # only the sign in omega'^2 is wrong
+            assert 1e-3 < np.abs(motion["(15), printed"][0, :, i] - exact[0]).max() / size < 5e-2
+        else:
+            assert np.abs(motion["general"][0, :, i] - exact[0]).max() < 1e-4 * size
+            assert np.abs(motion["general"][2, :, i] - exact[2]).max() < 1e-3
+            assert np.ptp(motion["(33), true"][0, :, i]) < 1e-9 * size
+            centre = 0.5 * (exact[0].max() + exact[0].min())
+            assert motion["(33), true"][0, 0, i] == pytest.approx(centre, rel=1e-4)
+            assert np.abs(motion["(33), printed"][0, :, i]).max() < 1e-6
+            assert np.abs(motion["(20), printed"][0, :, i] - exact[0]).max() > 0.5 * size
+
+
+@pytest.mark.parametrize(("number", "panels"), [(1, 3), (3, 6), (9, 3), (20, 4)])
+def test_figures_are_drawn(number, panels):
+    drawn = amer2013.draw(number)
+    assert drawn.get_figwidth() == pytest.approx(180 / 25.4)
+    assert len(drawn.axes) == panels
+    drawn.canvas.draw()
+    for ax in drawn.axes:
+        assert np.isfinite(np.concatenate([line.get_ydata() for line in ax.lines])).all()
+
+
+@pytest.mark.parametrize("number", [2, 3, 8, 13, 18])
+def test_no_curve_hides_another(number):
+    """Every rotor has its colour in every panel that shows it, also where its curve coincides with others."""
+    drawn = amer2013.draw(number)
+    canvas = FigureCanvasAgg(drawn)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3] / 255.0
+    for ax in drawn.axes:
+        box = ax.get_window_extent()
+        rows = slice(round(pixels.shape[0] - box.y1), round(pixels.shape[0] - box.y0))
+        panel = pixels[rows, round(box.x0) : round(box.x1)]
+        for colour in amer2013.LINES[:3]:
+            # the colour or a mixture of it with white, as the edge of a line has
+            away = np.array(to_rgb(colour)) - 1
+            share = (panel - 1) @ away / (away @ away)
+            same = np.abs(panel - 1 - share[..., None] * away).max(-1) < 0.03
+            assert (same & (share > 0.3)).sum() > 50
+
+
+@pytest.mark.parametrize("number", [4, 5])
+def test_the_legend_has_every_source_as_it_is_drawn(number):
+    """Dashed, or a cross where a solution rests in the phase plane."""
+    printed, corrected, exact = amer2013.draw(number).axes[-3:]
+    at_rest = "+" if number == 4 else "None"
+    for ax, second, names in (
+        (printed, "+", ["(20)", "(33)"]),
+        (corrected, at_rest, ["from (18)", "(33)"]),
+        (exact, at_rest, ["(1) from (18)", "periodic"]),
+    ):
+        assert [text.get_text() for text in ax.get_legend().get_texts()] == names
+        entries = ax.get_legend().get_lines()
+        for i, entry in enumerate(entries):
+            assert entry.get_marker() == ax.lines[i].get_marker()
+            assert entry.get_linestyle() == ax.lines[i].get_linestyle()
+        assert entries[1].get_marker() == second
+
+
+def test_derivatives_of_the_printed_solution():
+    """Of (33) as printed: against a spline through it."""
+    figure, tau = amer2013.paper_figure(3), np.linspace(0, amer2013.END, 4001)
+    path = amer2013.curves(figure, tau)["(33), printed"]
+    spline = make_interp_spline(tau, path[2], k=7)
+    np.testing.assert_allclose(path[3], spline(tau, 1), atol=1e-8)
+
+
+def test_the_table_has_six_digits():
+    rows = amer2013.amplitude_table(claims.figure_table((0.0, 40.0)))
+    assert len({len(row) for row in rows}) == 1
+    heading, still, moving, *_ = rows
+    assert still[heading.index("period")] == "-"
+    assert moving[heading.index("max |p2|")] == "10700.0"
+    assert moving[heading.index("amplitude")] == "4250.97"
+    assert still[heading.index("max |gamma2 - M3 cos tau|")] == "< 1e-10"
+
+
+def test_the_table_of_periodic_solutions_has_three_readings():
+    rows = claims.periodic_table((0.0, 50.0))
+    heading, *lines = amer2013.periodic_solutions(rows)
+    assert {len(line) for line in lines} == {len(heading)} == {13}
+    for row in rows:
+        printed, first, exact = row.p1, row.period, row.trace
+        assert row.stable_printed
+        assert row.stability == "stable"
+        if row.rotor:
+            assert abs(printed[0]) < 1e-3 < abs(printed[1])
+            assert printed[1] == pytest.approx(printed[2], rel=1e-6)
+            assert first[1] == pytest.approx(first[2], rel=1e-4)
+            assert abs(first[0]) > 100 * abs(first[2])
+            assert abs(exact[1] - exact[2]) < 1e-4 < abs(exact[0] - exact[2])
+            assert row.defect[0] > 0.5
+            assert row.defect[1:].max() < 1e-9
+    assert lines[1][heading.index("p1(0), exact")] == "8055.20"
+    assert lines[1][-2:] == ("yes", "stable")
+
+
+def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["figures", "--only", "4", "--format", "svg"]) == 0
+    assert (tmp_path / "figures" / "figure_04.svg").read_bytes().startswith(b"<?xml")
+    assert "phase plane of the analytical solution p2 for l = 50 sqrt(3) N m s, A = B < C" in (
+        capsys.readouterr().out
+    )
+    assert main(["figures", "--only", "4", "--format", "svg"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["figures", "--only", "21"]) == 2
+    assert "figures 1 to 20" in capsys.readouterr().err
+    (tmp_path / "taken").write_text("")
+    assert main(["figures", "--only", "1", "-o", "taken"]) == 2
+    assert "not a folder" in capsys.readouterr().err
+    assert main(["figures", "--table"]) == 0
+    printed = capsys.readouterr().out
+    assert "does not hold: A > C: the amplitude of p2 decreases" in printed
+    assert "5307.59" in printed
+
+
+def test_the_paper_has_no_other_figures():
+    with pytest.raises(BadInput, match="figure 0: the paper has"):
+        amer2013.draw(0)

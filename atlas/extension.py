@@ -39,6 +39,14 @@ class Extension:
     variables : mapping of str to str, optional
         Name of a variable from theory -> function of a system that returns these `DerivedVariable` by name, or none of a
         system that they have no meaning for.
+    instruments : mapping of str to str, optional
+        Name of a measured variable -> `Instrument` that makes it.
+    families : mapping of str to str, optional
+        Name of a family of steady motions -> function of a system that returns these `Family` by name, with fixed flags.
+    lines : mapping of str to str, optional
+        Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind.
+    stress_cases : mapping of str to str, optional
+        Name of a system -> function that returns more of its stress cases.
     published : mapping of str to str, optional
         Name of a system -> sequence of `PublishedEquation`, rows of its catalogue.
     """
@@ -50,6 +58,10 @@ class Extension:
     questions: Mapping[str, Reference] = field(default_factory=dict)
     commands: Mapping[str, Reference] = field(default_factory=dict)
     variables: Mapping[str, Reference] = field(default_factory=dict)
+    instruments: Mapping[str, Reference] = field(default_factory=dict)
+    families: Mapping[str, Reference] = field(default_factory=dict)
+    lines: Mapping[str, Reference] = field(default_factory=dict)
+    stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
 
     def load(self, reference: Reference) -> Any:

@@ -1,5 +1,6 @@
 """README and docs: code blocks run, tables are those of the registries, links lead to files."""
 
+import ast
 import contextlib
 import importlib
 import io
@@ -21,6 +22,7 @@ from atlas.flags import Status
 ROOT = Path(__file__).parent.parent
 PAGES = [
     "README.md",
+    "ARCHITECTURE.md",
     "CONTRIBUTING.md",
     *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
 ]
@@ -115,6 +117,18 @@ def anchors(page):
     """Anchors of the headings of a page, made as GitHub and MyST make them."""
     headings = re.findall(r"^#+ (.*)", re.sub(BLOCK, "", page.read_text()), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_architecture_names_functions_that_exist():
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    links = re.findall(r"\[`([^`]+)`\]\((atlas/[\w/]+\.py)\)", text)
+    assert len(links) > 25
+    for name, path in links:
+        tree = ast.parse((ROOT / path).read_text())
+        if name == path:
+            continue
+        for part in name.split("."):
+            tree = next(node for node in tree.body if getattr(node, "name", "") == part)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -1,1 +1,1 @@
-"""The engine integrates any system: it computes with floats and arrays only, and imports nothing from above."""
+"""The kernel: any system integrated with floats and arrays only; step sizes, statistics, generated and cached machine code."""

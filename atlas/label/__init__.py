@@ -1,1 +1,1 @@
-"""Labels of motions: measured by integration, predicted by theory."""
+"""From a plan to labels: the pipeline, the prediction of theory, trajectories."""

@@ -1,1 +1,1 @@
-"""Figures for papers."""
+"""Figures of atlases, motions and studies; only this room and extensions import Matplotlib."""

@@ -1,1 +1,1 @@
-"""Runs: a scene computed in tiles, in memory, in a folder or on a cluster."""
+"""A scene computed in tiles, in memory, in a folder or on a cluster; refinement, reuse, claims, dry runs."""

@@ -1,4 +1,4 @@
-"""The systems by name: those of this package, of installed packages, and those registered in this process."""
+"""Systems by name: equations, parameters, start values, families, and the theory of the gyrostat."""
 
 from __future__ import annotations
 

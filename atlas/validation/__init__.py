@@ -1,1 +1,1 @@
-"""Checks of the numbers: half steps, a tight reference, work-precision studies, stress cases."""
+"""Error against run time, half steps, a tight reference, stiff and extreme cases."""

@@ -1,4 +1,4 @@
-"""Draw the angles of the glossary, docs/angles.svg, and the axes that the three labels are about, docs/labels.svg.
+"""Draw the angles of the glossary, docs/angles.svg, the axes of the labels, docs/labels.svg, and the way of theory, docs/theory.svg.
 
 python scripts/tools/draw.py [--out docs]
 """
@@ -222,11 +222,56 @@ def draw_any_axis(axes: Axes) -> None:
     axes.set_title("label_any_axis: any axes; in the body\n$\\omega$ runs along a circle about $s$")
 
 
+BOXES = {
+    # name: (x, y, text, colour)
+    "equations": (0.09, 0.5, "equations\nand start", FRAME),
+    "steady": (0.31, 0.5, "steady motion?\nresidual of the\nequations along it", BODY),
+    "drifting": (0.55, 0.08, "drifting", FRAME),
+    "none": (0.55, 0.37, "no prediction", FRAME),
+    "label": (0.55, 0.8, "label of the\nexact motion", BODY),
+    "stable": (0.76, 0.66, "stable?\nexponents", BODY),
+    "predicted": (0.93, 0.37, "predicted", ANGLE),
+}
+ARROWS = (
+    # from, to, text, its place
+    ("equations", "steady", "", (0.0, 0.0)),
+    ("steady", "label", "exactly", (0.42, 0.72)),
+    ("steady", "none", "nearly", (0.445, 0.46)),
+    ("steady", "drifting", "far", (0.43, 0.22)),
+    ("label", "stable", "nudged", (0.67, 0.78)),
+    ("label", "predicted", "not nudged", (0.84, 0.86)),
+    ("stable", "predicted", "yes: that label\nno: drifting", (0.775, 0.475)),
+    ("none", "predicted", "not_computed", (0.7, 0.33)),
+    ("drifting", "predicted", "", (0.0, 0.0)),
+)
+
+
+def draw_theory(axes: Axes) -> None:
+    """The way from the equations to the label that theory predicts."""
+    axes.set_xlim(0.0, 1.02)
+    axes.set_ylim(0.0, 1.0)
+    axes.axis("off")
+    boxes = {}
+    for name, (x, y, text, colour) in BOXES.items():
+        frame = {"boxstyle": "round,pad=0.45", "edgecolor": colour, "facecolor": "white", "linewidth": 1.1}
+        boxes[name] = axes.text(
+            x, y, text, ha="center", va="center", color=colour, bbox=frame, fontsize=7.5, zorder=3
+        )
+    for first, second, text, place in ARROWS:
+        x, y, *_ = BOXES[first]
+        to_x, to_y, *_ = BOXES[second]
+        curve = "arc3,rad=-0.3" if (first, second) == ("label", "predicted") else "arc3,rad=0"
+        style = {"arrowstyle": "-|>,head_length=0.45,head_width=0.18", "color": PALE, "connectionstyle": curve}
+        style |= {"patchA": boxes[first].get_bbox_patch(), "patchB": boxes[second].get_bbox_patch(), "shrinkB": 2}
+        axes.annotate("", (to_x, to_y), (x, y), arrowprops=style, zorder=2)
+        axes.text(*place, text, ha="center", va="center", color=FRAME, fontsize=6.5, zorder=4)
+
+
 def drawing(height: float, *panels: Callable[[Axes], None]) -> Figure:
     """A figure of panels side by side."""
     with rc_context({**STYLE, "axes.titlesize": 8}):
         figure = Figure(figsize=(7.6, height), layout="constrained", facecolor="white")
-        for axes, draw in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        for axes, draw in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
             draw(axes)
     return figure
 
@@ -243,6 +288,7 @@ def main() -> None:
             partial(draw_third_axis, inertial=True),
             draw_any_axis,
         ),
+        "theory": drawing(2.3, draw_theory),
     }
     with rc_context(STYLE):
         for name, figure in figures.items():

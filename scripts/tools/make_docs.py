@@ -6,8 +6,10 @@ python scripts/tools/make_docs.py [--check] [--docs FOLDER]
 from __future__ import annotations
 
 import argparse
+import ast
 import re
 import sys
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 
@@ -22,7 +24,8 @@ from atlas.systems import SYSTEMS
 from atlas.systems.base import System
 from atlas.variables import variables
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
 
 
 def table(rows: list[tuple[str, ...]]) -> str:
@@ -293,7 +296,29 @@ def _rounded(residual: float | None) -> str:
     return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
 
 
+def rooms(folder: Path) -> str:
+    """Table of the packages in a folder: their sentence and the number of their lines, and in one row the modules beside them."""
+    rows, beside = [("room", "contents", "lines")], []
+    for path in sorted(folder.iterdir()):
+        if (path / "__init__.py").is_file() and path.name != "extensions":
+            docstring = ast.get_docstring(ast.parse((path / "__init__.py").read_text())) or ""
+            sentence = docstring.partition("\n")[0].removesuffix(".")
+            rows.append((f"`{path.name}/`", sentence, str(_lines(path.rglob("*.py")))))
+        elif path.suffix == ".py" and not path.name.startswith("_"):
+            beside.append(path)
+    if beside:
+        names = ", ".join(f"`{path.name}`" for path in beside)
+        rows.append((names, "the faces, registries, and what every room uses", str(_lines(beside))))
+    return table(rows)
+
+
+def _lines(paths: Iterable[Path]) -> int:
+    """Lines of some files, to the nearest hundred."""
+    return max(100, 100 * round(sum(len(path.read_text().splitlines()) for path in paths) / 100))
+
+
 TABLES = {
+    "rooms": rooms,
     "parameters": parameters,
     "variables": dataset,
     "families": families,
@@ -305,6 +330,7 @@ TABLES = {
 }
 
 SUBJECTS = SYSTEMS | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}
+SUBJECTS |= {"core": ROOT / "atlas", "extensions": ROOT / "atlas" / "extensions"}
 
 
 def filled(text: str) -> str:
@@ -323,7 +349,7 @@ def main() -> int:
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder of the pages (default: docs)")
     options = parser.parse_args()
     stale = []
-    for path in sorted(options.docs.glob("*.md")):
+    for path in (*sorted(options.docs.glob("*.md")), *options.docs.parent.glob("ARCHITECTURE.md")):
         text = path.read_text()
         if filled(text) != text:
             stale.append(path.name)

@@ -33,7 +33,6 @@ from ..systems.base import (
 )
 from ..systems.jacobian import derivatives
 from ..systems.steady import (
-    FAR,
     Existence,
     SteadyMotion,
     condition_residual,
@@ -54,6 +53,8 @@ ROUNDOFF = 1e-16
 ROUNDING_RESIDUAL = 1e-13
 # Residual of a start about the third axis and the vertical beyond which it is on no family about these.
 _NEARBY = 1e-6
+# Rates that change at first by more tolerances than this leave every circle.
+_FAR_CIRCLE = 10.0
 # Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
@@ -406,7 +407,7 @@ def near_circle(
     change = size * time + length(first) * time**2 / 2
     speed = np.abs((v * first).sum(0)) / size * time**2 / 2
     bend = length(second + (length(first) / size) ** 2 * v) * time**3 / 6
-    return np.asarray(~(np.fmin(change, np.fmax(speed, bend)) > FAR * rate_tolerance))
+    return np.asarray(~(np.fmin(change, np.fmax(speed, bend)) > _FAR_CIRCLE * rate_tolerance))
 
 
 def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:

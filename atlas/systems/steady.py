@@ -10,12 +10,12 @@ axis nu at rest in the frame. Seen from the body nu turns about s at -m, so that
 
 **Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate every state is a
 trigonometric polynomial of degree 1 in each of the phases n t and m t, and the residual of the equations, w' less what the
-candidate needs, is one of degree d. If n : m is no ratio p : q with |p|, |q| <= 2 d, no two of its frequencies coincide, so
-that it vanishes for all time exactly if it does on the torus of the phases, that is at the (2d + 1)^2 pairs
-2 pi (i, j) / (2d + 1), a discrete Fourier transform of condition 1. At such a ratio in lowest terms the motion is periodic
-and the residual of degree d (|p| + |q|) in its phase: 2 d (|p| + |q|) + 1 equidistant instants decide. Where n or m is 0, or
-every vector is along nu, one phase is left, and its 2d + 1 values decide. Between the nodes the residual is at most 4 times
-its largest value at them for d = 2, the square of Lebesgue's constant; 3.2 times at the ratios.
+candidate needs, is one of degree d: a sum of the frequencies k n + l m, |k|, |l| <= d. Where n : m = p : q in lowest terms, with
+|p|, |q| <= 2 d, the motion is periodic, the residual is of degree d (|p| + |q|) in its phase, and it vanishes for all time exactly
+if it does at N = 2 d (|p| + |q|) + 1 equidistant instants, a discrete Fourier transform of condition 1. At any other n : m no two
+frequencies coincide, so that it must vanish on the whole torus of the phases. There the line of direction 1 : 2 d + 1 is as good:
+the numbers k + (2 d + 1) l differ, and its N = (2 d + 1)^2 instants decide. Where n or m is 0, or every vector is along nu, one phase
+is left, p or q is 0. Between the nodes the residual is at most 3.6 times its largest value at them for d = 2.
 
 A ratio counts as p : q within RATIO. What the torus would find beside it grows from what the instants find
 in a time of 1 / (RATIO n) only.
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from . import arithmetic
 from .base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, TwoAxes, shape_of, subset
-from .jacobian import STEP, jacobian
+from .jacobian import STEP
 from .vectors import cross, dot, length, principal, ratio, turned, unit
 
 # Residuals within this many units of rounding of their terms vanish.
@@ -47,16 +47,11 @@ ROUNDING = 64 * 2.0**-53
 # A start whose equations fail by more than this of the squared frequency bound is no steady motion, whatever rounding does.
 GATE = 1e-6
 RATIO = 1e-9
-# Share of the squared frequency bound that counts as no difference of linear equations.
-SAME = 1e-9
 # Largest error of axes from derivatives, in units of rounding, with which they may be a motion's.
 MAX_ERROR = 1e4
-# A start is far from every steady motion where rates change at first by more than this, in units of the rate tolerance.
-FAR = 10.0
-# Share by which turning a body about its third axis may change what its acceleration adds up to, of a body that counts as symmetric.
-UNEVEN = 0.1
-# Part of a radian in which turning changes no linear equations.
-LINEAR = 0.3
+# A start is far from every steady motion where rates change to first order by more than this, in tolerances: of 30 000
+# starts beside steady motions none with a steady label changed by more than 2.4.
+FAR = 5.0
 _CHUNK = 16384
 _STEP = 2.0**-100
 
@@ -87,44 +82,42 @@ def polynomial_degree(system: System) -> int | str:
     for name in equations.STATE:
         if name not in vectors and name not in system.rate_states:
             return f"the state {name} is neither an angular velocity nor a vector at rest in the frame"
-    degrees: dict[str, int] = {}
+    degrees = {"state": 1}
+
+    def degree(expression: ast.expr) -> int:
+        match expression:
+            case ast.Name(id=name):
+                return degrees.get(name, 0)
+            case ast.Tuple(elts=values):
+                return max(map(degree, values))
+            case ast.UnaryOp(operand=operand):
+                return degree(operand)
+            case ast.BinOp(left=a, op=ast.Add() | ast.Sub(), right=b):
+                return max(degree(a), degree(b))
+            case ast.BinOp(left=a, op=ast.Mult(), right=b):
+                return degree(a) + degree(b)
+            case ast.BinOp(left=a, op=ast.Div(), right=b) if degree(b) == 0:
+                return degree(a)
+            case ast.BinOp(left=a, op=ast.Pow(), right=ast.Constant(value=int(power))) if power >= 0:
+                return power * degree(a)
+        if any(degrees.get(node.id, 0) for node in ast.walk(expression) if isinstance(node, ast.Name)):
+            raise ValueError(f"{ast.unparse(expression)} is no polynomial in the states")
+        return 0
+
     (function,) = ast.parse(arithmetic.functions(equations)["rhs"]).body
     try:
         for statement in function.body:  # type: ignore[attr-defined]
             match statement:
-                case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Name(id="state")):
-                    degrees |= dict.fromkeys(map(ast.unparse, names), 1)
                 case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
-                    degrees |= {
-                        ast.unparse(k): _degree(v, degrees) for k, v in zip(names, values, strict=True)
-                    }
-                case ast.Assign(targets=[name], value=value):
-                    degrees[ast.unparse(name)] = _degree(value, degrees)
-                case ast.Return(value=ast.Tuple(elts=values)):
-                    return max(_degree(value, degrees) for value in values)
+                    degrees |= {ast.unparse(k): degree(v) for k, v in zip(names, values, strict=True)}
+                case ast.Assign(targets=[target], value=value):
+                    names = target.elts if isinstance(target, ast.Tuple) else [target]
+                    degrees |= dict.fromkeys(map(ast.unparse, names), degree(value))
+                case ast.Return(value=value):
+                    return degree(value)
     except ValueError as error:
         return str(error)
-    return "rhs is no tuple"
-
-
-def _degree(expression: ast.expr, degrees: dict[str, int]) -> int:
-    """Degree of an expression in the states by those of the names; ValueError where it is no polynomial."""
-    match expression:
-        case ast.Name(id=name):
-            return degrees.get(name, 0)
-        case ast.UnaryOp(operand=operand):
-            return _degree(operand, degrees)
-        case ast.BinOp(left=a, op=ast.Add() | ast.Sub(), right=b):
-            return max(_degree(a, degrees), _degree(b, degrees))
-        case ast.BinOp(left=a, op=ast.Mult(), right=b):
-            return _degree(a, degrees) + _degree(b, degrees)
-        case ast.BinOp(left=a, op=ast.Div(), right=b) if _degree(b, degrees) == 0:
-            return _degree(a, degrees)
-        case ast.BinOp(left=a, op=ast.Pow(), right=ast.Constant(value=int(power))) if power >= 0:
-            return power * _degree(a, degrees)
-    if any(degrees.get(node.id, 0) for node in ast.walk(expression) if isinstance(node, ast.Name)):
-        raise ValueError(f"{ast.unparse(expression)} is no polynomial in the states")
-    return 0
+    return "rhs returns nothing"
 
 
 class _Magnitudes(np.ndarray):
@@ -136,61 +129,6 @@ class _Magnitudes(np.ndarray):
         return np.asarray(getattr(ufunc, method)(*plain, **options)).view(_Magnitudes)
 
 
-def _cross_terms(a: Array, b: Array) -> Array:
-    """Magnitudes of the terms of a vector product, (3, points)."""
-    return np.abs(cross(np.abs(a).view(_Magnitudes), np.abs(b).view(_Magnitudes)))
-
-
-class _Node(NamedTuple):
-    """State of a steady motion at phases of n t and m t, (states, points); vectors (3, points)."""
-
-    start: _Starts
-    axes: TwoAxes
-    state: Array
-    fixed: Array  # the fixed axis
-    u: Array
-    frame: Array  # angular velocity of the frame
-
-    @classmethod
-    def of(cls, start: _Starts, axes: TwoAxes, alpha: Array, beta: Array) -> _Node:
-        s, m, nu, n = axes
-
-        def moved(vector: Array) -> Array:
-            return turned(turned(vector, nu, -alpha), s, -beta)
-
-        fixed, frame, state = turned(nu, s, -beta), moved(start.frame), np.empty_like(start.state)
-        u = n * fixed + m * s
-        state[start.rates] = u + frame
-        for triple in start.vectors:
-            state[triple] = moved(start.state[triple])
-        return cls(start, axes, state, fixed, u, frame)
-
-    def subset(self, where: Any) -> _Node:
-        rest = (values[..., where] for values in self[2:])
-        return _Node(self.start.subset(where), self.axes.subset(where), *rest)
-
-    def residual(self) -> Array:
-        """Magnitude of the residual of the equations for u, (3, points); infinite where v' = v x u fails."""
-        (s, m, _, n), equations, state, u = self.axes, self.start.equations, self.state, self.u
-        slope = np.array(np.broadcast_arrays(*equations.rhs(state, self.start.constants)))
-        wrong = np.abs(np.array(equations.frame_motion(state, self.start.constants)[:3]) - u)
-        wrong += sum(np.abs(slope[triple] - cross(state[triple], u)) for triple in self.start.vectors)
-        mistaken = np.where(wrong > 1e-9 * (length(u) + length(self.frame)), np.inf, 0.0)
-        residual = slope[self.start.rates] - n * m * cross(self.fixed, s) - cross(self.frame, u)
-        return np.abs(residual) + mistaken
-
-    def magnitude(self) -> Array:
-        """Sum of the magnitudes of its terms and of their changes by errors of the states, relative to 1 in unit vectors."""
-        (s, m, _, n), start = self.axes, self.start
-        size = np.ones_like(self.state)
-        size[start.rates] = np.abs(n) + length(self.frame) + np.abs(m * s)
-        sized = (np.abs(self.state) + 1j * STEP * size).view(_Magnitudes)
-        slope = np.broadcast_arrays(*start.equations.rhs(sized, np.abs(start.constants).view(_Magnitudes)))
-        terms = np.asarray([slope[i] for i in start.rates])
-        turns = np.abs(n * m) * _cross_terms(self.fixed, s) + _cross_terms(self.frame, self.u)
-        return np.asarray(np.abs(terms.real) + terms.imag / STEP + turns)
-
-
 class _Starts(NamedTuple):
     """The equations and the states of some points; vectors (3, points)."""
 
@@ -198,10 +136,10 @@ class _Starts(NamedTuple):
     rates: NDArray[np.intp]  # places of the angular velocity among the states, (3,)
     vectors: NDArray[np.intp]  # places of the vectors at rest in the frame, (vectors, 3)
     constants: Array
+    bound: Array  # of frequencies
     state: Array
     slope: Array
     u: Array  # angular velocity relative to the frame
-    bound: Array  # of frequencies
 
     @classmethod
     def of(cls, system: System, points: Points) -> _Starts:
@@ -215,9 +153,16 @@ class _Starts(NamedTuple):
         across = np.array(equations.frame_motion(state, constants)[:2])
         rounded = (np.abs(sine) <= ROUNDING) & (np.hypot(*across) <= ROUNDING * np.abs(n))
         state[rates[:2]] -= np.where(rounded, across, 0.0)
-        slope = np.array(np.broadcast_arrays(*equations.rhs(state, constants)), float)
-        u = np.array(equations.frame_motion(state, constants)[:3])
-        return cls(equations, rates, vectors, constants, state, slope, u, system.frequency_bound(points))
+        empty = np.empty(0)
+        return cls(equations, rates, vectors, constants, system.frequency_bound(points), *[empty] * 3).at(
+            state
+        )
+
+    def at(self, state: Array) -> _Starts:
+        """The same bodies in other states."""
+        slope = np.array(np.broadcast_arrays(*self.equations.rhs(state, self.constants)), float)
+        u = np.array(self.equations.frame_motion(state, self.constants)[:3])
+        return self._replace(state=state, slope=slope, u=u)
 
     def subset(self, where: Any) -> _Starts:
         return _Starts(*self[:3], *(values[..., where] for values in self[3:]))
@@ -252,6 +197,36 @@ class _Starts(NamedTuple):
         turn = cross(cross(self.frame, self.u), self.u) + cross(self.frame, self.acceleration)
         return bend[self.rates] - turn
 
+    def along(self, axes: TwoAxes, alpha: Array, beta: Array) -> tuple[_Starts, TwoAxes]:
+        """The motion about these axes at phases of n t and m t."""
+        s, m, nu, n = axes
+        state, fixed = np.empty_like(self.state), turned(nu, s, -beta)
+        for triple, vector in (
+            (self.rates, self.frame),
+            *((each, self.state[each]) for each in self.vectors),
+        ):
+            state[triple] = turned(turned(vector, nu, -alpha), s, -beta)
+        state[self.rates] += n * fixed + m * s
+        return self.at(state), axes._replace(fixed_axis=fixed)
+
+    def residual(self, axes: TwoAxes) -> Array:
+        """Magnitude of the residual of the equations, (3, points); infinite where v' = v x u fails."""
+        rate, change = self.rest(axes)
+        wrong = length(rate) + sum(length(self.slope[i] - cross(self.state[i], self.u)) for i in self.vectors)
+        return np.where(wrong > 1e-9 * (length(self.u) + length(self.frame)), np.inf, np.abs(change))
+
+    def rounding(self, axes: TwoAxes) -> Array:
+        """Sum of the magnitudes of its terms and of their changes by errors of the states, relative to 1 in unit vectors."""
+        s, m, nu, n = (np.abs(values).view(_Magnitudes) for values in axes)
+        frame, size = np.abs(self.frame).view(_Magnitudes), np.ones_like(self.state)
+        size[self.rates] = n + length(self.frame) + m * s
+        sized = (np.abs(self.state) + 1j * STEP * size).view(_Magnitudes)
+        slope = np.broadcast_arrays(*self.equations.rhs(sized, np.abs(self.constants).view(_Magnitudes)))
+        terms = np.asarray([slope[i] for i in self.rates])
+        return np.asarray(
+            np.abs(terms.real) + terms.imag / STEP + n * m * cross(nu, s) + cross(frame, size[self.rates])
+        )
+
     def is_steady(self, axes: TwoAxes, degree: int, derived: bool) -> tuple[Array, Mask]:
         """Largest residual along a candidate, over the nodes up to the first that fails, and whether none does.
 
@@ -259,114 +234,45 @@ class _Starts(NamedTuple):
         """
         s, m, nu, n = axes
         loose = np.max([length(cross(self.state[triple], nu)) for triple in self.vectors], axis=0) > ROUNDING
-        two, count = (n != 0) & (m != 0) & loose, 2 * degree + 1
-        nodes = np.where(two, count**2, np.where(((n != 0) & loose) | (m != 0), count, 1))
-        alpha_of = np.broadcast_to(np.where(two, count, 1), n.shape)
-        period = np.zeros(n.shape)
-        for p, q in (
-            (p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1) if gcd(p, q) == 1
-        ):
-            at_ratio = two & (np.abs(np.abs(n) * q - np.abs(m) * p) <= RATIO * np.abs(n) * q)
-            nodes = np.where(at_ratio, 2 * degree * (p + q) + 1, nodes)
-            period = np.where(at_ratio, 2 * np.pi * p / np.where(at_ratio, np.abs(n), 1.0), period)
-
-        def node(j: NDArray[np.intp] | int, at: NDArray[np.intp]) -> _Node:
-            instant, angle = period[at] * j / nodes[at], 2 * np.pi / count
-            alpha = np.where(period[at] > 0, n[at] * instant, angle * (j // alpha_of[at])) * (n[at] != 0)
-            beta = np.where(period[at] > 0, m[at] * instant, angle * j) * (m[at] != 0)
-            return _Node.of(self.subset(at), axes.subset(at), alpha, beta)
-
-        rest, rounding = np.abs(self.rest(axes)[0]), np.full(n.size, ROUNDING)
-        allowed = ROUNDING * (np.abs(n) + length(self.frame) + np.abs(m * s))
-        alive = np.flatnonzero((rest <= allowed).all(0))
-        # At the last node both phases have changed: it is enough for most.
-        last = node(nodes[alive] - 1, alive)
-        residual = last.residual()
-        passes = length(residual) <= GATE * self.bound[alive] ** 2
-        worst, magnitude = np.zeros((3, n.size)), np.zeros((3, n.size))
-        worst[:, alive] = residual
-        alive = alive[passes]
-        if alive.size:
-            first = node(0, alive)
-            terms = first.magnitude()
-            if derived:
-                error = (
-                    length(terms)
-                    / length(first.start.acceleration)
-                    * np.fmax(np.abs(m / n), np.abs(n / m))[alive]
+        p = np.where((n != 0) & loose, 1, 0)
+        q = np.where(m != 0, np.where(p == 1, 2 * degree + 1, 1), 0)
+        two = (p == 1) & (m != 0)
+        for a, b in np.ndindex(2 * degree, 2 * degree):
+            a, b = a + 1, b + 1
+            at_ratio = (
+                two & (np.abs(np.abs(n) * b - np.abs(m) * a) <= RATIO * np.abs(n) * b) & (gcd(a, b) == 1)
+            )
+            p, q = np.where(at_ratio, a, p), np.where(at_ratio, b, q)
+        nodes = 2 * degree * (p + q) + 1
+        p, q = np.sign(n) * p, np.sign(m) * q
+        size = np.abs(n) + length(self.frame) + np.abs(m * s)
+        steady = (np.abs(self.rest(axes)[0]) <= ROUNDING * size).all(0)
+        worst, rounding = np.zeros((3, n.size)), np.full((3, n.size), np.inf)
+        # From the last node back: there both phases have changed, which is enough for most.
+        for j in range(1, nodes.max(initial=0) + 1):
+            at = np.flatnonzero(steady & (j <= nodes))
+            angle = -2 * np.pi * j / nodes[at]
+            node, its_axes = self.subset(at).along(axes.subset(at), p[at] * angle, q[at] * angle)
+            worst[:, at] = np.fmax(worst[:, at], node.residual(its_axes))
+            if j == 1:
+                passes = np.flatnonzero(length(worst[:, at]) <= GATE * self.bound[at] ** 2)
+                steady[:], at = False, at[passes]
+                start, part = self.subset(at), axes.subset(at)
+                terms = start.rounding(part)
+                rounding[:, at] = ROUNDING * np.fmax(
+                    terms, node.subset(passes).rounding(its_axes.subset(passes))
                 )
-                rounding[alive] *= 1 + np.where(two[alive] & (error < MAX_ERROR), error, 0.0)
-            magnitude[:, alive] = rounding[alive] * np.fmax(terms, last.subset(passes).magnitude())
-        for j in range(nodes[alive].max(initial=1) - 1):
-            at = alive[nodes[alive] > j + 1]
-            worst[:, at] = np.fmax(worst[:, at], node(j, at).residual())
-            fails = at[(worst[:, at] > magnitude[:, at]).any(0)]
-            if fails.size:
-                alive = np.setdiff1d(alive, fails, assume_unique=True)
-        steady = np.zeros(n.size, bool)
-        steady[alive] = (worst[:, alive] <= magnitude[:, alive]).all(0)
+                if derived:
+                    ratios = np.fmax(np.abs(m / n), np.abs(n / m))[at]
+                    error = length(terms) / length(start.acceleration) * ratios
+                    rounding[:, at] *= 1 + np.where(two[at] & (error < MAX_ERROR), error, 0.0)
+            steady[at] = (worst[:, at] <= rounding[:, at]).all(0)
         return length(worst), steady
-
-    def departure(self, axes: TwoAxes, duration: Array) -> Array:
-        """Largest change of theta', psi' and phi', of the angular velocity, the tilt and the rate about the vertical by the linear equations.
-
-        In axes that turn about the third one at m relative to the body, a steady motion of a symmetric body rests. In the body it
-        rests at m = 0, and elsewhere the equations are linear in the first part of a radian.
-        """
-        third, m, _, n = axes
-        triples, size = [self.rates, *self.vectors], len(self.state)
-        turn = np.eye(size)
-        for triple in triples:
-            turn[np.ix_(triple, triple)] = turned(np.eye(3), third[:, :1], np.ones(3))
-
-        def relative(state: Array) -> Array:
-            slope = np.array(np.broadcast_arrays(*self.equations.rhs(state, self.constants)))
-            for triple in triples:
-                slope[triple] += m * cross(third, state[triple])
-            return slope
-
-        f, matrix = relative(self.state), jacobian(self.equations, self.state, self.constants)
-        other = turn @ self.state
-        uneven = length((relative(other) - turn @ f)[self.rates]) * np.fmax(1.0, np.abs(m) * duration)
-        changed = turn @ matrix @ turn.T - jacobian(self.equations, other, self.constants)
-        symmetric = np.abs(changed[:, self.rates]).max((1, 2)) <= SAME * self.bound**2
-        symmetric &= uneven <= UNEVEN * length(f[self.rates])
-        reach = np.where(symmetric | (m == 0), duration, np.fmin(duration, LINEAR / np.abs(m)))
-        m = np.where(symmetric, m, 0.0)
-        f = relative(self.state)
-        for i, j, _ in triples:
-            matrix[:, i, j] -= m
-            matrix[:, j, i] += m
-        reach = np.where((n == 0) | (len(self.vectors) == 1), reach, np.fmin(reach, LINEAR / np.abs(n)))
-        # The mean of exp(matrix t) over a short step, and then over twice the time again and again.
-        radians = np.sqrt((matrix**2).sum((1, 2))) * reach
-        halvings = int(np.clip(np.ceil(np.log2(np.nanmax(radians, initial=1.0))), 0, 60)) + 2
-        step = reach * 0.5**halvings
-        power = flow = mean = np.broadcast_to(np.eye(size), matrix.shape)
-        for k in range(1, 10):
-            power = power @ (matrix * step[:, None, None]) / k
-            flow, mean = flow + power, mean + power / (k + 1)
-        x, largest = mean @ (f * step).T[..., None], np.zeros((4, m.size))
-        for _ in range(halvings + 1):
-            change = x[..., 0].T
-            u, v = np.split(
-                np.array(self.equations.frame_motion(self.state + 1j * STEP * change, self.constants)), 2
-            )
-            square = v[0] ** 2 + v[1] ** 2
-            psi = (u[0] * v[0] + u[1] * v[1]) / square
-            rates = np.array(
-                [(u[0] * v[1] - u[1] * v[0]) / np.sqrt(square), psi, u[2] - psi * v[2], dot(u, v)]
-            )
-            rates, u, v = (values.imag / STEP for values in (rates, u, v))
-            sizes = np.array([np.abs(rates[:3]).max(0), length(u), length(v), np.abs(rates[3])])
-            largest = np.fmax(largest, np.where(np.isfinite(change).all(0), sizes, np.inf))
-            x, flow = x + flow @ x, flow @ flow
-        return largest
 
     def undamped(self, duration: Array) -> Array:
         """Root of the share of a run in which damping leaves an oscillation, by the divergence of the equations."""
         divergence = np.zeros(duration.shape)
-        for i in range(len(self.state)):
+        for i in self.rates:
             state = self.state.astype(complex)
             state[i] += 1j * STEP
             divergence += np.imag(self.equations.rhs(state, self.constants)[i]) / STEP
@@ -393,14 +299,16 @@ def steady_motions(
     with np.errstate(all="ignore"):
         for first in range(0, times.size, _CHUNK):
             chunk = slice(first, first + _CHUNK)
-            parts.append(_of_chunk(system, subset(flat, chunk), times[chunk], rate_tolerance, angle, degree))
+            parts.append(
+                _of_chunk(system, subset(flat, chunk), times[chunk], (rate_tolerance, angle), degree)
+            )
     columns = [np.concatenate(column, -1) for column in zip(*parts, strict=True)]
     *axes, residual, answer = (x.reshape(*x.shape[:-1], *shape) for x in columns)
     return SteadyMotion(TwoAxes(*axes), residual, answer)
 
 
 def _of_chunk(
-    system: System, points: Points, duration: Array, rate_tolerance: float, angle: float, degree: int
+    system: System, points: Points, duration: Array, tolerances: tuple[float, float], degree: int
 ) -> tuple[NDArray[Any], ...]:
     """The fields of TwoAxes, residual and answer."""
     start = _Starts.of(system, points)
@@ -425,9 +333,8 @@ def _of_chunk(
             size[members] = worst[steady] / start.bound[members] ** 2
             answer[members] = Existence.EXACT
     others = np.flatnonzero(answer != Existence.EXACT)
-    part = axes.subset(others)
-    far = _is_far(start.subset(others), part, duration[others], rate_tolerance, angle)
-    answer[others[far]] = Existence.FAR
+    part = start.subset(others), axes.subset(others), duration[others]
+    answer[others[_departure(*part, tolerances) > FAR]] = Existence.FAR
     return *axes, np.nan_to_num(size, nan=0.0), answer
 
 
@@ -472,38 +379,31 @@ def _candidates(start: _Starts) -> Iterator[TwoAxes]:
         yield fitting(TwoAxes(spin_axis, m, unit(rest, g), n))
 
 
-def _is_far(start: _Starts, axes: TwoAxes, duration: Array, rate_tolerance: float, angle: float) -> Mask:
-    """Whether the rates about the third axis and the vertical certainly vary by more than labels allow.
+def departure(system: System, points: Points, duration: Array, tolerances: tuple[float, float]) -> Array:
+    """How far each start is from a steady motion about the third axis and the vertical, in tolerances of labels; see _departure."""
+    start = _Starts.of(system, points)
+    return _departure(start, _about_third(system, points, start), duration, tolerances)
+
+
+def _departure(start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple[float, float]) -> Array:
+    """Change of theta', psi' and phi' to first order, in tolerances; inside the cone that of the tilt and the rate about the vertical.
 
     A change x of the start begins as x' = A x + f, and an oscillation at most as fast as the bound changes rates by |f| / bound or
-    more, unless damping takes that away. Where this does not decide, the solution of the linear equations does.
+    more, unless damping takes that away.
     """
-    s, m, g, n = axes
-    inside = np.hypot(g[0], g[1]) < angle
+    (s, m, g, n), (rate, angle) = axes, tolerances
+    sine = np.hypot(g[0], g[1])
+    inside = sine < angle
     # Inside the cone n and m are any with this angular velocity: without n the axes rest in the frame.
-    axes = TwoAxes(s, np.where(inside, start.u[2], m), g, np.where(inside, 0.0, n))
-    offset, f = start.rest(axes)
+    offset, f = start.rest(TwoAxes(s, np.where(inside, start.u[2], m), g, np.where(inside, 0.0, n)))
     time = np.fmin(1 / start.bound, duration)
-    far = np.zeros(duration.shape, bool)
-
-    def undecided(where: NDArray[np.intp], changes: Array) -> NDArray[np.intp]:
-        """The points that these changes leave undecided."""
-        rate, turn, tilt, along = changes
-        within = ((turn > FAR * rate_tolerance) & (tilt > FAR * angle)) | (along > FAR * rate_tolerance)
-        far[where] = np.where(inside[where], within, rate > FAR * rate_tolerance)
-        return where[~far[where]]
-
     change = np.fmax(length(f) * time, length(offset))
-    changes = np.array([change, change, change * time, np.abs(dot(f, g)) * time])
-    lasting = np.sqrt(time / duration)
-    where = undecided(np.arange(far.size), changes * lasting)
-    lasting[where] = np.fmax(start.subset(where).undamped(duration[where]), lasting[where])
-    where = undecided(where, (changes * lasting)[:, where])
-    for first in range(0, where.size, 2048):
-        part = where[first : first + 2048]
-        departure = start.subset(part).departure(axes.subset(part), duration[part])
-        undecided(part, lasting[part] * departure)
-    return far
+    within = np.fmax(np.fmin(change / rate, change * time / angle), np.abs(dot(f, g)) * time / rate)
+    result = np.where(inside, within, change / rate)
+    lasting = result * np.sqrt(time / duration)
+    where = np.flatnonzero((lasting <= FAR) & (result > lasting))
+    lasting[where] = np.fmax(lasting[where], result[where] * start.subset(where).undamped(duration[where]))
+    return lasting
 
 
 def condition_residual(system: System, points: Points) -> Array:

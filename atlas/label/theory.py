@@ -33,9 +33,11 @@ from ..systems.base import (
 )
 from ..systems.jacobian import derivatives
 from ..systems.steady import (
+    FAR,
     Existence,
     SteadyMotion,
     condition_residual,
+    departure,
     polynomial_degree,
     steady_motions,
 )
@@ -55,6 +57,8 @@ ROUNDING_RESIDUAL = 1e-13
 _NEARBY = 1e-6
 # Rates that change at first by more tolerances than this leave every circle.
 _FAR_CIRCLE = 10.0
+# A nudged start keeps the label of a stable motion up to this change of its rates, in tolerances.
+_KEPT = 1 / 3
 # Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
@@ -104,6 +108,8 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         variables = predict(
             system, base, tolerances.rate, pushed, tolerances.angle, family, duration, motion=motion
         )
+        if motion is not None and nudged:
+            _take_away(system, base, points, duration, tolerances, variables)
         growth = system.log_growth(base, family, variables["growth_rate"], duration)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
@@ -252,21 +258,23 @@ def predict(
 
 def _turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
     """Whether a start is a steady motion about other axes than the third and the vertical."""
-    others = (motion.axes.spin_axis[2] != 1.0) | (motion.axes.fixed_axis != _vertical(system, points)).any(0)
+    others = (motion.axes.spin_axis[2] != 1.0) | (
+        motion.axes.fixed_axis != _frame_motion(system, points)[1]
+    ).any(0)
     return others & (motion.answer == Existence.EXACT)
 
 
-def _vertical(system: System, points: Points) -> Array:
-    """The frame's vertical at the start, in body axes, (3, points)."""
+def _frame_motion(system: System, points: Points) -> tuple[Array, Array]:
+    """The angular velocity in the frame and the frame's vertical at the start, in body axes, (3, points)."""
     motion = system.equations.frame_motion(system.initial_state(points), system.constants(points))
-    return np.array(motion[3:])
+    return np.array(motion[:3]), np.array(motion[3:])
 
 
 def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) -> tuple[Measured, Measured]:
     """Measurements of exact motions from which labels are decided, from samples, and their errors."""
     # Multiples of the golden section, which are even and resonate with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
-    u, g = motion_about_axes(axes, _vertical(system, points), times)
+    u, g = motion_about_axes(axes, _frame_motion(system, points)[1], times)
     sine = np.hypot(g[0], g[1])
     theta = np.arctan2(sine, g[2])
     psi_dot = (u[0] * g[0] + u[1] * g[1]) / sine**2
@@ -318,6 +326,32 @@ def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:
     return np.where(kept, label, moved).astype(np.int8)
 
 
+def _take_away(
+    system: System,
+    base: Points,
+    points: Points,
+    duration: Array,
+    tolerances: Tolerances,
+    theory: Mapping[str, np.ndarray],
+) -> None:
+    """Take labels away from starts that a nudge from base moves further than the tolerances allow, (points,).
+
+    The departure from a steady motion to first order is the least change of the rates; the oscillation may be some times as large,
+    that of psi' by 1 / sin(theta). Inside the cone the tilt is no measure of it, but the change of the angular velocity.
+    """
+    names = _frame_rates(system, points)
+    steady = np.any([theory[name] != Label.DRIFTING for name in names], axis=0)
+    where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & system.within_range(points))
+    part = subset(points, where)
+    (u, vertical), (before, _) = _frame_motion(system, part), _frame_motion(system, subset(base, where))
+    moved = departure(system, part, duration[where], (tolerances.rate, tolerances.angle))
+    sine = np.hypot(*vertical[:2])
+    change = np.where(sine < tolerances.angle, length(u - before) / tolerances.rate, moved / sine)
+    for label in (theory[name] for name in names):
+        label[where[(change > _KEPT) & (label[where] != Label.DRIFTING)]] = Label.NOT_COMPUTED
+        label[where[moved > FAR]] = Label.DRIFTING
+
+
 def predict_any_axis(
     system: System,
     base: Points,
@@ -349,14 +383,20 @@ def predict_any_axis(
             return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
         elsewhere = _turns_elsewhere(system, base, motion)
         pushed = elsewhere & ~exact_starts(system, points, elsewhere) if nudged else False
-        undecided = (motion.answer == Existence.EXACT) | ~system.within_range(base)
+        # Beside a stable motion about the third axis a nudge may lead to one about other axes.
+        beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
+        decided = ((motion.answer == Existence.EXACT) & beside) | ~system.within_range(base)
         result = {}
         for own, frame_rate in _frame_rates(system, base).items():
             circle = _circle(system, base, motion.axes, frame_rate, times)
             label = circle_label(circle, theory[own], tolerances)
             label[np.isnan(circle["spin"])] = Label.NOT_COMPUTED
             label = np.where(elsewhere, _after_nudge(label, theory["stable"], pushed), theory[own])
-            close = ~undecided & near_circle(system, points, times, rate_tolerance, frame_rate)
+            close = (
+                ~decided
+                & (label == Label.DRIFTING)
+                & near_circle(system, points, times, rate_tolerance, frame_rate)
+            )
             result[names[own]] = np.where(close, Label.NOT_COMPUTED, label)
     return result
 
@@ -369,7 +409,7 @@ def _circle(
     In a turning frame the axes must be that of the body and the vertical: a motion with a third rate has none, nan.
     """
     s, m, fixed, n = axes
-    vertical = _vertical(system, points)
+    vertical = _frame_motion(system, points)[1]
     # One rotation is about an axis at rest in the body, so that the fixed axis is any, such as the vertical.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)

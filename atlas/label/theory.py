@@ -276,28 +276,16 @@ def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) 
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
     u, g = motion_about_axes(axes, _frame_motion(system, points)[1], times)
     sine = np.hypot(g[0], g[1])
-    theta = np.arctan2(sine, g[2])
-    psi_dot = (u[0] * g[0] + u[1] * g[1]) / sine**2
-    values = {"psi_dot": psi_dot, "phi_dot": u[2] - psi_dot * g[2], "normal_rate": (u * g).sum(0)}
-    measured = {f"{name}_std": value.std(0) for name, value in values.items()}
-    error = {name: _SAMPLING_ERROR * value for name, value in measured.items()}
-    for name in ("psi_dot", "phi_dot"):
-        measured[f"{name}_mean"], error[f"{name}_mean"] = values[name].mean(0), error[f"{name}_std"]
+    theta, psi_dot = np.arctan2(sine, g[2]), (u[0] * g[0] + u[1] * g[1]) / sine**2
     rms = np.sqrt((((g[0] * u[1] - g[1] * u[0]) / sine) ** 2).mean(0))
-    measured |= {
-        "theta_dot_rms": rms,
-        "theta_min": theta.min(0),
-        "theta_max": theta.max(0),
-        "sine_max": sine.max(0),
-    }
-    swing = _SAMPLING_ERROR * (measured["theta_max"] - measured["theta_min"])
-    error |= {
-        "theta_dot_rms": _SAMPLING_ERROR * rms,
-        "theta_min": swing,
-        "theta_max": swing,
-        "sine_max": _SAMPLING_ERROR * np.ptp(sine, axis=0),
-    }
-    return measured, error
+    varying = {"psi_dot": psi_dot, "phi_dot": u[2] - psi_dot * g[2], "normal_rate": (u * g).sum(0)}
+    values = {f"{name}_mean": (rate.mean(0), rate.std(0)) for name, rate in varying.items()}
+    values |= {f"{name}_std": (rate.std(0), rate.std(0)) for name, rate in varying.items()}
+    values |= {"theta_dot_rms": (rms, rms), "sine_max": (sine.max(0), np.ptp(sine, axis=0))}
+    swing = np.ptp(theta, axis=0)
+    values |= {"theta_min": (theta.min(0), swing), "theta_max": (theta.max(0), swing)}
+    measured = {name: value for name, (value, _) in values.items()}
+    return measured, {name: _SAMPLING_ERROR * spread for name, (_, spread) in values.items()}
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:

@@ -68,7 +68,6 @@ class SteadyMotion(NamedTuple):
     """The steady motion that each start is, or would be."""
 
     axes: TwoAxes  # relative to the frame; the third axis and the vertical where it is none
-    residual: Array  # largest one of the equations along it, over the squared frequency bound
     answer: Flags  # values of Existence
 
 
@@ -227,8 +226,8 @@ class _Starts(NamedTuple):
             np.abs(terms.real) + terms.imag / STEP + n * m * cross(nu, s) + cross(frame, size[self.rates])
         )
 
-    def is_steady(self, axes: TwoAxes, degree: int, derived: bool) -> tuple[Array, Mask]:
-        """Largest residual along a candidate, over the nodes up to the first that fails, and whether none does.
+    def is_steady(self, axes: TwoAxes, degree: int, derived: bool) -> Mask:
+        """Whether the residual vanishes along a candidate, by its nodes up to the first that fails.
 
         derived: whether the axes come from derivatives, with their errors.
         """
@@ -237,37 +236,24 @@ class _Starts(NamedTuple):
         p = np.where((n != 0) & loose, 1, 0)
         q = np.where(m != 0, np.where(p == 1, 2 * degree + 1, 1), 0)
         two = (p == 1) & (m != 0)
-        for a, b in np.ndindex(2 * degree, 2 * degree):
-            a, b = a + 1, b + 1
-            at_ratio = (
-                two & (np.abs(np.abs(n) * b - np.abs(m) * a) <= RATIO * np.abs(n) * b) & (gcd(a, b) == 1)
-            )
-            p, q = np.where(at_ratio, a, p), np.where(at_ratio, b, q)
+        for a, b in np.ndindex(2 * degree + 1, 2 * degree + 1):
+            if gcd(a, b) == 1 and a * b:
+                at_ratio = two & (np.abs(np.abs(n) * b - np.abs(m) * a) <= RATIO * np.abs(n) * b)
+                p, q = np.where(at_ratio, a, p), np.where(at_ratio, b, q)
         nodes = 2 * degree * (p + q) + 1
         p, q = np.sign(n) * p, np.sign(m) * q
-        size = np.abs(n) + length(self.frame) + np.abs(m * s)
+        terms, size = self.rounding(axes), np.abs(n) + length(self.frame) + np.abs(m * s)
+        if derived:
+            error = length(terms) / length(self.acceleration) * np.fmax(np.abs(m / n), np.abs(n / m))
+            terms = terms * (1 + np.where(two & (error < MAX_ERROR), error, 0.0))
         steady = (np.abs(self.rest(axes)[0]) <= ROUNDING * size).all(0)
-        worst, rounding = np.zeros((3, n.size)), np.full((3, n.size), np.inf)
         # From the last node back: there both phases have changed, which is enough for most.
         for j in range(1, nodes.max(initial=0) + 1):
             at = np.flatnonzero(steady & (j <= nodes))
             angle = -2 * np.pi * j / nodes[at]
             node, its_axes = self.subset(at).along(axes.subset(at), p[at] * angle, q[at] * angle)
-            worst[:, at] = np.fmax(worst[:, at], node.residual(its_axes))
-            if j == 1:
-                passes = np.flatnonzero(length(worst[:, at]) <= GATE * self.bound[at] ** 2)
-                steady[:], at = False, at[passes]
-                start, part = self.subset(at), axes.subset(at)
-                terms = start.rounding(part)
-                rounding[:, at] = ROUNDING * np.fmax(
-                    terms, node.subset(passes).rounding(its_axes.subset(passes))
-                )
-                if derived:
-                    ratios = np.fmax(np.abs(m / n), np.abs(n / m))[at]
-                    error = length(terms) / length(start.acceleration) * ratios
-                    rounding[:, at] *= 1 + np.where(two[at] & (error < MAX_ERROR), error, 0.0)
-            steady[at] = (worst[:, at] <= rounding[:, at]).all(0)
-        return length(worst), steady
+            steady[at] = (node.residual(its_axes) <= ROUNDING * terms[:, at]).all(0)
+        return np.asarray(steady)
 
     def undamped(self, duration: Array) -> Array:
         """Root of the share of a run in which damping leaves an oscillation, by the divergence of the equations."""
@@ -303,19 +289,17 @@ def steady_motions(
                 _of_chunk(system, subset(flat, chunk), times[chunk], (rate_tolerance, angle), degree)
             )
     columns = [np.concatenate(column, -1) for column in zip(*parts, strict=True)]
-    *axes, residual, answer = (x.reshape(*x.shape[:-1], *shape) for x in columns)
-    return SteadyMotion(TwoAxes(*axes), residual, answer)
+    *axes, answer = (x.reshape(*x.shape[:-1], *shape) for x in columns)
+    return SteadyMotion(TwoAxes(*axes), answer)
 
 
 def _of_chunk(
     system: System, points: Points, duration: Array, tolerances: tuple[float, float], degree: int
 ) -> tuple[NDArray[Any], ...]:
-    """The fields of TwoAxes, residual and answer."""
+    """The fields of TwoAxes, and the answer."""
     start = _Starts.of(system, points)
     axes = _about_third(system, points, start)
     answer = np.full(duration.shape, Existence.NEAR, np.int8)
-    size = start.distance(axes)
-
     everywhere = np.arange(answer.size)
     slow = np.abs(dot(start.u, start.acceleration)) <= GATE * length(start.u) * start.bound**2
     for derived, among in ((False, everywhere), (True, np.flatnonzero(slow))):
@@ -326,16 +310,15 @@ def _of_chunk(
                 near &= np.fmax(*np.abs((candidate.spin_rate, candidate.precession_rate))) <= 8 * own.bound
             near = np.flatnonzero(near)
             part = candidate.subset(near)
-            worst, steady = own.subset(near).is_steady(part, degree, derived)
+            steady = own.subset(near).is_steady(part, degree, derived)
             members = among[near[steady]]
             for values, new in zip(axes, part, strict=True):
                 values[..., members] = new[..., steady]
-            size[members] = worst[steady] / start.bound[members] ** 2
             answer[members] = Existence.EXACT
     others = np.flatnonzero(answer != Existence.EXACT)
     part = start.subset(others), axes.subset(others), duration[others]
     answer[others[_departure(*part, tolerances) > FAR]] = Existence.FAR
-    return *axes, np.nan_to_num(size, nan=0.0), answer
+    return *axes, answer
 
 
 def _about_third(system: System, points: Points, start: _Starts) -> TwoAxes:

@@ -70,7 +70,6 @@ def test_random_starts_are_far(name, draw):
     points = draw(np.random.default_rng(3), 500)
     motion = steady_motions(systems.get(name), points, 30.0, 1e-5)
     assert (motion.answer == Existence.FAR).all()
-    assert (motion.residual > 1e-3).all()
 
 
 def test_published_cases_are_decided():

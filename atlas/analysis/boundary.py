@@ -22,7 +22,16 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, NonlinearStability, Stability
 from ..kernel import compiling
 from ..scene.model import Scene
-from ..systems.base import Array, DerivedVariable, Flags, Mask, Points, derived_values, derived_variables
+from ..systems.base import (
+    Array,
+    DerivedVariable,
+    Flags,
+    Mask,
+    Points,
+    derived_values,
+    derived_variables,
+    possible_body,
+)
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Family, curves, on_segments
 from ..systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
@@ -426,7 +435,7 @@ def _merging_lines(
             break
         (low, high), size = np.moveaxis(unexplained[:MAX_SEGMENTS], 1, 0), 2
         unexplained = unexplained[MAX_SEGMENTS:]
-    shown = [system.possible_body(points(line)) & ((number == 0) | (not minima)) for line, number in lines]
+    shown = [possible_body(system, points(line)) & ((number == 0) | (not minima)) for line, number in lines]
     parts = [part for (line, _), mask in zip(lines, shown, strict=True) for part in _parts(line, mask)]
     return [in_units(part) for part in parts if len(part) > 1]
 

@@ -16,7 +16,7 @@ from ..scene.checks import typed
 from ..scene.model import SCHEMA, Duration, Scene
 from ..scene.read import scene_from
 from ..store import dataset
-from ..systems.base import Array, Points
+from ..systems.base import Array, Points, check_possible, possible_body
 from ..systems.gyrostat import Gyrostat
 from ..systems.gyrostat.branches import Branches, Family, follow
 from ..systems.gyrostat.equilibria import described
@@ -101,8 +101,8 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     values = np.sort(axis.values)
     scene = replace(scene, axes={name: replace(axis, values=values)}, duration=Duration(1.0), nudge={})
     sample = grid.points_at(scene, {name: values})
-    system.check_possible(sample.base)
-    possible = np.flatnonzero(system.possible_body(sample.base) & (sample.reason != grid.Reason.NO_VALUE))
+    check_possible(system, sample.base)
+    possible = np.flatnonzero(possible_body(system, sample.base) & (sample.reason != grid.Reason.NO_VALUE))
     if possible.size < 2 or scene.points or axis.offset_from_family:
         raise BadInput("branches: needs an axis on which two values or more have a body that is possible")
 

@@ -17,7 +17,7 @@ from ..measure.instrument import Variable
 from ..scene.checks import typed, whole_number
 from ..scene.tables import Table, flat_columns, parameter_arrays, table
 from ..store import dataset
-from ..systems.base import Array, Points, System, subset
+from ..systems.base import Array, Points, System, check_possible, possible_body, subset
 
 _UNITS = {
     "theta0": ("rad", "angle from the vertical to the third body axis"),
@@ -111,7 +111,7 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     if max_equilibria is None and not any(array.ndim for array in arrays):
         columns = flat_columns(description, names, [array.values for array in arrays], (), source)
         description.check(columns)
-        description.check_possible(columns)
+        check_possible(description, columns)
         solutions = description.equilibria({k: float(v[0]) for k, v in columns.items()})
         ds = xr.Dataset({name: (_DIMS[: values.ndim], values) for name, values in solutions.items()})
         return _dataset(description, "equilibria of one body", ds, by_name)
@@ -167,8 +167,8 @@ def _equilibria_of_bodies(
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)
     if source is not None:
-        system.check_possible(columns)
-    possible = np.flatnonzero(system.possible_body(columns))
+        check_possible(system, columns)
+    possible = np.flatnonzero(possible_body(system, columns))
     some = {name: values[np.newaxis][:0] for name, values in _kinds(system).items()}
     if possible.size:
         some = _with_counts(system, subset(columns, possible))

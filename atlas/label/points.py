@@ -21,7 +21,7 @@ from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
 from ..store.progress import Progress
-from ..systems.base import Array, System
+from ..systems.base import Array, System, check_possible
 from ..variables import POINT, default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
@@ -190,7 +190,7 @@ def _labels(
 
 def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str]:
     """Warnings about points; BadInput if none can be computed."""
-    system.check_possible(points.base)
+    check_possible(system, points.base)
     if not points.exists.any():
         raise BadInput(
             f"{grid.sentence(grid.Reason.NO_TURN, system, None, duration)}; give a number of time units"

@@ -30,6 +30,7 @@ from ..systems.base import (
     shape_of,
     subset,
     unsteady,
+    within_range,
 )
 from ..systems.jacobian import derivatives
 from ..systems.steady import (
@@ -198,7 +199,7 @@ def steady_motions_of(
     if isinstance(polynomial_degree(system), str):
         return None
     motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle)
-    return motion._replace(answer=np.where(system.within_range(points), motion.answer, Existence.NEAR))
+    return motion._replace(answer=np.where(within_range(system, points), motion.answer, Existence.NEAR))
 
 
 @np.errstate(all="ignore")
@@ -291,7 +292,7 @@ def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
     """Family of each start and the residual of its conditions, as System.identify_family; none beyond its range."""
     family, residual = system.identify_family(points)
-    return np.where(system.within_range(points), family, 0).astype(np.int8), residual
+    return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 
 
 def _frame_rates(system: System, points: Points) -> dict[str, Array]:
@@ -329,7 +330,7 @@ def _take_away(
     """
     names = _frame_rates(system, points)
     steady = np.any([theory[name] != Label.DRIFTING for name in names], axis=0)
-    where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & system.within_range(points))
+    where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & within_range(system, points))
     part = subset(points, where)
     (u, vertical), (before, _) = _frame_motion(system, part), _frame_motion(system, subset(base, where))
     moved = departure(system, part, duration[where], (tolerances.rate, tolerances.angle))
@@ -373,7 +374,7 @@ def predict_any_axis(
         pushed = elsewhere & ~exact_starts(system, points, elsewhere) if nudged else False
         # Beside a stable motion about the third axis a nudge may lead to one about other axes.
         beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
-        decided = ((motion.answer == Existence.EXACT) & beside) | ~system.within_range(base)
+        decided = ((motion.answer == Existence.EXACT) & beside) | ~within_range(system, base)
         result = {}
         for own, frame_rate in _frame_rates(system, base).items():
             circle = _circle(system, base, motion.axes, frame_rate, times)

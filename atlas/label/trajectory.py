@@ -21,7 +21,7 @@ from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.tables import point_columns
 from ..store import dataset
-from ..systems.base import Array, Points, System
+from ..systems.base import Array, Points, System, check_possible
 from ..variables import main_instrument
 from .plan import Plan
 
@@ -122,7 +122,7 @@ def trajectory_of_point(
     points, size = point_columns(system, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
-    system.check_possible(points)
+    check_possible(system, points)
     ensemble = Ensemble.of(system, points)
     plan = Plan(system, settings)
     durations = np.array([duration])

@@ -19,9 +19,12 @@ from ..systems.base import (
     Mask,
     Points,
     System,
+    check_possible,
     derived_variables,
     on_family,
+    possible_body,
     shape_of,
+    within_range,
 )
 from .checks import check_range
 from .model import Duration, Scene
@@ -47,7 +50,7 @@ class Reason(IntEnum):
 
     NONE = 0  # it is computed
     NO_VALUE = 1  # a tie has no finite value
-    IMPOSSIBLE_BODY = 2  # see System.possible_body
+    IMPOSSIBLE_BODY = 2  # see systems.base.possible_body
     IMPOSSIBLE_START = 3  # see System.possible_start
     NO_MOTION = 4  # the scene's family does not exist
     NO_TURN = 5  # the duration is a number of turns or orbits, and nothing turns
@@ -134,7 +137,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
             family = system.families[scene.family]
             base = _solved(family, scene.solve, base)
             exists = on_family(family, base) < ON_FAMILY
-            possible = system.possible_body(base)
+            possible = possible_body(system, base)
             for name in scene.solve:
                 exists &= np.isfinite(base[name])
                 base[name] = np.where(possible, base[name], np.nan)
@@ -158,7 +161,7 @@ def reasons(
     """Why points are not computed, their durations apart: values of `Reason`."""
     conditions = {
         Reason.NO_VALUE: no_value,
-        Reason.IMPOSSIBLE_BODY: ~system.possible_body(points),
+        Reason.IMPOSSIBLE_BODY: ~possible_body(system, points),
         Reason.IMPOSSIBLE_START: ~system.possible_start(points),
         Reason.NO_MOTION: no_motion,
     }
@@ -203,7 +206,7 @@ def check(scene: Scene) -> Grid:
     try:
         bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
         # The ranges of all ties are checked with the values.
-        possible = bodies[scene.system.possible_body(parameter_values(scene, bodies))]
+        possible = bodies[possible_body(scene.system, parameter_values(scene, bodies))]
         indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
         grid = points_at_indices(scene, indices)
         if not grid.exists.any() and possible.size:
@@ -217,7 +220,7 @@ def check(scene: Scene) -> Grid:
                 f"{scene.ties[name].key} = {shown(scene.ties[name].text)}: gives {values[name][0]:g}, and no point has"
                 " values of all ties"
             )
-        scene.system.check_possible({name: column[defined] for name, column in grid.base.items()})
+        check_possible(scene.system, {name: column[defined] for name, column in grid.base.items()})
         if scene.family is not None:
             _check_family(scene, indices, grid.reason)
         if not grid.exists.any():
@@ -299,7 +302,7 @@ def system_warnings(system: System, points: Points) -> list[str]:
                 f"{name} reaches {largest:.6g} rad = {float(largest) * 180 / np.pi:.6g} degrees: angles are in rad; in a scene"
                 f' {name} = "{largest:.6g} * deg" is one in degrees'
             )
-    if not system.within_range(points).all():
+    if not within_range(system, points).all():
         messages.append(
             f"at some points a number is larger than {MAX_MAGNITUDE:g}, or one that must be positive is less than"
             f" {1 / MAX_MAGNITUDE:g}: theory predicts nothing there, and results may overflow"

@@ -212,13 +212,12 @@ class System(ABC):
         `equations`, `parameters`, `observables`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
         `equal_parameters`, `specialization`, `rate_unit`.
     Initial values
-        `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `within_range`, `warnings`, and what is
-        physically possible: `moments_of_inertia`, `possible_body`, `possible_start`, `start_condition`,
-        `check_possible`.
+        `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `warnings`, and what is physically possible:
+        `moments_of_inertia`, `possible_start`, `start_condition`.
     Theory
         `families`, `identify_family`, `squared_rate`, `linear_stability`, `log_growth`, `growth_about_vertical`,
         `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`,
-        `stress_cases`, `despun_equivalent`.
+        `stress_cases`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -377,55 +376,10 @@ class System(ABC):
         """Raise BadInput with one line on points that are given incompletely or twice. The default accepts all."""
         return None
 
-    def possible_body(self, points: Points) -> Mask:
-        """Where a rigid body can have the moments of inertia, bool (points,); elsewhere nothing is computed.
-
-        No principal moment of inertia is larger than the sum of the two others; equality is a flat body. Where
-        one is nan there is no answer, and the result is true.
-        """
-        possible = np.ones(shape_of(points), bool)
-        for total, largest, _ in self._triangle(points):
-            possible &= ~(total < largest * (1 - 1e-12))
-        return possible
-
     def possible_start(self, points: Points) -> Mask:
         """Where the start values contain no contradiction, bool (points,). The default is where the state is finite."""
         with np.errstate(all="ignore"):
             return np.asarray(np.isfinite(self.initial_state(points)).all(axis=0))
-
-    def check_possible(self, points: Points) -> None:
-        """Raise BadInput with one line unless body and start are possible at one of the points at least."""
-        body = self.possible_body(points)
-        others = f", and none of {body.size} points is possible" if body.size > 1 else ""
-        if not body.any():
-            for total, largest, (a, b, c) in self._triangle(points):
-                if total.flat[0] < largest.flat[0] * (1 - 1e-12):
-                    raise BadInput(
-                        f"{a} + {b} = {total.flat[0]:g} is less than {c} = {largest.flat[0]:g}:"
-                        f" {NO_RIGID_BODY}{others}"
-                    )
-        if not (body & self.possible_start(points)).any():
-            raise BadInput(f"{self.start_condition}{others}")
-
-    def _triangle(self, points: Points) -> Iterator[tuple[Array, Array, tuple[str, str, str]]]:
-        """For each moment of inertia the sum of the other two, the moment, and the names in this order."""
-        if self.moments_of_inertia is None:
-            return
-        a, b, c = self.moments_of_inertia
-        for names in ((a, b, c), (b, c, a), (c, a, b)):
-            with np.errstate(over="ignore"):
-                yield points[names[0]] + points[names[1]], points[names[2]], names
-
-    def within_range(self, points: Points) -> Mask:
-        """Where no parameter is so large or small that the formulas of theory overflow, bool (points,).
-
-        Theory makes no prediction elsewhere. The default allows magnitudes up to MAX_MAGNITUDE, and of
-        parameters that must be positive those from its inverse.
-        """
-        positive = [name for name, p in self.parameters.items() if p.open_low and p.low == 0]
-        too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
-        too_small = [points[name] < 1 / MAX_MAGNITUDE for name in positive]
-        return ~np.any([*too_large, *too_small], axis=0)
 
     def warnings(self, points: Points) -> list[str]:
         """One sentence for each thing that a user should know about the points."""
@@ -493,7 +447,8 @@ class System(ABC):
             That residual, dimensionless; where there is no family, the least residual of any (inf if there
             are no families).
         """
-        return identify(points, self.families.values())
+        others = [family for family in self.families.values() if family.axes or family.rate_std]
+        return identify(points, [each for each in self.families.values() if each not in others], others)
 
     def squared_rate(self, points: Points) -> Array:
         """Largest squared rate of each start, of body, frame and fields, by which `condition_residual` is divided, (points,).
@@ -593,13 +548,53 @@ class System(ABC):
         """Stiff and extreme points for the command `atlas stress`."""
         return ()
 
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        """Points of which the third axis moves alike while the body turns more slowly about it.
 
-        Such points are cheaper to integrate accurately. Returns them and how much larger their phi' is, rad
-        per time unit, (points,). The default returns the points themselves.
-        """
-        return points, np.zeros(shape_of(points))
+def possible_body(system: System, points: Points) -> Mask:
+    """Where a rigid body can have the moments of inertia, (points,); elsewhere nothing is computed.
+
+    No principal moment of inertia is larger than the sum of the two others; equality is a flat body. Where
+    one is nan there is no answer, and the result is true.
+    """
+    possible = np.ones(shape_of(points), bool)
+    for total, largest, _ in _triangle(system, points):
+        possible &= ~(total < largest * (1 - 1e-12))
+    return possible
+
+
+def check_possible(system: System, points: Points) -> None:
+    """Raise BadInput with one line unless body and start are possible at one of the points at least."""
+    body = possible_body(system, points)
+    others = f", and none of {body.size} points is possible" if body.size > 1 else ""
+    if not body.any():
+        for total, largest, (a, b, c) in _triangle(system, points):
+            if total.flat[0] < largest.flat[0] * (1 - 1e-12):
+                raise BadInput(
+                    f"{a} + {b} = {total.flat[0]:g} is less than {c} = {largest.flat[0]:g}:"
+                    f" {NO_RIGID_BODY}{others}"
+                )
+    if not (body & system.possible_start(points)).any():
+        raise BadInput(f"{system.start_condition}{others}")
+
+
+def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tuple[str, str, str]]]:
+    """For each moment of inertia the sum of the other two, the moment, and the names in this order."""
+    if system.moments_of_inertia is None:
+        return
+    a, b, c = system.moments_of_inertia
+    for names in ((a, b, c), (b, c, a), (c, a, b)):
+        with np.errstate(over="ignore"):
+            yield points[names[0]] + points[names[1]], points[names[2]], names
+
+
+def within_range(system: System, points: Points) -> Mask:
+    """Where the formulas of theory do not overflow, which make no prediction elsewhere, (points,).
+
+    Magnitudes are up to MAX_MAGNITUDE, and those of parameters that must be positive from its inverse.
+    """
+    positive = [name for name, p in system.parameters.items() if p.open_low and p.low == 0]
+    too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
+    too_small = [points[name] < 1 / MAX_MAGNITUDE for name in positive]
+    return ~np.any([*too_large, *too_small], axis=0)
 
 
 def identify(

@@ -22,6 +22,10 @@ REPLACED = {
     "complete_any_axis": _BY_EQUATIONS,
     "any_axis_rates": f"{_BY_EQUATIONS}; those of a family are its axes",
     "condition_residual": f"{_BY_EQUATIONS}; squared_rate is the unit of the residual",
+    "possible_body": "moments_of_inertia names the parameters that the triangle inequality is about",
+    "check_possible": "possible_start and start_condition say which starts are possible",
+    "within_range": "theory makes no prediction where parameters are beyond 1e60",
+    "despun_equivalent": "`despun` of a Gyrostat",
 }
 # Characters of a parameter's name, as of the names that a scene makes up.
 MAX_NAME = 60

@@ -112,7 +112,7 @@ def polynomial_degree(system: System) -> int | str:
                 case ast.Assign(targets=[target], value=value):
                     names = target.elts if isinstance(target, ast.Tuple) else [target]
                     degrees |= dict.fromkeys(map(ast.unparse, names), degree(value))
-                case ast.Return(value=value):
+                case ast.Return(value=ast.expr() as value):
                     return degree(value)
     except ValueError as error:
         return str(error)
@@ -246,14 +246,14 @@ class _Starts(NamedTuple):
         if derived:
             error = length(terms) / length(self.acceleration) * np.fmax(np.abs(m / n), np.abs(n / m))
             terms = terms * (1 + np.where(two & (error < MAX_ERROR), error, 0.0))
-        steady = (np.abs(self.rest(axes)[0]) <= ROUNDING * size).all(0)
+        steady = np.asarray((np.abs(self.rest(axes)[0]) <= ROUNDING * size).all(0))
         # From the last node back: there both phases have changed, which is enough for most.
         for j in range(1, nodes.max(initial=0) + 1):
             at = np.flatnonzero(steady & (j <= nodes))
             angle = -2 * np.pi * j / nodes[at]
             node, its_axes = self.subset(at).along(axes.subset(at), p[at] * angle, q[at] * angle)
             steady[at] = (node.residual(its_axes) <= ROUNDING * terms[:, at]).all(0)
-        return np.asarray(steady)
+        return steady
 
     def undamped(self, duration: Array) -> Array:
         """Root of the share of a run in which damping leaves an oscillation, by the divergence of the equations."""
@@ -277,19 +277,13 @@ def steady_motions(
     Of a system of a `polynomial_degree`. Inside a cone of angle_tolerance about the vertical, rad (default: the same number as
     rate_tolerance), only the tilt and the rate about the vertical count.
     """
-    degree, shape = polynomial_degree(system), shape_of(points)
+    degree, times = polynomial_degree(system), np.broadcast_to(duration, shape_of(points))
     assert isinstance(degree, int)
-    angle = rate_tolerance if angle_tolerance is None else angle_tolerance
-    flat, times = {k: np.ravel(v) for k, v in points.items()}, np.broadcast_to(duration, shape).ravel()
-    parts = []
+    tolerances = rate_tolerance, rate_tolerance if angle_tolerance is None else angle_tolerance
     with np.errstate(all="ignore"):
-        for first in range(0, times.size, _CHUNK):
-            chunk = slice(first, first + _CHUNK)
-            parts.append(
-                _of_chunk(system, subset(flat, chunk), times[chunk], (rate_tolerance, angle), degree)
-            )
-    columns = [np.concatenate(column, -1) for column in zip(*parts, strict=True)]
-    *axes, answer = (x.reshape(*x.shape[:-1], *shape) for x in columns)
+        chunks = [slice(first, first + _CHUNK) for first in range(0, times.size, _CHUNK)]
+        parts = [_of_chunk(system, subset(points, each), times[each], tolerances, degree) for each in chunks]
+    *axes, answer = (np.concatenate(column, -1) for column in zip(*parts, strict=True))
     return SteadyMotion(TwoAxes(*axes), answer)
 
 
@@ -316,8 +310,8 @@ def _of_chunk(
                 values[..., members] = new[..., steady]
             answer[members] = Existence.EXACT
     others = np.flatnonzero(answer != Existence.EXACT)
-    part = start.subset(others), axes.subset(others), duration[others]
-    answer[others[_departure(*part, tolerances) > FAR]] = Existence.FAR
+    departs = _departure(start.subset(others), axes.subset(others), duration[others], tolerances)
+    answer[others[departs > FAR]] = Existence.FAR
     return *axes, answer
 
 

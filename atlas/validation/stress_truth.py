@@ -15,6 +15,7 @@ from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings
 from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.gyrostat import Gyrostat
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
 from . import exact
@@ -93,7 +94,9 @@ def true_labels(
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)
         limit = rounding_limit(residual, bound, settings.tolerances)
-        despun, excess = system.despun_equivalent(points)
+        despun, excess = (
+            system.despun(points) if isinstance(system, Gyrostat) else (points, np.zeros(duration.shape))
+        )
         radians = system.frequency_bound(despun) * duration
     tilted = np.abs(system.steady_rates(points)[0]) > 0
     unknown = is_exact & tilted & np.isnan(theory["growth_rate"])

@@ -203,7 +203,7 @@ def test_a_case_whose_true_label_is_unknown_is_an_error():
 def test_the_despun_equivalent_moves_its_axis_alike():
     system = SYSTEMS["satellite"]
     points = default_points("satellite", theta0=1.2, k3=-59.5, m=50.0, psi0=0.3, C=1.2)
-    despun, excess = system.despun_equivalent(points)
+    despun, excess = system.despun(points)
     settings = Settings(method="rk8", step=1e-3)
     spun_result, despun_result = (evaluate(system, p, p, np.full(1, 2.0), settings) for p in (points, despun))
     assert excess == pytest.approx(-59.5 / 1.2)

@@ -197,11 +197,14 @@ class Gyrostat(System):
         """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""
         return np.zeros(shape_of(points), bool)
 
-    def despun_equivalent(self, points: Points) -> tuple[Points, Array]:
-        """Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then."""
-        rotor = self.axial_rotor
-        if not rotor:
-            return super().despun_equivalent(points)
+    def despun(self, points: Points) -> tuple[Points, Array]:
+        """Points of which the third axis moves alike, and how much larger their phi' is, rad per time unit, (points,).
+
+        Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then: they are cheaper
+        to integrate accurately.
+        """
+        if not (rotor := self.axial_rotor):
+            return points, np.zeros(shape_of(points))
         conserved = self.conserves_axial_momentum(points) & np.isfinite(points[rotor])
         excess = np.where(conserved, points[rotor] / points["C"], 0.0)
         despun = {**points, rotor: np.where(conserved, 0.0, points[rotor]), "m": points["m"] + excess}

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..base import Array, Flags, Mask, Points, identify, shape_of, subset, unsteady
+from ..base import Array, Flags, Mask, Points, shape_of, subset, unsteady
 from ..gyrostat import Gyrostat
 from ..gyrostat.stress_cases import satellite_cases
 from ..gyrostat.variables import count_variables, plane_variables
@@ -88,11 +88,6 @@ class Satellite(Gyrostat):
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]
-
-    def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Family about the third axis and the normal, else one about any axes, else of motions in the plane."""
-        others = (any_axis.FAMILIES | plane.FAMILIES).values()
-        return identify(points, families.FAMILIES.values(), others)
 
     def rough_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         in_plane = unsteady(self, flags)

@@ -207,24 +207,6 @@ class Atlas(Questions):
 
         return probability(self._ds, variable, over)
 
-    def basin_fractions(self, over: str | Sequence[str] | None = None) -> xr.Dataset:
-        """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`.
-
-        Parameters
-        ----------
-        over : str or sequence of str, optional
-            The axes of starts; default all. Points of a list lie along "point".
-
-        Returns
-        -------
-        Dataset
-            `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and `end_equilibrium`, whose
-            coordinate is the positions in `atlas.equilibria` and first -1, not settled.
-        """
-        from .analysis.trust import basin_fractions
-
-        return basin_fractions(self._ds, over)
-
     def boundary(
         self,
         label: str | int | None = None,

@@ -45,6 +45,9 @@ class Extension:
         Name of a family of steady motions -> function of a system that returns these `Family` by name, with fixed flags.
     lines : mapping of str to str, optional
         Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind.
+    samples : mapping of str to str, optional
+        Name of a variable -> function of a dataset that returns, by flag, functions of a colour that make the samples in the
+        legends of its maps.
     stress_cases : mapping of str to str, optional
         Name of a system -> function that returns more of its stress cases.
     published : mapping of str to str, optional
@@ -61,6 +64,7 @@ class Extension:
     instruments: Mapping[str, Reference] = field(default_factory=dict)
     families: Mapping[str, Reference] = field(default_factory=dict)
     lines: Mapping[str, Reference] = field(default_factory=dict)
+    samples: Mapping[str, Reference] = field(default_factory=dict)
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
 

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parent
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/execution.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
-    "runs/plan.py",
+    "runs/plan.py", "extensions/**/*.py",
     "validation/half_step.py",
 )  # fmt: skip
 

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
 
+from . import extension
 from .errors import BadInput
 from .measure.chaos import Chaos
 from .measure.circle import CIRCLES
-from .measure.ends import ENDS
 from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import System, derived_variables
 
-# Every instrument, in the order of the variables in a file; the first of a system is its main one.
-INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos(), *ENDS]
+# The instruments of the core, in the order of the variables in a file; the first of a system is its main one.
+INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
 # Dimension of points that come from no axes.
 POINT = "point"
 # Only in refined atlases, which are not integrated at every point.
@@ -27,6 +27,11 @@ COMPUTED = Variable(
         "computed": "integrated, or without motion of the family",
     },
 )  # fmt: skip
+
+
+def instruments() -> tuple[Instrument, ...]:
+    """Every instrument: of the core, then of extensions."""
+    return (*INSTRUMENTS, *extension.every("instruments"))
 
 
 def main_instrument(system: System) -> MainInstrument:
@@ -42,7 +47,7 @@ def data_variables(system: System) -> dict[str, Variable]:
 
 def variables(system: System) -> Mapping[str, Variable]:
     """Variables that an atlas of the system can hold, in the order of the file; BadInput if names clash."""
-    return _registry(system, tuple(INSTRUMENTS))
+    return _registry(system, instruments())
 
 
 @lru_cache(maxsize=64)  # a run asks for it some thirty times
@@ -56,11 +61,11 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
         for d in derived_variables(system).values()
     ]  # fmt: skip
     registry = {variable.name: variable for variable in listed}
-    if len(registry) < len(listed) and system.observables:
+    if len(registry) < len(listed):
         names = [variable.name for variable in listed]
         repeated = next(name for name in names if names.count(name) > 1)
         raise BadInput(
-            f"the system {system.name}: two variables of its atlases would be called {repeated}; rename an observable"
+            f"the system {system.name}: two variables of its atlases would be called {repeated}; rename one"
         )
     every = {variable.name for each in instruments for variable in each.every_variable(system)}
     reserved = {*registry, *every, COMPUTED.name, POINT, "time"}

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
-from ..measure.ends import END, NO_END
+from ..measure.instrument import Variable
 from ..scene import grid
 from ..scene.model import Axis, Duration, Scene, Settings
 from ..scene.read import parse_scene
@@ -195,11 +195,17 @@ def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
 
 
 @lru_cache
-def _registered_flags(system: System) -> dict[str, str]:
-    """Names of the flag variables of a system with their long_name; none of a system that can have no atlas."""
+def _registered(system: System) -> Mapping[str, Variable]:
+    """Variables of the atlases of a system; none of a system that can have no atlas."""
     with suppress(BadInput):
-        return {name: v.long_name for name, v in data_variables(system).items() if v.flags is not None}
+        return data_variables(system)
     return {}
+
+
+def _positions(name: str) -> tuple[str, str] | None:
+    """`Variable.positions` of the variable of this name."""
+    registered = (_registered(system).get(name) for system in systems.SYSTEMS.values())
+    return next((variable.positions for variable in registered if variable and variable.positions), None)
 
 
 def has_flags(array: xr.DataArray) -> bool:
@@ -209,9 +215,9 @@ def has_flags(array: xr.DataArray) -> bool:
     """
     if array.dtype.kind == "b":
         return True
-    registered = [_registered_flags(system) for system in systems.SYSTEMS.values()]
-    known, text = any(array.name in flags for flags in registered), str(array.attrs.get("long_name"))
-    own = "long_name" in array.attrs and not any(text in flags.values() for flags in registered)
+    registered = [v for system in systems.SYSTEMS.values() for v in _registered(system).values() if v.flags]
+    known, text = any(array.name == v.name for v in registered), str(array.attrs.get("long_name"))
+    own = "long_name" in array.attrs and not any(text == v.long_name for v in registered)
     return "flag_meanings" in array.attrs and (known or own)
 
 
@@ -242,17 +248,19 @@ def is_averaged(array: xr.DataArray) -> bool:
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """With the positions of equilibria, if that is the variable, as flags: not settled, then every position."""
-    if variable != END or END not in ds or "flag_meanings" in ds[END].attrs:
+    """With a variable of positions in a list, if this is one, as flags: none, then every position."""
+    names = _positions(variable)
+    if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
-    last = int(ds[END].max()) if ds[END].size else NO_END
-    names = ["not_settled", *(f"equilibrium_{i}" for i in range(last + 1))]
-    flags = ds[END] - NO_END
-    return ds.assign({END: flags.assign_attrs(ds[END].attrs | {"flag_meanings": " ".join(names)})})
+    flags = ds[variable] + 1
+    meanings = [names[0], *(f"{names[1]}_{i}" for i in range(int(flags.max()) if flags.size else 0))]
+    return ds.assign(
+        {variable: flags.assign_attrs(ds[variable].attrs | {"flag_meanings": " ".join(meanings)})}
+    )
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """The flag variable of this name, positions of equilibria as flags; BadInput if the dataset has none."""
+    """The flag variable of this name, positions as flags; BadInput if the dataset has none."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:
@@ -284,7 +292,7 @@ def map_variable(ds: xr.Dataset) -> str:
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
     """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
-    first = NO_END if variable == END else 0
+    first = -1 if _positions(variable) else 0
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
     numbers = []
     for flag in flags if is_list else [flags]:  # type: ignore[union-attr]

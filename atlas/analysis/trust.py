@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, shown
-from ..measure.ends import END, NO_END
 from ..validation.half_step import upper_bound
 from .intervals import wilson_interval
 from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes
@@ -130,14 +129,6 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
         for (name, text), values in zip(texts.items(), columns, strict=True)
     }
     return xr.Dataset(variables, {**coords, **counts.coords}, {**ds.attrs, "atlas_draws": draws})
-
-
-def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None) -> xr.Dataset:
-    """Fractions of starts that end in each equilibrium, with their intervals; see `Atlas.basin_fractions`."""
-    every = [str(dim) for dim in flag_variable(ds, END).dims]
-    result = probability(ds, END, every if over is None else over).rename(probability="fraction")
-    positions = np.arange(result.sizes[END]) + NO_END
-    return result.assign_coords({END: (END, positions, ds[END].attrs)})
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:

@@ -14,7 +14,7 @@ from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
 from ..scene.model import Scene, Settings
 from ..systems.base import System, derived_variables
-from ..variables import INSTRUMENTS, main_instrument
+from ..variables import instruments, main_instrument
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Plan:
     @cached_property
     def instruments(self) -> tuple[Instrument, ...]:
         """What is measured, by the main instrument first."""
-        more = (each for each in INSTRUMENTS if each.wanted(self.system, self.names))
+        more = (each for each in instruments() if each.wanted(self.system, self.names))
         return self.main, *(each for each in more if each != self.main)
 
     @property

@@ -39,6 +39,8 @@ class Variable:
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
     missing: int = 0  # of integers: the value where a point is not computed
+    # of positions 0, 1, ... in a list, and -1 for none, the missing value: names of none and of a member as flags
+    positions: tuple[str, str] | None = None
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, is_color_like
 from matplotlib.path import Path
@@ -195,7 +196,8 @@ class MapOptions:
     size: tuple[float, float] | None = None
     dpi: float = 300
     caption: bool = False
-    frames: Mapping[str, np.ndarray] = field(default_factory=dict)  # flag -> attitude, drawn in the legend
+    # flag -> function of a colour that makes its sample in the legend, in place of the colour alone
+    samples: Mapping[str, Callable[[str], Artist]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         choice("width", self.width, WIDTHS)

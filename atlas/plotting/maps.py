@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -19,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
+from .. import extension
 from ..analysis.metadata import (
     axes_of,
     is_logarithmic,
@@ -32,11 +34,9 @@ from ..analysis.metadata import (
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
 from ..errors import BadInput, allowed_text, attribute_text
 from ..flags import Regularity
-from ..measure.ends import END
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
-from .attitude import SIZE, Attitude, attitudes
 from .content import MIN_VISIBLE, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
 from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
 
@@ -52,7 +52,8 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         raise BadInput(
             f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
         )
-    chosen = replace(chosen, frames=attitudes(ds) if name == END else {})
+    if name in extension.parts("samples"):
+        chosen = replace(chosen, samples=extension.load("samples", name)(ds))
     ds = positions_as_flags(ds, name)
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
         if ds[name].dims != ("point",):
@@ -204,6 +205,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 
 
 TEXT_ROW = 2.8  # height in mm
+SAMPLE = 2.6  # side of a sample in the legend that an extension makes, in sizes of the font
 LEGEND_SHARE = 0.97  # of the width that a legend may take; screens of few dots draw letters wider than print
 
 
@@ -261,7 +263,7 @@ class Sheet:
             drawn = figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",
                 ncols=columns, frameon=False, columnspacing=0.8,
-                **({"handlelength": SIZE, "handleheight": SIZE} if self.options.frames else {"handlelength": 1.8}),
+                **({"handlelength": SAMPLE, "handleheight": SAMPLE} if self.options.samples else {"handlelength": 1.8}),
                 borderaxespad=0.2, borderpad=0, title=self.options.title, title_fontsize=9,
             )  # fmt: skip
             box = drawn.get_window_extent()
@@ -310,9 +312,8 @@ def map_legend(
     white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        frame = options.frames.get(name)
-        sample = _sample(name, colour) if frame is None else Attitude(frame, colour)
-        add(options.text(name, name.replace("_", " ")), masks, sample)
+        sample = options.samples.get(name, partial(_sample, name))
+        add(options.text(name, name.replace("_", " ")), masks, sample(colour))
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white[reason] for panel in panels if reason in panel.white]
         add(reason, masks, _sample(reason))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from .. import extension
 from ..errors import BadInput
 from ..files import damaged_message, hash_of
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
@@ -24,18 +25,25 @@ from ..store.tiling import MIN_POINTS_PER_TILE, Tiling
 from ..variables import variables
 
 if TYPE_CHECKING:
+    from ..scene.model import Scene
     from .run import RunFolder
 
 LEVELS, POINTS = "levels", "points.tile"
-# Measured flags whose boundaries are traced: the label always, the others where the scene asks for them.
+# Measured flags of the core.
 MEASURED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
-    "end_equilibrium", "end_index", "settled_by",
 )  # fmt: skip
 MAX_VALUES = 32  # of those that have no flags
 TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
 # Flat indices of some points in the finest grid, in order, and their variables.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
+
+
+def traced(scene: Scene) -> list[str]:
+    """Measured flags and integers whose boundaries are traced: the label always, the others where the scene asks for them."""
+    of_extensions = (v for each in extension.every("instruments") for v in each.variables(scene.system))
+    integers = (variable.name for variable in of_extensions if variable.dtype.startswith("int"))
+    return [name for name in (*MEASURED, *integers) if name == "label" or name in scene.outputs]
 
 
 class Level:
@@ -47,7 +55,8 @@ class Level:
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
         self.key = hash_of([run.key, number, before, length, digest])
         outputs = {*run.scene.outputs, "label"} - {"growth_rate"}
-        measured = (v for v in variables(run.scene.system).values() if v.name in MEASURED or not v.flags)
+        flags = traced(run.scene)
+        measured = (v for v in variables(run.scene.system).values() if v.name in flags or not v.flags)
         types = {variable.name: variable.dtype for variable in measured if variable.name in outputs}
         tiling = Tiling(points.shape, (length,))
         self.tiles = Tiles(self.place, self.key, types, tiling, points)

@@ -25,7 +25,7 @@ from ..store.tiling import Tiling
 from ..systems.base import Flags, Mask
 from ..validation import half_step
 from ..variables import COMPUTED, variables
-from .levels import MAX_VALUES, MEASURED, Part
+from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan
 
 # Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
@@ -68,7 +68,7 @@ class FineGrid:
         self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
-        self.flags = [name for name in MEASURED if name == "label" or name in scene.outputs]
+        self.flags = traced(scene)
         self.flag_counts = [len(self.registry[name].flags or range(MAX_VALUES)) for name in self.flags]
         self.predicted_flags = [name for name in PREDICTED if name in self.registry]
         self.predicted_counts = [len(self.registry[name].flags or ()) for name in self.predicted_flags]
@@ -221,7 +221,6 @@ def expected_points(plan: ScenePlan) -> float:
     }
     simulated_levels = max(levels - finer, 0)
     coarser = replace(scene.refine, levels=simulated_levels)
-    outputs = tuple(name for name in scene.outputs if name in MEASURED)
 
     def predictions(indices: np.ndarray) -> Iterator[Part]:
         """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
@@ -229,7 +228,7 @@ def expected_points(plan: ScenePlan) -> float:
         zero = np.zeros(indices.size, np.int8)
         yield indices, {name: values.get(PREDICTIONS.get(name, ""), zero) for name in predicted.flags}
 
-    simulated = replace(scene, axes=axes, refine=coarser, outputs=outputs)
+    simulated = replace(scene, axes=axes, refine=coarser, outputs=tuple(traced(scene)))
     predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
     predicted.trace(simulated_levels, progress=False)
     # Points of the finest grid near a boundary of the flags.

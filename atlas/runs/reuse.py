@@ -21,7 +21,7 @@ from ..store import dataset, finished
 from ..store.place import located
 from ..store.tile import DamagedTile
 from ..store.tiling import Tiling
-from ..systems.base import Mask, derived_values
+from ..systems.base import Mask, derived_values, derived_variables
 from ..variables import COMPUTED, data_variables, variables
 from .backend import open_atlas
 from .plan import differences, identity
@@ -66,7 +66,9 @@ class Earlier:
             raise BadInput(
                 f"{path}: its points have other bits than those of the scene: it differs in {different}"
             )
-        if missing := [name for name in scene.outputs if name not in {*old.outputs, *scene.system.derived}]:
+        if missing := [
+            name for name in scene.outputs if name not in {*old.outputs, *derived_variables(scene.system)}
+        ]:
             raise BadInput(f"{path}: has no {', '.join(missing)}, for which every point is integrated again")
         some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
         if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():

@@ -21,10 +21,8 @@ def imports_of(function: FunctionType) -> set[str]:
     assert module is not None
     assert module.__file__ is not None
     tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
-    annotations = " ".join(map(str, function.__annotations__.values()))
-    used = {
-        node.id for node in ast.walk(ast.parse(annotations.replace(" ", ","))) if isinstance(node, ast.Name)
-    }
+    annotations = [ast.parse(str(annotation)) for annotation in function.__annotations__.values()]
+    used = {node.id for each in annotations for node in ast.walk(each) if isinstance(node, ast.Name)}
     statements = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef) and node.name in used:

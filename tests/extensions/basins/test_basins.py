@@ -14,7 +14,7 @@ import atlas
 from atlas.analysis.metadata import positions_as_flags
 from atlas.analysis.trust import BOX
 from atlas.cli import main
-from atlas.plotting.attitude import Attitude, attitudes
+from atlas.extensions.basins.attitude import Attitude, attitudes
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
@@ -198,3 +198,19 @@ def test_points_without_a_body_have_no_end():
     np.testing.assert_array_equal(ds["end_equilibrium"], [ds["end_equilibrium"][0], -1])
     np.testing.assert_array_equal(ds["end_index"], [0, -1])
     np.testing.assert_array_equal(np.isnan(ds["end_theta0"]), [False, True])
+
+
+def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(without, scene_text, ds):
+    scene = scene_text({})
+    whole = atlas.run(atlas.load_scene(scene), progress=False)
+    without("basins")
+    assert "basin_fractions" not in dir(ds.atlas)
+    with pytest.raises(AttributeError, match="no attribute 'basin_fractions'"):
+        ds.atlas.basin_fractions()
+    with pytest.raises(atlas.BadInput, match="end_equilibrium: not a flag variable"):
+        ds.atlas.fractions("end_equilibrium")
+    for name in ("end_equilibrium", "settling_time"):
+        with pytest.raises(atlas.BadInput, match=f"^outputs.variables: '{name}' is unknown; [^\n]*$"):
+            atlas.load_scene(scene_text({"outputs.variables": ["label", name]}))
+    alone = atlas.run(atlas.load_scene(scene), progress=False)
+    xr.testing.assert_equal(alone[[*whole.data_vars]], whole[[*whole.data_vars]])

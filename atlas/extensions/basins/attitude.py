@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,14 +14,13 @@ from matplotlib.legend_handler import HandlerPatch
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from ..analysis.metadata import system_of
-from ..measure.ends import END
-from ..systems.base import Array
-from ..systems.gyrostat.equilibria import ANGLES, frames_of
-from ..systems.gyrostat.motions import directions
-from ..variables import data_variables
+from ...analysis.metadata import system_of
+from ...systems.base import Array
+from ...systems.gyrostat.equilibria import ANGLES, frames_of
+from ...systems.gyrostat.motions import directions
+from ...variables import data_variables
+from .ends import END
 
-SIZE = 2.6  # of a drawing, in sizes of the font
 # Radius (to the lower left), velocity (to the right) and normal (up) of the frame on paper.
 _ON_PAPER = np.array([[-0.45, -0.35], [0.9, -0.1], [0.0, 0.9]])
 
@@ -60,3 +61,8 @@ def attitudes(ds: xr.Dataset) -> dict[str, Array]:
             alpha, gamma = directions({name: angle.max().values for name, angle in own.items()})
             result[f"equilibrium_{i}"] = frames_of(alpha, gamma)
     return result
+
+
+def samples(ds: xr.Dataset) -> dict[str, Callable[[str], Attitude]]:
+    """Samples of legends with the attitudes of the equilibria, by flag."""
+    return {flag: partial(Attitude, frame) for flag, frame in attitudes(ds).items()}

@@ -10,15 +10,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import atlas
+from atlas.extensions.basins.wells import SETTLED, wells_of
 from atlas.flags import SettledBy, Status
-from atlas.systems.gyrostat.wells import SETTLED, wells_of
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import jacobi, rhs
 from atlas.systems.satellite.initial import constants, initial_state
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-SETS = json.loads((Path(__file__).parents[1] / "reference" / "basins_cases.json").read_text())["sets"]
+SETS = json.loads((Path(__file__).parents[2] / "reference" / "basins_cases.json").read_text())["sets"]
 ANGLES, RATES = ("theta0", "psi0", "phi0"), ("n", "m", "theta_dot0")
 VARIABLES = [
     "label", "status", "end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by", "settling_time", "step",

@@ -1,4 +1,4 @@
-"""Where damped motions end: the equilibrium, how it is known, and the time of settling; see `systems.gyrostat.wells`."""
+"""Where damped motions end: the equilibrium, how it is known, and the time of settling; see `wells`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..flags import SettledBy, Status
-from ..kernel.ensemble import Ensemble
-from ..kernel.integrate import NODES_PER_LEVEL
-from ..systems.base import Array, Mask, Points, System
-from ..systems.gyrostat import Gyrostat
-from ..systems.gyrostat.body import length
-from ..systems.gyrostat.equilibria import ANGLES, frames_of
-from ..systems.gyrostat.wells import SETTLED, wells_of
-from .instrument import Instrument, Measured, Run, Variable
+from ...flags import SettledBy, Status
+from ...kernel.ensemble import Ensemble
+from ...kernel.integrate import NODES_PER_LEVEL
+from ...measure.instrument import Instrument, Measured, Run, Variable
+from ...systems.base import Array, Mask, Points, System
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.body import length
+from ...systems.gyrostat.equilibria import ANGLES, frames_of
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # of the energy, relative
@@ -33,11 +32,11 @@ _TIME = (
 _INDEX = "0 of a minimum of the amended potential; -1 where the motion is not settled"
 _ANGLE = "nan where the motion is not settled, and where the members of a circle of equilibria differ"
 _ROWS = (
-    (END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END),
-    ("end_theta0", "float64", "rad", "angle from the vertical to the third body axis at", _ANGLE, 0),
-    ("end_psi0", "float64", "rad", "precession angle at", _ANGLE, 0),
-    ("end_phi0", "float64", "rad", "angle of proper rotation at", _ANGLE, 0),
-    ("end_index", "int8", "1", "Morse index of", _INDEX, -1),
+    (END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END, ("not_settled", "equilibrium")),
+    ("end_theta0", "float64", "rad", "angle from the vertical to the third body axis at", _ANGLE, 0, None),
+    ("end_psi0", "float64", "rad", "precession angle at", _ANGLE, 0, None),
+    ("end_phi0", "float64", "rad", "angle of proper rotation at", _ANGLE, 0, None),
+    ("end_index", "int8", "1", "Morse index of", _INDEX, -1, None),
 )
 
 
@@ -51,8 +50,8 @@ class Ends(Instrument):
         end = "the equilibrium in which the motion ends"
         return (
             *(
-                Variable(name, dtype, units, f"{text} {end}", None, comment, True, missing)
-                for name, dtype, units, text, comment, missing in _ROWS
+                Variable(name, dtype, units, f"{text} {end}", None, comment, True, missing, positions)
+                for name, dtype, units, text, comment, missing, positions in _ROWS
             ),
             Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
         )
@@ -68,6 +67,8 @@ class Ends(Instrument):
         return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        from .wells import SETTLED, wells_of
+
         assert isinstance(run.system, Gyrostat)
         with np.errstate(all="ignore"):
             (wells, row), finite = wells_of(run.system, run.points), run.integration.finite
@@ -111,10 +112,12 @@ class Settling(Instrument):
         return (Variable(TIME, "float64", "s", text, comment=_TIME, optional=True),)
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        return self.every_variable(system) if Ends().variables(system) else ()
+        return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
         """The energies at which the body is settled; nan, of which none is above, after the last."""
+        from .wells import wells_of
+
         wells, row = wells_of(system, points)
         return np.ascontiguousarray(np.sort(wells.settled, axis=1)[row, :LEVELS].T)
 
@@ -129,5 +132,4 @@ class Settling(Instrument):
         return {TIME: np.where(columns[END] >= 0, run.measured[TIME], np.nan)}
 
 
-SETTLING = Settling()
-ENDS = (Ends(), SETTLING)
+ENDS, SETTLING = Ends(), Settling()

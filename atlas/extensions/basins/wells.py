@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Completeness
-from ..base import Array, Mask, Points
-from .body import Body
-from .equilibria import ANGLES, described, frames_of, rotated
-from .system import Gyrostat
+from ...systems.base import Array, Mask, Points
+from ...systems.gyrostat.body import Body
+from ...systems.gyrostat.equilibria import ANGLES, described, frames_of, rotated
+from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
 # A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate (or of 1 where it rests).

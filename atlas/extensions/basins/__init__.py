@@ -1,0 +1,15 @@
+"""Where damped gyrostats end, by the wells of their potential."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    "basins",
+    __name__,
+    "the equilibria in which damped motions end, how that is known, and times of settling",
+    questions={"basin_fractions": "fractions:basin_fractions"},
+    instruments=dict.fromkeys(
+        ("end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by"), "ends:ENDS"
+    )
+    | {"settling_time": "ends:SETTLING"},
+    samples={"end_equilibrium": "attitude:samples"},
+)

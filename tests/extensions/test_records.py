@@ -1,0 +1,19 @@
+"""Records of extensions: the names in them are those of what they load."""
+
+import pytest
+
+from atlas import extension
+from atlas.systems import SYSTEMS
+
+
+@pytest.mark.parametrize("kind", ["instruments", "variables"])
+@pytest.mark.parametrize("each", extension.extensions().values(), ids=lambda each: each.name)
+def test_names_are_those_of_the_objects(each, kind):
+    for reference in {*getattr(each, kind).values()}:
+        names = [name for name, own in getattr(each, kind).items() if own == reference]
+        part = each.load(reference)
+        if kind == "instruments":
+            made = [[variable.name for variable in part.every_variable(s)] for s in SYSTEMS.values()]
+        else:
+            made = [[*part(system)] for system in SYSTEMS.values()]
+        assert names in made

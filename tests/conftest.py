@@ -161,6 +161,21 @@ def copied_package(tmp_path):
 
 
 @pytest.fixture
+def steps_of_theory(monkeypatch):
+    """Names of the methods by which theory identifies and decides motions of a satellite, call by call."""
+    from atlas.systems.satellite import SATELLITE
+
+    calls = []
+
+    def counted(name, method):
+        return lambda *arguments: calls.append(name) or method(*arguments)
+
+    for name in ("identify_family", "frequencies", "energy_stability", "linear_stability"):
+        monkeypatch.setattr(SATELLITE, name, counted(name, getattr(SATELLITE, name)))
+    return calls
+
+
+@pytest.fixture
 def evaluated(monkeypatch):
     """Numbers of points that are integrated, call by call."""
     from atlas.runs import reuse

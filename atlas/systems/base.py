@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache, wraps
-from types import MappingProxyType
+from types import MappingProxyType, MethodType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -32,7 +32,7 @@ MAX_MAGNITUDE = 1e60
 FAMILY_TOLERANCE = 1e-10
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
-_F = TypeVar("_F", bound=Callable[[Any], Any])
+_F = TypeVar("_F", bound=Callable[..., Any])
 _CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
 
 
@@ -177,7 +177,7 @@ class DerivedVariable:
         """One of the variables that the function `together` computes; `more`: further attributes."""
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
-            return together([name], points, duration, pause)[name]
+            return together([name], SharedValues(points), duration, pause)[name]
 
         return cls(name, unit, long_name, values, comment, together=together, **more)
 
@@ -666,7 +666,7 @@ def derived_values(
 ) -> dict[str, NDArray[Any]]:
     """The derived variables of these names, at points before any nudge; shared results are computed once."""
     variables = [variable for name, variable in derived_variables(system).items() if name in names]
-    columns: dict[str, NDArray[Any]] = {}
+    points, columns = SharedValues(points), dict[str, NDArray[Any]]()
     for variable in variables:
         if variable.together is None:
             columns[variable.name] = variable.values(points, duration, pause)
@@ -696,11 +696,14 @@ class SharedValues(dict[str, Array]):
 
 
 def shared(function: _F) -> _F:
-    """A function of points that is computed once for SharedValues."""
+    """A function of points, or of a system and points, that is computed once for SharedValues."""
 
     @wraps(function)
-    def of(points: Points) -> Any:
-        return points.of(function) if isinstance(points, SharedValues) else function(points)
+    def of(*arguments: Any) -> Any:
+        *system, points = arguments
+        if not isinstance(points, SharedValues):
+            return function(*arguments)
+        return points.of(MethodType(function, *system) if system else function)
 
     return of  # type: ignore[return-value]
 

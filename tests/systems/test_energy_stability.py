@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from truth import default_points
 
 import atlas
-from atlas.flags import EnergyStability, NonlinearStability, Stability, StabilityKind
+from atlas.flags import EnergyStability, Stability, StabilityKind
 from atlas.systems.fixed_point import FIXED_POINT
 from atlas.systems.gyrostat.body import Body, Direction
 from atlas.systems.gyrostat.oscillations import Equilibria
@@ -261,20 +261,9 @@ def test_scenes_and_points_write_flags():
         "satellite",
         {"A": 1.0, "B": 1.3, "C": 1.7},
         duration=1.0,
-        variables=[
-            "energy_stable",
-            "stability_kind",
-            "frequency_1",
-            "nonlinear_stability",
-            "birkhoff_determinant",
-        ],
+        variables=["energy_stable", "stability_kind", "frequency_1"],
     )
     assert ds.energy_stable.dtype == ds.stability_kind.dtype == np.int8
     assert ds.stability_kind.attrs["flag_meanings"].split()[1:3] == ["energy_stable", "gyroscopic"]
     assert ds.energy_stable.attrs["flag_meanings"] == "unknown yes no"
     assert ds.stability_kind.item() == StabilityKind.ENERGY_STABLE
-    assert ds.nonlinear_stability.dtype == np.int8
-    assert ds.nonlinear_stability.attrs["flag_meanings"].split()[1:3] == ["energy", "arnold_moser"]
-    assert ds.nonlinear_stability.item() == NonlinearStability.ENERGY
-    assert ds.birkhoff_determinant.attrs["units"] == "kg-1 m-2 s-2"
-    assert np.isnan(ds.birkhoff_determinant.item())

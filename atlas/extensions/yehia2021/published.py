@@ -11,13 +11,13 @@ import numpy as np
 from ...analysis.published import expression, load, row
 from ...systems.base import Array, PublishedEquation
 from ...systems.gyrostat.motions import angular_velocity
-from ...systems.gyrostat.nonlinear import NormalForm, derivatives
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.plane import PlaneMotions
 from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
+from ..normal_form.nonlinear import NormalForm, derivatives
 from . import lagrange
 
 Point = dict[str, Array]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array, Flags, Mask, Points, identify, shape_of
+from ..base import Array, Flags, Mask, Points, identify, shape_of, shared
 from ..gyrostat import Body, Gyrostat, rotations
 from ..gyrostat.equilibria import NOT_CERTAIN
 from ..gyrostat.stress_cases import fixed_point_cases
@@ -77,6 +77,7 @@ class FixedPoint(Gyrostat):
         """Family about the third axis and the vertical, else one about any axes."""
         return identify(points, families.ORDER, any_axis.FAMILIES.values())
 
+    @shared
     def oscillation_families(self, points: Points) -> Flags:
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]

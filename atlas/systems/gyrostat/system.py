@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import NonlinearStability, Stability, StabilityKind
-from ..base import Array, Flags, Mask, Points, System, shape_of, subset, unsteady
-from . import equilibria, floquet, nonlinear
+from ...flags import Stability
+from ..base import Array, Flags, Mask, Points, System, shape_of, shared, subset, unsteady
+from . import equilibria, floquet
 from .body import Body, across, length
 from .equilibria import equilibria_of_bodies as all_equilibria_of_bodies
 from .oscillations import Equilibria
@@ -69,6 +69,7 @@ class Gyrostat(System):
         # Components lie one behind another in memory: sums over them are several times as fast.
         return [np.moveaxis(np.array([state[name] for name in triple]), 0, -1) for triple in names]
 
+    @shared
     def oscillation_families(self, points: Points) -> Flags:
         """Families of the motions of which the frequencies and the stability by the energy are given."""
         return self.identify_family(points)[0]
@@ -166,32 +167,6 @@ class Gyrostat(System):
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
         result[members[rest.points]] = rest.energy_stability()
         return result
-
-    def nonlinear_stability(self, points: Points, flags: Flags, kinds: Flags) -> tuple[Flags, Array]:
-        """Values of flags.NonlinearStability, (points,), and c20, c11, c02 and D of the normal form, (4, points).
-
-        flags: families, of which only whether there is one counts; kinds: values of flags.StabilityKind. The normal form is nan
-        where it does not exist.
-        """
-        result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
-        values = np.full((4, flags.size), np.nan)
-        undecided = ~np.isin(kinds, (StabilityKind.UNKNOWN, StabilityKind.UNSTABLE))
-        members = np.flatnonzero((flags > 0) & undecided)
-        part = subset(points, members)
-        body = self.body(part)
-        rest = Equilibria.of(body, *self.start(part))
-        members = members[rest.points]
-        result[members], values[:, members] = nonlinear.stability(rest)
-        values[:, members] /= body.inertia[rest.points].max(-1)
-        degenerate = (kinds == StabilityKind.MARGINAL) & (result != NonlinearStability.UNDECIDED)
-        result[degenerate] = NonlinearStability.DEGENERATE
-        for kind, verdict in (
-            (StabilityKind.UNKNOWN, NonlinearStability.UNKNOWN),
-            (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
-            (StabilityKind.ENERGY_STABLE, NonlinearStability.ENERGY),
-        ):
-            result[kinds == kind] = verdict
-        return result, values
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
         """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""

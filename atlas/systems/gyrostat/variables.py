@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import Completeness, EnergyStability, NonlinearStability, Stability, StabilityKind
-from ..base import Array, DerivedVariable, Flags, Points, subset, unsteady
-from .nonlinear import RESONANCE_BAND
+from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ..base import Array, DerivedVariable, Flags, Points, shared, subset, unsteady
 from .plane import PlaneMotions
 
 if TYPE_CHECKING:
@@ -21,12 +20,29 @@ FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 NORMAL_FORM = ("birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
 NONLINEAR = "nonlinear_stability"
 
-_BANDS = f"within {RESONANCE_BAND:g} of l1/l2 = -1, -2 and -3 that of the resonance; with three degrees of freedom undecided"
-_NORMAL_FORM = "of H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2; nan without two degrees of freedom and two frequencies"
+
+@shared
+def steady_families(system: Gyrostat, points: Points) -> Flags:
+    """Families of the steady motions of which frequencies and stability by the energy are given."""
+    flags = system.oscillation_families(points)
+    return np.where(unsteady(system, flags), 0, flags)
+
+
+@shared
+def energy_stable(system: Gyrostat, points: Points) -> Flags:
+    """Values of flags.EnergyStability."""
+    return system.energy_stability(points, steady_families(system, points))
+
+
+@shared
+def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
+    """Values of flags.StabilityKind."""
+    stable, growth = system.linear_stability(points, system.oscillation_families(points))
+    return stability_kind(stable, growth, energy_stable(system, points))
 
 
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Frequencies, the largest first, stability by the energy, its kind, and stability by the normal form."""
+    """Frequencies, the largest first, stability by the energy, and its kind."""
 
     def together(
         names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
@@ -34,41 +50,24 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         columns: dict[str, NDArray[Any]] = {}
         pause()
         with np.errstate(all="ignore"):
-            flags = system.oscillation_families(points)
-            steady = np.where(unsteady(system, flags), 0, flags)
+            steady = steady_families(system, points)
             if not set(FREQUENCIES).isdisjoint(names):
                 pause()
                 columns |= dict(zip(FREQUENCIES, system.frequencies(points, steady).T, strict=True))
-            nonlinear = not {NONLINEAR, *NORMAL_FORM}.isdisjoint(names)
-            if nonlinear or not {"stability_kind", "energy_stable"}.isdisjoint(names):
-                pause()
-                columns["energy_stable"] = system.energy_stability(points, steady)
-            if nonlinear or "stability_kind" in names:
-                pause()
-                stable, growth = system.linear_stability(points, flags)
-                columns["stability_kind"] = stability_kind(stable, growth, columns["energy_stable"])
-            if nonlinear:
-                pause()
-                verdicts, values = system.nonlinear_stability(points, steady, columns["stability_kind"])
-                columns |= {NONLINEAR: verdicts, **dict(zip(NORMAL_FORM, values, strict=True))}
-        return {name: columns[name] for name in names}
+            for name, values in of_energy.items():
+                if name in names:
+                    pause()
+                    columns[name] = values(system, points)
+        return columns
 
-    flags = {
-        "energy_stable": EnergyStability.meanings(),
-        "stability_kind": StabilityKind.meanings(),
-        NONLINEAR: NonlinearStability.meanings(),
-    }
-    form, energy = "of the normal form of degree 4", system.energy_comment
+    of_energy = {"energy_stable": energy_stable, "stability_kind": kinds_of_stability}
+    flags = {"energy_stable": EnergyStability.meanings(), "stability_kind": StabilityKind.meanings()}
+    energy = system.energy_comment
     rows = (
         *((name, "rad s-1", f"{order} frequency of small oscillations about the steady motion", system.frequency_comment)
           for name, order in zip(FREQUENCIES, ("largest", "second", "third"), strict=True)),
         ("energy_stable", "1", "stability of the steady motion by the energy, from theory", energy),
         ("stability_kind", "1", "linear stability and stability by the energy, from theory", energy),
-        (NONLINEAR, "1", "stability of the steady motion in the full equations, from theory", _BANDS),
-        ("birkhoff_c20", "kg-1 m-2", f"coefficient of the squared action of the larger frequency {form}", _NORMAL_FORM),
-        ("birkhoff_c11", "kg-1 m-2", f"coefficient of the product of the actions {form}", _NORMAL_FORM),
-        ("birkhoff_c02", "kg-1 m-2", f"coefficient of the squared action of the smaller frequency {form}", _NORMAL_FORM),
-        ("birkhoff_determinant", "kg-1 m-2 s-2", f"determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2 {form}", _NORMAL_FORM),
     )  # fmt: skip
     return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
 

@@ -8,18 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.optimize import brentq
 from truth import default_points
 
+import atlas
+from atlas.extensions.normal_form import nonlinear
+from atlas.extensions.normal_form.nonlinear import NormalForm
+from atlas.extensions.normal_form.variables import NONLINEAR, NORMAL_FORM
 from atlas.flags import NonlinearStability, StabilityKind
+from atlas.systems.base import derived_values, derived_variables
 from atlas.systems.fixed_point import FIXED_POINT
-from atlas.systems.gyrostat import nonlinear
-from atlas.systems.gyrostat.nonlinear import NormalForm
 from atlas.systems.gyrostat.oscillations import Equilibria
-from atlas.systems.gyrostat.variables import FREQUENCIES, NONLINEAR, NORMAL_FORM
+from atlas.systems.gyrostat.variables import FREQUENCIES
 from atlas.systems.satellite import SATELLITE
 
-FOLDER = Path(__file__).parents[1] / "reference"
+FOLDER = Path(__file__).parents[2] / "reference"
 CASES = json.loads((FOLDER / "arnold_moser.json").read_text("utf-8"))
 STAUDE = json.loads((FOLDER / "birkhoff_staude.json").read_text("utf-8"))["cases"]
 ENERGY, ARNOLD_MOSER = NonlinearStability.ENERGY, NonlinearStability.ARNOLD_MOSER
@@ -29,7 +33,7 @@ VERDICTS = {"stable_by_energy": ENERGY, "stable_by_Arnold_Moser": ARNOLD_MOSER}
 
 def theory(system, points):
     """Columns of the derived variables."""
-    return system.derived[NONLINEAR].together(NAMES, points, np.ones(len(points["A"])), lambda: None)
+    return derived_values(system, NAMES, points, np.ones(len(points["A"])), lambda: None)
 
 
 def derivatives(*homogeneous):
@@ -352,3 +356,54 @@ def test_tops_with_one_degree_of_freedom_are_decided_by_the_energy():
     conical = theory(FIXED_POINT, conical)
     assert conical[NONLINEAR][0] == ENERGY
     assert np.isnan([values for name, values in {**sleeping, **conical}.items() if name in NORMAL_FORM]).all()
+
+
+# As variables of scenes.
+
+
+def test_scenes_and_points_write_verdicts_and_coefficients():
+    names = ["nonlinear_stability", "birkhoff_determinant"]
+    ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.3, "C": 1.7}, duration=1.0, variables=names)
+    assert ds.nonlinear_stability.dtype == np.int8
+    assert ds.nonlinear_stability.attrs["flag_meanings"].split()[1:3] == ["energy", "arnold_moser"]
+    assert ds.nonlinear_stability.item() == ENERGY
+    assert ds.birkhoff_determinant.attrs["units"] == "kg-1 m-2 s-2"
+    assert np.isnan(ds.birkhoff_determinant.item())
+
+
+@pytest.mark.parametrize("system", [SATELLITE, FIXED_POINT])
+def test_variables_computed_together_are_those_computed_alone(system):
+    """To the bit, at equilibria with and without oscillations and off every family."""
+    moments = np.random.default_rng(0).uniform(1, 2, (3, 30))
+    points = default_points(system.name, **dict(zip("ABC", moments, strict=True)))
+    points["theta0"][:10] = 0.3
+    together = derived_values(system, NAMES, points, np.ones(30), lambda: None)
+    for name in NAMES:
+        alone = derived_variables(system)[name].values(points, np.ones(30), lambda: None)
+        assert alone.tobytes() == together[name].tobytes()
+
+
+def test_verdicts_share_linear_theory_with_the_variables_of_the_core(steps_of_theory):
+    points = default_points("satellite", C=1.7, B=1.3)
+    for names, expected in (
+        ([NONLINEAR, "birkhoff_c11"], ["energy_stability", "linear_stability"]),
+        (NAMES, ["frequencies", "energy_stability", "linear_stability"]),
+    ):
+        steps_of_theory.clear()
+        derived_values(SATELLITE, names, points, np.ones(1), lambda: None)
+        assert sorted(steps_of_theory) == sorted(["identify_family", *expected])
+
+
+def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(without, scene_text):
+    text = scene_text(
+        {"outputs.variables": ["label", "predicted", "stable", "growth_rate", "stability_kind"]}
+    )
+    whole = atlas.run(atlas.load_scene(text), progress=False)
+    without("normal_form")
+    for name in (NONLINEAR, *NORMAL_FORM):
+        with pytest.raises(atlas.BadInput, match=f"^outputs.variables: '{name}' is unknown; [^\n]*$"):
+            atlas.load_scene(scene_text({"outputs.variables": ["label", name]}))
+    with pytest.raises(atlas.BadInput, match=f"^variables: '{NONLINEAR}' is unknown; [^\n]*$"):
+        atlas.label_points("satellite", {"theta0": 0.4}, duration=1.0, variables=[NONLINEAR])
+    alone = atlas.run(atlas.load_scene(text), progress=False)
+    xr.testing.assert_equal(alone[[*whole.data_vars]], whole[[*whole.data_vars]])

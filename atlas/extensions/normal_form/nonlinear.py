@@ -36,15 +36,18 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import NonlinearStability
-from ..base import Array, Flags
-from .body import across
-from .oscillations import GROWTH_TOLERANCE, Equilibria
+from ...flags import NonlinearStability, StabilityKind
+from ...systems.base import Array, Flags, Points, subset
+from ...systems.gyrostat.body import across
+from ...systems.gyrostat.oscillations import GROWTH_TOLERANCE, Equilibria
+from ...systems.gyrostat.variables import kinds_of_stability, steady_families
+from .variables import RESONANCE_BAND
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-RESONANCE_BAND = 1e-3  # distance of |l1/l2| from 1, 2 and 3 up to which the verdict is that of the resonance
+    from ...systems.gyrostat import Gyrostat
+
 _ZERO = 1e-9  # of what a verdict needs to differ from 0, relative to its terms
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
@@ -117,6 +120,30 @@ class NormalForm(NamedTuple):
         )
         where, values = zip(*rows, strict=True)
         return np.select(where, values, NonlinearStability.ARNOLD_MOSER).astype(np.int8)
+
+
+def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
+    """Values of flags.NonlinearStability, (points,), and c20, c11, c02 and D, (4, points), nan where no normal form exists."""
+    flags, kind = steady_families(system, points), kinds_of_stability(system, points)
+    result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
+    values = np.full((4, flags.size), np.nan)
+    undecided = ~np.isin(kind, (StabilityKind.UNKNOWN, StabilityKind.UNSTABLE))
+    members = np.flatnonzero((flags > 0) & undecided)
+    part = subset(points, members)
+    body = system.body(part)
+    rest = Equilibria.of(body, *system.start(part))
+    members = members[rest.points]
+    result[members], values[:, members] = stability(rest)
+    values[:, members] /= body.inertia[rest.points].max(-1)
+    degenerate = (kind == StabilityKind.MARGINAL) & (result != NonlinearStability.UNDECIDED)
+    result[degenerate] = NonlinearStability.DEGENERATE
+    for linear, verdict in (
+        (StabilityKind.UNKNOWN, NonlinearStability.UNKNOWN),
+        (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
+        (StabilityKind.ENERGY_STABLE, NonlinearStability.ENERGY),
+    ):
+        result[kind == linear] = verdict
+    return result, values
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:

@@ -1,0 +1,19 @@
+"""Stability of steady motions in the full equations, by the normal form of degree 4."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    "normal_form",
+    __name__,
+    "stability in the full equations, and the normal form of degree 4 that decides it",
+    variables=dict.fromkeys(
+        (
+            "nonlinear_stability",
+            "birkhoff_c20",
+            "birkhoff_c11",
+            "birkhoff_c02",
+            "birkhoff_determinant",
+        ),
+        "variables:normal_form",
+    ),
+)

@@ -48,8 +48,8 @@ class _Handler(HandlerPatch):
 Legend.update_default_handler_map({Attitude: _Handler()})
 
 
-def attitudes(ds: xr.Dataset) -> dict[str, Array]:
-    """Frames of the equilibria in which motions end by their flags, where all points that end there have the same."""
+def samples(ds: xr.Dataset) -> dict[str, Callable[[str], Attitude]]:
+    """Samples of legends by the flags of ends, with the attitude of an equilibrium where all points that end there have the same."""
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
     if not {END, *names} <= {*ds}:
         return {}
@@ -59,10 +59,5 @@ def attitudes(ds: xr.Dataset) -> dict[str, Array]:
         own = {name: angle.where(ds[END] == i) for name, angle in angles.items()}
         if all(angle.max() - angle.min() < 1e-6 for angle in own.values()):
             alpha, gamma = directions({name: angle.max().values for name, angle in own.items()})
-            result[f"equilibrium_{i}"] = frames_of(alpha, gamma)
+            result[f"equilibrium_{i}"] = partial(Attitude, frames_of(alpha, gamma))
     return result
-
-
-def samples(ds: xr.Dataset) -> dict[str, Callable[[str], Attitude]]:
-    """Samples of legends with the attitudes of the equilibria, by flag."""
-    return {flag: partial(Attitude, frame) for flag, frame in attitudes(ds).items()}

@@ -109,7 +109,7 @@ class Wells:
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
-        """Places of the minima at which bodies of at most this energy end for certain, else -1.
+        """For each body of at most this energy the place of the minimum in which it must end, or -1.
 
         place: of the nearest equilibria; settled: whether the attitude is within SETTLED of it.
         """

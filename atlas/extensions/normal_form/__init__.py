@@ -7,13 +7,7 @@ EXTENSION = Extension(
     __name__,
     "stability in the full equations, and the normal form of degree 4 that decides it",
     variables=dict.fromkeys(
-        (
-            "nonlinear_stability",
-            "birkhoff_c20",
-            "birkhoff_c11",
-            "birkhoff_c02",
-            "birkhoff_determinant",
-        ),
+        ("nonlinear_stability", "birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant"),
         "variables:normal_form",
     ),
 )

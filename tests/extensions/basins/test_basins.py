@@ -14,7 +14,7 @@ import atlas
 from atlas.analysis.metadata import positions_as_flags
 from atlas.analysis.trust import BOX
 from atlas.cli import main
-from atlas.extensions.basins.attitude import Attitude, attitudes
+from atlas.extensions.basins.attitude import Attitude, samples
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
@@ -125,7 +125,7 @@ def test_tools_of_flags_take_positions(ds):
 
 
 def test_a_map_shows_the_attitudes(ds):
-    frames = attitudes(ds)
+    frames = {flag: sample.args[0] for flag, sample in samples(ds).items()}
     equilibria = atlas.equilibria(
         "satellite", {name: float(ds[name]) for name in ("A", "B", "C", "k1", "k2", "k3")}
     )

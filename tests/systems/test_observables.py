@@ -516,6 +516,35 @@ def test_steps_through_a_wall_give_no_label(method, monkeypatch):
     assert sensitive.sum() > 10
 
 
+class ConservativeWall(Wall):
+    """The same ball with its energy named."""
+
+    class equations:
+        STATE, CONSTANTS, INTEGRALS = ("x", "v"), ("force",), {"energy": 2}
+        rhs = Wall.equations.rhs
+
+        def energy(state, constants):
+            x, v = state
+            (force,) = constants
+            return 0.5 * v * v, 0.5 * x * x, force / x
+
+    name = title = "conservative_wall"
+
+
+def test_a_first_integral_shows_every_wall_that_steps_miss(monkeypatch):
+    """Without the energy one of them is ok though every run misses its wall."""
+    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    atlas.register(ConservativeWall)
+    rng, duration = np.random.default_rng(8), 14.0
+    points = {"x0": rng.uniform(0.6, 1.6, 48), "v0": rng.uniform(-2.0, 2.0, 48)}
+    options = {"duration": duration, "method": "rk8", "tolerance": 1e-5, "rate_tolerance": 1e-3}
+    ds = atlas.label_points("conservative_wall", points | {"force": 10 ** rng.uniform(-5, -2, 48)}, **options)
+    ok, drifting_energy = (ds["status"].values == status for status in (Status.OK, Status.DRIFT_EXCEEDED))
+    assert (ds["x_min"].values[ok] > 0).all()
+    assert ok.sum() > 4
+    assert drifting_energy.sum() > 10
+
+
 def test_chaos_keeps_its_label(monkeypatch):
     """Errors as large as the motion, which grew as the difference of two starts does."""
     monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))

@@ -15,10 +15,9 @@ from . import sources as _sources  # noqa: F401  (before all that it hashes is l
 # isort: split
 if not _interruption.is_command():  # commands that need no dataset start in half of the time without xarray
     from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
-from ._version import __version__
+from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .analysis.branches import branches as branches
     from .analysis.equilibria import equilibria as equilibria
     from .errors import BadInput as BadInput
     from .faces import *  # noqa: F403
@@ -37,26 +36,27 @@ _MODULES = {
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
     "equilibria": "analysis.equilibria",
-    "branches": "analysis.branches",
     "register": "systems",
     "BadInput": "errors",
 }
-__all__ = [*_MODULES, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
+    if name == "__all__":
+        return __dir__()
+    if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
         import_module(".accessor", __name__)  # for equations of one's own that a command loads
+        if name not in _MODULES:
+            return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
         globals()[name] = value
         return value
-    if name in _extension.parts("functions"):
-        return _extension.load("functions", name)
     missing = _extension.not_loaded() if name[0] != "_" else ""
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{missing}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in _extension.parts("functions") if "." not in name)})
+    """The public names: of the core, then of extensions."""
+    return [*_MODULES, "__version__", *(name for name in _extension.parts("functions") if "." not in name)]

@@ -225,8 +225,7 @@ class Atlas(Questions):
             theory.
         variable : str, optional
             The flag variable; default label. For the lines of theory its frame counts, label_inertial for labels in inertial
-            space; a number of equilibria gives the lines on which it changes, a frequency the resonances too,
-            nonlinear_stability those where the energy does not decide, and D = 0.
+            space; a frequency gives the resonances too, and a variable of which an extension has lines gives these.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional
@@ -360,41 +359,6 @@ class Atlas(Questions):
         from .plotting.trajectory import trajectory_figure
 
         return trajectory_figure(self._ds, ax=ax)
-
-    def diagram(
-        self,
-        variable: str = "theta0",
-        *,
-        ax: Axes | None = None,
-        title: str | None = None,
-        legend: bool = True,
-        width: Width = "column",
-    ) -> Figure:
-        """Bifurcation diagram of branches from `atlas.branches`: a variable over the parameter, or a vector on the sphere.
-
-        Parameters
-        ----------
-        variable : str, optional
-            A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
-            the body: for permanent rotations over their rate gamma gives Staude's arcs.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into; default a figure of its own.
-        title : str, optional
-            Title of the figure.
-        legend : bool, optional
-            Draw the legend.
-        width : {"column", "page"}, optional
-            88 mm or 180 mm.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
-            unstable; dots, diamonds and crosses are folds, pitchforks and exchanges.
-        """
-        from .plotting.branches import branch_diagram
-
-        return branch_diagram(self._ds, variable, ax=ax, title=title, legend=legend, width=width)
 
     def animate(self, path: str | Path | None = None, *, seconds: float = 10.0) -> Film | None:
         """Animation of a motion from `atlas.trajectory`: the third axis on the sphere, with its trace.

@@ -44,10 +44,13 @@ class Extension:
     families : mapping of str to str, optional
         Name of a family of steady motions -> function of a system that returns these `Family` by name, with fixed flags.
     lines : mapping of str to str, optional
-        Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind.
+        Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind; of one or two
+        axes, all lines that these maps show.
     samples : mapping of str to str, optional
         Name of a variable -> function of a dataset that returns, by flag, functions of a colour that make the samples in the
         legends of its maps.
+    line_styles : mapping of str to str, optional
+        Kind of these lines -> colour, linestyle and linewidth, as Matplotlib has them; others are thin and black.
     stress_cases : mapping of str to str, optional
         Name of a system -> function that returns more of its stress cases.
     published : mapping of str to str, optional
@@ -65,6 +68,7 @@ class Extension:
     families: Mapping[str, Reference] = field(default_factory=dict)
     lines: Mapping[str, Reference] = field(default_factory=dict)
     samples: Mapping[str, Reference] = field(default_factory=dict)
+    line_styles: Mapping[str, Reference] = field(default_factory=dict)
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
 

@@ -113,12 +113,12 @@ def coarse_figures():
 
     These lines are kept apart from those that other tests use.
     """
-    from atlas.analysis import boundary
+    from atlas.analysis import tracer
     from atlas.plotting import style
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(boundary, "COARSE_SAMPLES", boundary.COARSE_SAMPLES // 3)
-        patched.setattr(boundary, "LINES_FOLDER", "coarse_lines")
+        patched.setattr(tracer, "COARSE_SAMPLES", tracer.COARSE_SAMPLES // 3)
+        patched.setattr(tracer, "LINES_FOLDER", "coarse_lines")
         patched.setitem(style.STYLE, "savefig.dpi", 100)
         yield
 

@@ -14,7 +14,8 @@ import pytest
 import xarray as xr
 from truth import tile_path
 
-from atlas.analysis.boundary import LINES_FOLDER
+from atlas import extension
+from atlas.analysis.tracer import LINES_FOLDER
 from atlas.cli import main, parser
 from atlas.files import cache_folder
 from atlas.systems.satellite.system import SATELLITE
@@ -409,16 +410,15 @@ def test_help_of_every_command_is_real(capsys):
         "compare",
         "map",
         "trajectory",
-        "branches",
         "accuracy",
         "stress",
         "points",
-        "figures",
         "status",
         "join",
         "conditions",
         "cache",
         "new",
+        *extension.parts("commands"),
     ]
     for name in commands:
         with pytest.raises(SystemExit) as stop:

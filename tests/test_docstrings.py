@@ -10,13 +10,13 @@ import pytest
 from numpydoc.validate import validate
 
 import atlas
+from atlas import extension
 from atlas.accessor import Atlas
 from atlas.systems.base import System
 
 ROOT = Path(__file__).parent.parent
 CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]["checks"])
 FUNCTIONS = (
-    "branches",
     "equilibria",
     "label_points",
     "load_scene",
@@ -26,6 +26,7 @@ FUNCTIONS = (
     "trajectory",
 )
 SYSTEM = "atlas.systems.base.System."
+FACES = ("functions", "questions")  # parts of extensions
 
 
 def is_in_class_docstring(code: str, message: str) -> bool:
@@ -48,13 +49,18 @@ def public_members(owner: type) -> list[str]:
 
 def test_the_list_of_functions_is_complete():
     functions = {name for name in atlas.__all__ if inspect.isfunction(getattr(atlas, name))}
-    assert functions == set(FUNCTIONS)
+    assert functions - extension.parts("functions").keys() == set(FUNCTIONS)
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        *(f"atlas.{name}" for name in (*FUNCTIONS, "systems.from_lagrangian")),
+        *(f"atlas.{name}" for name in FUNCTIONS),
+        *(
+            f"{each.package}.{part.replace(':', '.')}"
+            for kind in FACES
+            for each, part in extension.parts(kind).values()
+        ),
         *public_members(Atlas),
         *public_members(System),
     ],
@@ -63,7 +69,9 @@ def test_docstring_has_the_sections_of_numpydoc(name):
     errors = [
         f"{code}: {message}"
         for code, message in validate(name)["errors"]
-        if code in CHECKS and not (name.startswith(SYSTEM) and is_in_class_docstring(code, message))
+        if code in CHECKS
+        and not (name.startswith(SYSTEM) and is_in_class_docstring(code, message))
+        and message != "Parameters {'ds'} not documented"  # the dataset of a question
     ]
     assert not errors, f"{name}:\n" + "\n".join(errors)
 

@@ -144,7 +144,9 @@ def test_script(name, monkeypatch, tmp_path, capfd):
     start(name, arguments.replace("FOLDER", str(tmp_path)).split(), monkeypatch)
     assert re.search(printed, capfd.readouterr().out.replace(str(tmp_path), "FOLDER"))
     if name == "draw":
-        assert all((tmp_path / f"{each}.svg").stat().st_size > 10_000 for each in ("angles", "labels", "theory"))
+        assert all(
+            (tmp_path / f"{each}.svg").stat().st_size > 10_000 for each in ("angles", "labels", "theory")
+        )
     if name == "gallery":
         for file in ("first_order_error.pdf", "gallery/first_order_error.png", "fixed_point_figure_04.png"):
             assert (tmp_path / file).is_file()

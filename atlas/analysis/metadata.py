@@ -57,7 +57,7 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
     text = ds.attrs.get("atlas_scene", "")
     if not isinstance(text, str):
         raise BadInput("not an atlas: the attribute atlas_scene is no text")
-    return parse_scene(text) if text else None
+    return parse_scene(text, of_atlas=True) if text else None
 
 
 # Coordinates are equal within this share, or within so many spacings of the floats that they are.

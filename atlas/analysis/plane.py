@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from ..errors import BadInput
 from ..label.theory import predict
 from ..scene import grid
 from ..scene.model import Duration, Scene
-from ..systems.base import Array, Family, Mask, on_family
+from ..systems.base import Array, Family, Mask, derived_values, on_family
 from .metadata import axes_of, is_logarithmic
 from .select import cell_edges
 
@@ -122,6 +124,11 @@ class Plane:
             in_space = {"n": n + system.frame_rate(points.base), "m": m}
             frames[IN_SPACE] = predicted["predicted_inertial"], in_space
         return Theory(points.exists, predicted["stable"], frames)
+
+    def derived(self, coordinates: Mapping[str, Array], names: Collection[str]) -> dict[str, NDArray[Any]]:
+        """Variables from theory in the plane, by their names."""
+        points = self.points(coordinates)
+        return derived_values(self.scene.system, names, points.base, points.duration, lambda: None)
 
 
 # Number of values from which a family's formula is solved, and most ends of its curve that are resampled.

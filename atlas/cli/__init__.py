@@ -93,7 +93,6 @@ def parser() -> argparse.ArgumentParser:
         atlases.print_comparison,
         atlases.draw_map,
         atlases.draw_trajectory,
-        atlases.draw_branches,
         scenes.copy_example,
         studies.measure_accuracy,
         studies.print_conditions,

@@ -19,7 +19,6 @@ from .options import (
     FIGURES,
     FILES,
     QUIET,
-    SCENE,
     STANDARD_INPUT,
     THREADS,
     VERBOSE,
@@ -125,7 +124,7 @@ def draw_trajectory(options: argparse.Namespace) -> None:
     out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)
-    _write(tr, out, "plot")
+    write_or_draw(tr, out, "plot")
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
@@ -133,25 +132,7 @@ def draw_trajectory(options: argparse.Namespace) -> None:
     say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
 
 
-@command(
-    "branches",
-    SCENE,
-    *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_branches.png)"),
-    option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
-)
-def draw_branches(options: argparse.Namespace) -> None:
-    """Draw the branches of equilibria of the bodies of a scene along its only axis."""
-    from ..analysis.branches import branches_of_scene
-    from ..store import netcdf
-
-    name = options.out or f"{default_name(options.scene)}_branches.png"
-    out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
-    ds = branches_of_scene(read_scene(options.scene))
-    _write(ds, out, "diagram", options.variable)
-    say(f"{ds.sizes['branch']} branches, {ds.sizes['fold']} points at which they meet or change; wrote {out}")
-
-
-def _write(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
+def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
     """Write a dataset, or its figure by a method of the accessor."""
     from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
 
@@ -204,7 +185,7 @@ def print_comparison(options: argparse.Namespace) -> None:
         ds, *other = (stack.enter_context(atlas.open_atlas(name)) for name in inputs)
         say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
         if out:
-            _write(ds.atlas.differences(*other), out, "map")
+            write_or_draw(ds.atlas.differences(*other), out, "map")
             say(f"wrote {out}")
 
 

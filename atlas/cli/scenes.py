@@ -197,7 +197,7 @@ def list_kernels(options: argparse.Namespace) -> None:
             seconds = time.perf_counter() - began - watch.seconds()
             say(f"{name}: " + (f"compiled in {seconds:.1f} s" if seconds > 0.01 else "nothing to compile"))
     if options.clear:
-        from ..analysis.boundary import LINES_FOLDER
+        from ..analysis.tracer import LINES_FOLDER
 
         shutil.rmtree(cache_folder() / LINES_FOLDER, ignore_errors=True)
         say(f"removed {machine_code.clear()} kernels from {cache_folder()}")

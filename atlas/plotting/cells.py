@@ -24,7 +24,8 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY
+from .. import extension
+from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, ZERO_RATES
 from ..flags import Regularity
 from ..scene.model import Scene
 from ..systems.base import Mask
@@ -185,18 +186,20 @@ def texts(scene: Scene | None) -> Mapping[str, str]:
     return {"hyperbolic": "hyperbolic (unstable)"} | length
 
 
-_LINE_COLOURS = dict(
-    zip((*RESONANCES, DEGENERATE), ("#d62728", "#2ca02c", "#9467bd", "#e6007e"), strict=True)
-)
-# Dashes of borders and of families, in the order of their names.
+_RESONANCE_COLOURS = dict(zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True))
+# Lines of the kinds of borders.
 BORDERS: dict[str, dict[str, Any]] = {
     STABILITY: {"linestyle": "-", "linewidth": 1.2},
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
     EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
-    CHANGE: {"linestyle": "-", "linewidth": 0.6},
-    **{kind: {"linestyle": "-", "linewidth": 0.8, "color": colour} for kind, colour in _LINE_COLOURS.items()},
+    **{kind: {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0} for kind in ZERO_RATES.values()},
+    **{
+        kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
+        for kind, colour in _RESONANCE_COLOURS.items()
+    },
 }
-ZERO_RATE: dict[str, Any] = {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0}
+PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
+# Dashes of families, in the order of their names.
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
@@ -225,8 +228,10 @@ HATCHES = {
 
 
 def border_style(kind: str) -> dict[str, Any]:
-    """Line of a kind of border, one of `atlas.analysis.boundary.KINDS`."""
-    return {"color": "black"} | BORDERS.get(kind, ZERO_RATE)
+    """Line of a kind of border of the core or of an extension."""
+    if kind in extension.parts("line_styles"):
+        return {"color": "black"} | extension.load("line_styles", kind)
+    return {"color": "black"} | BORDERS.get(kind, PLAIN_LINE)
 
 
 def family_style(number: int) -> dict[str, Any]:
@@ -239,7 +244,7 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
-    for kind in (CHANGE, *RESONANCES, DEGENERATE, *KINDS[::-1]):
+    for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
         lines = panel.borders.get(kind, [])
         if lines and kind in KINDS and panel.array.ndim == 2:
             lines = _draw_crowded(ax, lines, border_style(kind))

@@ -17,7 +17,7 @@ from matplotlib.colors import Colormap, is_color_like
 from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
-from ..analysis.boundary import CHANGE, DEGENERATE, EXISTENCE, RESONANCES, STABILITY, theory_lines
+from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
@@ -112,11 +112,12 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         # Between the points of an atlas there may be bodies that cannot exist; the map itself needs none of them.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
-    if CHANGE in borders:
+    if borders and borders.keys().isdisjoint((*KINDS, *RESONANCES)):  # of no motions
         return Panel(array, white, slow, borders)
     if not of_motions:
-        shown = (STABILITY, EXISTENCE, *RESONANCES, DEGENERATE)
-        borders = {kind: borders[kind] for kind in shown if kind in borders}
+        borders = {
+            kind: lines for kind, lines in borders.items() if kind not in KINDS or not KINDS[kind].of_frame
+        }
     return Panel(array, white, slow, borders, families)
 
 

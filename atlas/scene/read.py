@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import systems
+from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Array, System
 from ..variables import POINT, data_variables, default_variables, variables
@@ -98,10 +98,18 @@ def load_scene(source: str | Path | Scene) -> Scene:
     return parse_scene(read_text(path), path.stem, path.parent, str(path))
 
 
-def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path: str | None = None) -> Scene:
+def parse_scene(
+    text: str,
+    name: str = "scene",
+    folder: Path | None = None,
+    path: str | None = None,
+    *,
+    of_atlas: bool = False,
+) -> Scene:
     """Read the text of a scene, `path`, titled `name`; BadInput with one line that names file, line and key.
 
-    Without a folder no points file is read: an atlas contains its points, and its text may come from anyone.
+    Without a folder no points file is read: an atlas contains its points, and its text may come from anyone. Of a finished
+    atlas, outputs that nothing installed here gives are left out.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -122,14 +130,16 @@ def parse_scene(text: str, name: str = "scene", folder: Path | None = None, path
     except ValueError:
         raise BadInput(f"{source.path}: a number has more digits than can be read") from None
     if path is None:
-        return scene_from(table, name, folder)
+        return scene_from(table, name, folder, of_atlas=of_atlas)
     try:
         return replace(scene_from(table, name, folder), source=source)
     except BadInput as error:
         raise source.located(error) from None
 
 
-def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path()) -> Scene:
+def scene_from(
+    table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path(), *, of_atlas: bool = False
+) -> Scene:
     """The scene of a parsed TOML text, as `parse_scene`."""
     checks.check_keys(table, "", KEYS)
     for key in ("schema", "system", "axes"):
@@ -189,7 +199,7 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
     }
     _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
-    outputs, map_variable = _outputs(system, section["outputs"])
+    outputs, map_variable = _outputs(system, section["outputs"], of_atlas)
     about = section["about"]
     if "licence" in about and "license" not in about:  # both spellings are read
         about = {"license" if key == "licence" else key: value for key, value in about.items()}
@@ -213,18 +223,21 @@ def scene_from(table: Mapping[str, Any], name: str = "scene", folder: Path | Non
     )
 
 
-def _outputs(system: System, table: Mapping[str, Any]) -> tuple[tuple[str, ...], str]:
-    """Variables of the atlas in the order of the registry, and the one that maps show; empty if none is named."""
+def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
+    """Variables in the order of the registry, of an atlas those that are known, and the one that maps show; empty if none is named."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     listed = table.get("variables", default_variables(system))
     if not isinstance(listed, list) or not listed:
         raise BadInput(f"outputs.variables = {shown(listed)}: must be a list of at least one variable name")
-    for name in listed:
-        if not isinstance(name, str) or name not in registry:
-            raise BadInput(f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
-    outputs = tuple(name for name in registry if name in set(listed))
-    return outputs, checks.choice("outputs.map", table["map"], outputs) if "map" in table else ""
+    unknown = [name for name in listed if not isinstance(name, str) or name not in registry]
+    for name in [] if of_atlas else unknown:
+        raise BadInput(
+            f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}{extension.not_loaded()}"
+        )
+    outputs = tuple(name for name in registry if name in listed)
+    allowed = (*outputs, *unknown)
+    return outputs, checks.choice("outputs.map", table["map"], allowed) if "map" in table else ""
 
 
 # Keys of a table [axes.NAME] with evenly spaced values, with listed ones, and of both.

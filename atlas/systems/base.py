@@ -164,7 +164,6 @@ class DerivedVariable:
     comment: str = ""
     # raises BadInput for points and durations where it has no meaning, or where it would take too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
-    is_count: bool = False  # integers, of which maps show the lines where they change
     # of a variable of flags, int8: name -> sentence of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
     # As `values`, of several variables by their names: the same function for all that share intermediate results.

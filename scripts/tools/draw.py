@@ -261,8 +261,16 @@ def draw_theory(axes: Axes) -> None:
         x, y, *_ = BOXES[first]
         to_x, to_y, *_ = BOXES[second]
         curve = "arc3,rad=-0.3" if (first, second) == ("label", "predicted") else "arc3,rad=0"
-        style = {"arrowstyle": "-|>,head_length=0.45,head_width=0.18", "color": PALE, "connectionstyle": curve}
-        style |= {"patchA": boxes[first].get_bbox_patch(), "patchB": boxes[second].get_bbox_patch(), "shrinkB": 2}
+        style = {
+            "arrowstyle": "-|>,head_length=0.45,head_width=0.18",
+            "color": PALE,
+            "connectionstyle": curve,
+        }
+        style |= {
+            "patchA": boxes[first].get_bbox_patch(),
+            "patchB": boxes[second].get_bbox_patch(),
+            "shrinkB": 2,
+        }
         axes.annotate("", (to_x, to_y), (x, y), arrowprops=style, zorder=2)
         axes.text(*place, text, ha="center", va="center", color=FRAME, fontsize=6.5, zorder=4)
 

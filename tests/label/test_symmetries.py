@@ -35,7 +35,7 @@ FLAGS = (
     "agreement",
 )
 FLAGS += ("label_any_axis", "label_any_axis_inertial", "predicted_any_axis", "predicted_any_axis_inertial")
-FLAGS += ("energy_stable", "stability_kind", "equilibrium_count", "equilibrium_stable_count")
+FLAGS += ("energy_stable", "stability_kind")
 MEANS = ("psi_dot_mean", "normal_rate_mean", "phi_dot_mean")
 SPREADS = ("theta_dot_rms", "theta_dot_std", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 THEORY = ("condition_residual", "growth_rate", "frequency_1", "frequency_2", "frequency_3")

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import boundary, metadata, select
+from atlas.analysis import boundary, metadata, select, tracer
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
 from atlas.flags import Label
@@ -777,7 +777,7 @@ def test_borders_of_the_quickstart_are_those_of_the_formulas():
 def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
     for name in ("ANNOUNCED", "WORTH_KEEPING"):
-        monkeypatch.setattr(boundary, name, 0.0)
+        monkeypatch.setattr(tracer, name, 0.0)
     with announced(True):
         lines = small.atlas.boundary()
     assert "tracing the lines of theory" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
+from atlas.systems.base import derived_values
 
 FEW_LONG = {"theta0": {"from": 0.1, "to": 1.5, "count": 3}}
 MANY_LONG = {"theta0": {"from": 0.1, "to": 1.5, "count": 40}, "m": {"from": 1.0, "to": 300.0, "count": 40}}
@@ -88,21 +89,18 @@ def test_the_few_points_that_take_most_steps_are_named():
 def test_derived_variables_are_priced_by_some_points(monkeypatch):
     scene = scene_from(
         {
-            "schema": 1, "title": "equilibria", "system": "satellite", "axes": MANY_LONG,
-            "integration": {"duration": 1.0}, "outputs": {"variables": ["label", "equilibrium_count"]},
+            "schema": 1, "title": "oscillations", "system": "satellite", "axes": MANY_LONG,
+            "integration": {"duration": 1.0}, "outputs": {"variables": ["label", "energy_stable"]},
         }
     )  # fmt: skip
     sizes = []
-    derived = scene.system.derived["equilibrium_count"]
 
-    def values(points, duration, pause):
+    def values(system, names, points, duration, pause):
         sizes.append(duration.size)
-        return derived.values({name: column[:1] for name, column in points.items()}, duration[:1], pause)
+        assert names == scene.outputs
+        return derived_values(system, names, points, duration, pause)
 
-    priced = dict(scene.system.derived) | {
-        "equilibrium_count": replace(derived, values=values, together=None)
-    }
-    monkeypatch.setattr(scene.system, "derived", priced)
+    monkeypatch.setattr(estimate, "derived_values", values)
     monkeypatch.setattr(estimate, "evaluate", lambda plan, points, **options: check_outputs(plan, points))
 
     def check_outputs(plan, points):

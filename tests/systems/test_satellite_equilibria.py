@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from test_satellite_stability import algebraic_count
-from truth import REFERENCE, default_points
+from truth import REFERENCE
 
 import atlas
 from atlas.flags import Completeness, Stability
@@ -182,30 +182,6 @@ def test_bodies_without_isolated_equilibria_and_on_bifurcations():
     ]  # fmt: skip
     assert solutions["circle"][0].sum() == 6
     assert (solutions["index"][[1, 2, 5]] == -1).all()
-    count = SATELLITE.derived["equilibrium_count"].values(points, np.ones(6), lambda: None)
-    np.testing.assert_array_equal(np.isnan(count), [True, True, True, True, False, True])
-    assert count[4] == (solutions["index"][4] >= 0).sum()
-
-
-def test_counts_pause_and_stop():
-    def stop():
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        SATELLITE.derived["equilibrium_count"].values(random_bodies(3), np.ones(3), stop)
-
-
-def test_energy_stable_equilibria_are_the_minima():
-    """Without a rotor the four orientations with the least axis along the radius and the greatest along the normal."""
-    points = default_points("satellite", A=1.0, B=1.3, C=1.7)
-    counts = {
-        name: derived.values(points, np.ones(1), lambda: None).item()
-        for name, derived in SATELLITE.derived.items()
-        if derived.is_count
-    }
-    assert counts == {
-        "equilibrium_count": 24, "equilibrium_stable_count": 4, "equilibrium_energy_stable_count": 4,
-    }  # fmt: skip
 
 
 def dense_search(body, starts=300):

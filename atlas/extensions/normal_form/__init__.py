@@ -2,12 +2,12 @@
 
 from ...extension import Extension
 
+VARIABLES = ("nonlinear_stability", "birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
 EXTENSION = Extension(
     "normal_form",
     __name__,
     "stability in the full equations, and the normal form of degree 4 that decides it",
-    variables=dict.fromkeys(
-        ("nonlinear_stability", "birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant"),
-        "variables:normal_form",
-    ),
+    variables=dict.fromkeys(VARIABLES, "variables:normal_form"),
+    lines=dict.fromkeys(VARIABLES, "lines:lines"),
+    line_styles={"D = 0 of the normal form": "lines:STYLE"},
 )

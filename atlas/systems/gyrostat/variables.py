@@ -1,4 +1,4 @@
-"""Small oscillations, stability by the energy and numbers of equilibria as variables that a scene may ask for."""
+"""Small oscillations and stability by the energy as variables that a scene may ask for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ...flags import EnergyStability, Stability, StabilityKind
 from ..base import Array, DerivedVariable, Flags, Points, shared, subset, unsteady
 from .plane import PlaneMotions
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 _CHUNK = 4096  # points whose multipliers are computed between two pauses
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
-NORMAL_FORM = ("birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
-NONLINEAR = "nonlinear_stability"
 
 
 @shared
@@ -109,33 +107,3 @@ def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         (names[2], "1", "sum of the products of two multipliers out of the plane, s", equation),
     )
     return {row[0]: DerivedVariable.of_group(together, *row) for row in rows}
-
-
-def count_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Numbers of relative equilibria of each body; nan where some form circles or surfaces, or are not certain."""
-
-    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        """Points that differ in their start alone share one search."""
-        bodies, row = system.bodies_of(points)
-        # About an axis of symmetry every equilibrium can be turned: there is no need to search.
-        symmetric = np.any([system.body(bodies).symmetric_about(i) for i in range(3)], axis=0)
-        countable, counts = np.flatnonzero(~symmetric), np.full((len(rows), symmetric.size), np.nan)
-        if countable.size:
-            equilibria = system.equilibria_of_bodies(subset(bodies, countable), pause)
-            whole, index = equilibria["completeness"] == Completeness.COMPLETE, equilibria["index"]
-            stable = equilibria["stable"] == Stability.STABLE
-            for count, counted in zip(counts, (index >= 0, stable, index == 0), strict=True):
-                count[countable] = np.where(whole, counted.sum(1), np.nan)
-        return {name: values[row] for (name, *_), values in zip(rows, counts, strict=True)}
-
-    comment = "nan where some are not isolated or not certain; depends on body, rotor and fields alone"
-    rows = (
-        ("equilibrium_count", "number of relative equilibria"),
-        ("equilibrium_stable_count", "number of linearly stable relative equilibria"),
-        ("equilibrium_energy_stable_count",
-         "number of relative equilibria that are minima of the amended potential"),
-    )  # fmt: skip
-    return {
-        name: DerivedVariable.of_group(together, name, "1", text, comment, is_count=True)
-        for name, text in rows
-    }

@@ -10,7 +10,7 @@ import numpy as np
 from ..base import Array, Flags, Mask, Points, shape_of, subset, unsteady
 from ..gyrostat import Gyrostat
 from ..gyrostat.stress_cases import satellite_cases
-from ..gyrostat.variables import count_variables, plane_variables
+from ..gyrostat.variables import plane_variables
 from . import any_axis, equations, families, initial, plane
 
 
@@ -64,7 +64,7 @@ class Satellite(Gyrostat):
 
     def __init__(self) -> None:
         super().__init__()
-        self.derived = {**count_variables(self), **self.derived, **plane_variables(self)}
+        self.derived = {**self.derived, **plane_variables(self)}
 
     def possible_start(self, points: Points) -> Mask:
         """Everywhere: numbers that overflow get the status not_finite."""

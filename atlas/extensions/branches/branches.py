@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
-from ..flags import BifurcationKind, Completeness
-from ..measure.instrument import Variable
-from ..scene import grid
-from ..scene.checks import typed
-from ..scene.model import SCHEMA, Duration, Scene
-from ..scene.read import scene_from
-from ..store import dataset
-from ..systems.base import Array, Points, check_possible, possible_body
-from ..systems.gyrostat import Gyrostat
-from ..systems.gyrostat.branches import Branches, Family, follow
-from ..systems.gyrostat.equilibria import described
-from .equilibria import UNUSED, attributes
+from ...analysis.equilibria import UNUSED, attributes
+from ...errors import BadInput
+from ...flags import BifurcationKind, Completeness
+from ...measure.instrument import Variable
+from ...scene import grid
+from ...scene.checks import typed
+from ...scene.model import SCHEMA, Duration, Scene
+from ...scene.read import scene_from
+from ...store import dataset
+from ...systems.base import Array, Points, check_possible, possible_body
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.equilibria import described
+from .bifurcations import Branches, Family, follow
 
 _OWN = {  # variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>
     variable.name: variable.attributes()

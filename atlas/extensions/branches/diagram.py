@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ..errors import BadInput, allowed_text, shown
-from ..flags import BifurcationKind, StabilityKind
-from .content import MapOptions
-from .maps import Entries, Sheet
-from .style import COLOURS, STYLE, SYMBOLS, axis_label, variable_label
-from .trajectory import Sphere
+from ...errors import BadInput, allowed_text, shown
+from ...flags import BifurcationKind, StabilityKind
+from ...plotting.content import MapOptions
+from ...plotting.maps import Entries, Sheet
+from ...plotting.style import COLOURS, STYLE, SYMBOLS, Width, axis_label, variable_label
+from ...plotting.trajectory import Sphere
 
 Style = dict[str, Any]
 # Lines in the order in which they are drawn: colour, width, and whether they are dashed.
@@ -38,8 +39,37 @@ MARKERS: dict[BifurcationKind, Style] = {
 }
 
 
-def branch_diagram(ds: xr.Dataset, variable: str, **options: Any) -> Figure:
-    """A variable of branches over the parameter, or a vector on the sphere of the body; see `Atlas.diagram`."""
+def diagram(
+    ds: xr.Dataset,
+    variable: str = "theta0",
+    *,
+    ax: Axes | None = None,
+    title: str | None = None,
+    legend: bool = True,
+    width: Width = "column",
+) -> Figure:
+    """Bifurcation diagram of branches from `atlas.branches`: a variable over the parameter, or a vector on the sphere.
+
+    Parameters
+    ----------
+    variable : str, optional
+        A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
+        the body: for permanent rotations over their rate gamma gives Staude's arcs.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into; default a figure of its own.
+    title : str, optional
+        Title of the figure.
+    legend : bool, optional
+        Draw the legend.
+    width : {"column", "page"}, optional
+        88 mm or 180 mm.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
+        unstable; dots, diamonds and crosses are folds, pitchforks and exchanges.
+    """
     if not {"fold_kind", "stability_kind"} <= set(ds) or "branch" not in ds.dims:
         raise BadInput("diagram: this dataset has no branches; atlas.branches makes one")
     (along,) = map(str, ds["completeness"].dims)
@@ -47,7 +77,7 @@ def branch_diagram(ds: xr.Dataset, variable: str, **options: Any) -> Figure:
     allowed = [name for name in allowed if ds[name].dims[:2] == ("branch", along) and name != "axis"]
     if variable not in allowed:
         raise BadInput(f"diagram: {shown(variable)}: {allowed_text(variable, allowed)}")
-    chosen, on_sphere = MapOptions(**options), ds[variable].ndim == 3
+    chosen, on_sphere = MapOptions(ax=ax, title=title, legend=legend, width=width), ds[variable].ndim == 3
     lines, kinds = branch_lines(ds, variable, along), ds["fold_kind"].values
     entries: Entries = {
         kind.name.lower().replace("_", " "): Line2D([], [], **style)

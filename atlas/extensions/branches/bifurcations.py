@@ -22,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import BifurcationKind, Completeness
-from ..base import Array, Mask, Points
-from .body import across, length
-from .equilibria import frames_of, rotated
+from ...systems.base import Array, Mask, Points
+from ...systems.gyrostat.body import across, length
+from ...systems.gyrostat.equilibria import frames_of, rotated
 
 if TYPE_CHECKING:
-    from .system import Gyrostat
+    from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
 # Solutions are joined if the sum of both errors of prediction is below the first, and below the second times that of any other.

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 import atlas
 from atlas.cli import main
 from atlas.errors import BadInput
+from atlas.extensions.branches.diagram import LINES, MARKERS, branch_lines
 from atlas.flags import BifurcationKind, StabilityKind
-from atlas.plotting.branches import LINES, MARKERS, branch_lines
 
 SCENE = """
 schema = 1

@@ -10,12 +10,11 @@ import xarray as xr
 from truth import REFERENCE
 
 import atlas
-from atlas.analysis.boundary import CHANGE, MERGING_COUNTS, count_borders
 from atlas.analysis.metadata import scene_of
 from atlas.analysis.plane import Plane
+from atlas.extensions.branches.lines import CHANGE, MERGING_COUNTS, count_borders
 from atlas.plotting.content import panel_of
 from atlas.scene.read import scene_from
-from atlas.systems.satellite import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -75,7 +74,7 @@ def test_curve_around_a_region_that_no_point_meets():
         }
     )  # fmt: skip
     plane = Plane(scene, {name: (values[0], values[-1]) for name, values in axes.items()}, {})
-    (line,) = count_borders(plane, counts, SATELLITE.derived[variable])[CHANGE]
+    (line,) = count_borders(plane, counts)[CHANGE]
     assert (line[0] == line[-1]).all()
     (i,) = np.nonzero(np.diff(np.sign(line[:, 1] - 0.02)))
     share = (0.02 - line[i, 1]) / (line[i + 1, 1] - line[i, 1])

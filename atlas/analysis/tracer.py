@@ -1,0 +1,301 @@
+"""Lines between classes of points on a plane: samples refined where a class changes, vertices narrowed, lines kept in the cache."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib import import_module
+from itertools import pairwise, product
+from pathlib import Path
+from typing import cast
+
+import contourpy
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import extension, files, sources, systems
+from ..kernel import compiling
+from ..systems.base import Array, Flags, Mask
+from .plane import SAMPLES, Plane
+
+Lines = dict[str, list[np.ndarray]]  # by kind, each (vertices, axes)
+
+LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
+WORTH_KEEPING = 0.1  # seconds of tracing
+
+
+def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
+    """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
+    extensions = extension.extensions().values()
+    code = _code(tuple(each.package for each in extensions if each.families or each.variables or each.lines))
+    scene = systems.origin(plane.scene.system), plane.scene.toml()
+    of = repr((code, scene, plane.extent, plane.fixed, what))
+    path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
+    with suppress(OSError, ValueError):
+        kept = files.parsed(files.read_bytes(path), is_sealed=True)["lines"]
+        return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
+    began = time.process_time()
+    lines = trace()
+    if time.process_time() - began > WORTH_KEEPING:
+        with suppress(OSError):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            content = {kind: [line.tolist() for line in group] for kind, group in lines.items()}
+            with files.atomic_write(path, durable=False) as temporary:
+                temporary.write_text(files.sealed({"lines": content}))
+            files.remove_leftovers(path.parent)
+            stored = sorted(path.parent.glob("*.json"), key=lambda file: file.stat().st_mtime)
+            for old in stored[:-KEPT_PLANES]:
+                old.unlink(missing_ok=True)
+    return lines
+
+
+@cache
+def _code(packages: tuple[str, ...]) -> str:
+    """Hash of the code on which lines depend: the numbers of atlases, this room, and extensions by their packages."""
+    folders = [
+        str(Path(__file__).parent),
+        *(each for name in packages for each in import_module(name).__path__),
+    ]
+    modules = (path for folder in folders for path in sorted(Path(folder).rglob("*.py")))
+    return hashlib.sha256(b"".join([sources.code().encode(), *map(Path.read_bytes, modules)])).hexdigest()
+
+
+# Samples along each axis before refinement: even, as SAMPLES.
+COARSE_SAMPLES = 150
+# Cells that a line crosses are divided into 3 x 3, so often. An odd number leaves the middle of an extent, where
+# special values such as 0 often are, between two samples.
+DIVISION, LEVELS = 3, 2
+# Seconds of the first samples, from which the whole takes more than two.
+ANNOUNCED = 0.3
+TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
+# Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
+TRISECTIONS, LINE_TRISECTIONS = 3, 11
+# Vertices of the stretches into which a line is first divided, and cells by which a straight one may differ from its chord.
+STRETCH, FLATNESS = 16, 0.05
+
+# Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
+Classes = Mapping[str, Flags]
+Codes = NDArray[np.int64]  # one number for the classes of all kinds
+
+
+def class_borders(
+    plane: Plane, classes: Callable[[Array], Classes], zeros: Mapping[str, Callable[[Array], Array]]
+) -> Lines:
+    """Polylines by kind between the points of classes 1 and 2, in the units of the axes.
+
+    `classes` is a function of positions (points, axes), fractions of the extent of each axis; `zeros` has the magnitude there of
+    what changes its sign on the lines of a kind, through zero or a pole, where they are cut.
+
+    On two axes samples on COARSE_SAMPLES values along each are refined where a line crosses a cell, and around it as far as the line
+    continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed to its ends if one sample
+    is inside it. Vertices are then trisected.
+    """
+    if len(plane.extent) == 1:
+        samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
+    else:
+        samples, trisections = _refined_samples(classes), TRISECTIONS
+    result = {}
+    for kind, column in samples.items():
+        if lines := _borders_of_kind(column, kind, classes, zeros.get(kind), trisections):
+            result[kind] = [np.stack(list(plane.coordinates(line).values()), -1) for line in lines]
+    return result
+
+
+def _borders_of_kind(
+    samples: Flags,
+    kind: str,
+    classes: Callable[[Array], Classes],
+    magnitude: Callable[[Array], Array] | None,
+    trisections: int,
+) -> list[Array]:
+    """Polylines of one kind, as fractions of the axes, from the classes of evenly spaced samples."""
+    cells = len(samples) - 1
+    lines, edges = narrowed_lines(
+        np.where(samples > 0, samples, np.nan),
+        1.5,
+        lambda positions: np.asarray(classes(positions / cells)[kind] > 1),
+        trisections,
+    )
+    if magnitude is not None:
+        lines = without_poles(lambda positions: magnitude(positions / cells), edges, lines)
+    return [line / cells for line in lines]
+
+
+def narrowed_lines(
+    values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
+) -> tuple[list[Array], list[tuple[Array, Array]]]:
+    """Lines between samples on both sides of a level, trisected, and the samples on either side; all as indices (vertices, axes).
+
+    Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
+    """
+    lines = lines_at(values, level)
+    if not lines:
+        return [], []
+    halfway, starts = np.concatenate(lines), np.cumsum([0, *map(len, lines)])
+    low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
+    at_low = values[tuple(low.astype(int).T)] > level
+    vertices = np.full(halfway.shape, np.nan)
+    # At least two stretches, since a ring ends where it begins.
+    knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
+    first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
+    new = np.concatenate(knots)
+    while new.size:
+        vertices[new] = _narrowed(is_above, at_low[new], low[new], high[new], trisections)
+        long = last - first > 1
+        first, last = first[long], last[long]
+        if first.size:
+            start, chord = vertices[first], vertices[last] - vertices[first]
+            normal = chord[:, ::-1] * [-1, 1] / np.maximum(np.hypot(*chord.T), FLATNESS)[:, np.newaxis]
+            places = product((0.25, 0.5, 0.75), (-FLATNESS, FLATNESS))
+            beside = np.concatenate([start + along * chord + across * normal for along, across in places])
+            above = is_above(np.clip(beside, 0, np.array(values.shape) - 1)).reshape(3, 2, -1)
+            bent = (above[:, 0] == above[:, 1]).any(0)
+            first, last = first[bent], last[bent]
+        new = (first + last) // 2
+        first, last = np.append(first, new), np.append(new, last)
+    kept = np.isfinite(vertices[:, 0])
+    ends = np.cumsum(kept)[starts[1:-1] - 1]
+    edges = zip(np.split(low[kept], ends), np.split(high[kept], ends), strict=True)
+    return np.split(vertices[kept], ends), list(edges)
+
+
+def _narrowed(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
+    """Positions between low and high (vertices, axes), up to which a level is exceeded as it is at low."""
+    for _ in range(count):
+        third = (high - low) / 3
+        inner = np.concatenate([low + third, low + 2 * third])
+        is_low = is_above(inner).reshape(2, -1) == at_low
+        low = low + third * np.logical_and.accumulate(is_low).sum(0)[:, np.newaxis]
+        high = low + third
+    return 0.5 * (low + high)
+
+
+def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
+    """Classes on a fine grid over two axes, (samples, samples), evaluated only where they change."""
+    steps = np.linspace(0, 1, COARSE_SAMPLES)
+    positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    began = time.process_time()
+    columns = classes(positions)
+    if time.process_time() - began > ANNOUNCED:
+        compiling.say(TRACING)
+    digits = 3 ** np.arange(len(columns))
+
+    def codes(positions: Array) -> Codes:
+        return np.asarray(digits @ np.array(list(classes(positions).values())))
+
+    samples = (digits @ np.array(list(columns.values()))).reshape(steps.size, steps.size)
+    evaluated = np.ones(samples.shape, bool)
+    for _ in range(LEVELS):
+        samples, evaluated = _divided(codes, samples, evaluated)
+    of_code = (np.arange(3**digits.size)[:, np.newaxis] // digits % 3).astype(np.int8)
+    return {kind: of_code[:, i][samples] for i, kind in enumerate(columns)}
+
+
+def _divided(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
+    """Samples of the cells divided into DIVISION x DIVISION, and where they were evaluated; elsewhere they are the nearest's.
+
+    All samples of cells with a change are evaluated, and of those beside them as far as a line continues.
+    """
+    count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
+    nearest = np.rint(np.arange(count) / DIVISION).astype(int)
+    fine, known = samples[np.ix_(nearest, nearest)].ravel(), np.zeros(count**2, bool)
+    known.reshape(count, count)[::DIVISION, ::DIVISION] = evaluated
+
+    def places(cells: Mask) -> NDArray[np.int64]:
+        """Flat indices of the samples of cells, (cells, DIVISION + 1, DIVISION + 1)."""
+        i, j = DIVISION * np.argwhere(cells).T[:, :, np.newaxis, np.newaxis]
+        return (i + along[:, np.newaxis]) * count + j + along
+
+    corners = np.lib.stride_tricks.sliding_window_view(samples, (2, 2))
+    divided = pending = (corners != corners[..., :1, :1]).any((2, 3))
+    while pending.any():
+        new = places(pending)
+        new = np.unique(new[~known[new]])
+        fine[new], known[new] = codes(np.stack(np.divmod(new, count), -1) / (count - 1)), True
+        near = np.pad(pending, 1)
+        pending = (near[2:, 1:-1] | near[:-2, 1:-1] | near[1:-1, 2:] | near[1:-1, :-2]) & ~divided
+        cells = fine[places(pending)]
+        pending[pending] = (cells != cells[:, :1, :1]).any((1, 2))
+        divided = divided | pending
+    return fine.reshape(count, count), known.reshape(count, count)
+
+
+def without_poles(
+    size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
+) -> list[Array]:
+    """The parts of lines on which a quantity of this magnitude passes through zero rather than a pole."""
+    return [
+        part
+        for (low, high), line in zip(edges, lines, strict=True)
+        for part in shown_parts(line, size(line) < 0.5 * np.maximum(size(low), size(high)))
+    ]
+
+
+def shown_parts(line: Array, shown: Mask) -> list[Array]:
+    """The parts of a line of which every vertex is shown."""
+    parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(shown)) + 1)
+    return [line[part] for part in parts if shown[part[0]]]
+
+
+def values_at(positions: Array, axes: list[Array]) -> Array:
+    """Axis values at positions (vertices, axes) that are indices of values, or fractions between them."""
+    columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
+    return np.stack(columns, -1)
+
+
+def lines_at(values: Array, level: float) -> list[Array]:
+    """Lines through the middles between neighbours on both sides of a level, as indices (vertices, axes); nan cuts them."""
+    above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
+    if not ((above == 0).any() and (above == 1).any()):
+        return []
+    if values.ndim == 1:
+        return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
+    # A ring of up to six vertices contains one or two points, as many of a region narrower than the cells do.
+    return [line for line in contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
+
+
+def contours(values: Array, level: float) -> list[Array]:
+    """Contour lines of values on two axes, as indices (vertices, 2); nan where there are none."""
+    generator = contourpy.contour_generator(
+        z=np.ma.masked_invalid(values.T), corner_mask=False, line_type="Separate"
+    )
+    return cast("list[Array]", generator.lines(level))
+
+
+# Relative error allowed in the linear extrapolation that recognises a crossing.
+_CURVATURE = 0.5
+
+
+def crossings(difference: Array) -> list[Array]:
+    """Segments on which two frequencies cross: their difference, larger less smaller, has a kink at 0.
+
+    There its continuation from one side is the negative of its value on the other.
+    """
+    along_x = _crossed_edges(difference)
+    along_y = _crossed_edges(difference.T).T
+    lines = []
+    count = difference.shape[0] - 1
+    marked = np.isfinite(along_x)[:, :-1] | np.isfinite(along_x)[:, 1:]
+    marked = marked | np.isfinite(along_y)[:-1] | np.isfinite(along_y)[1:]
+    for i, j in np.argwhere(marked[:count, :count]):
+        ends = [(i + along_x[i, j + side], j + side) for side in (0, 1)]
+        ends += [(i + side, j + along_y[i + side, j]) for side in (0, 1)]
+        ends = [end for end in ends if np.isfinite(end).all()]
+        if len(ends) == 2:
+            lines.append(np.array(ends, float))
+    return lines
+
+
+def _crossed_edges(difference: Array) -> Array:
+    """Fraction at which the difference vanishes between samples i and i + 1 of the first axis; nan where it does not."""
+    fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
+    before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        size = low + high
+        crossed = (np.abs(2 * low - before + high) < _CURVATURE * size) & (low < before)
+        crossed &= (np.abs(2 * high - after + low) < _CURVATURE * size) & (high < after)
+        fraction[1:-1] = np.where(crossed, low / size, np.nan)
+    return fraction

@@ -1,0 +1,16 @@
+"""Relative equilibria against a parameter, and their numbers on maps."""
+
+from ...extension import Extension
+
+COUNTS = ("equilibrium_count", "equilibrium_stable_count", "equilibrium_energy_stable_count")
+
+EXTENSION = Extension(
+    "branches",
+    __name__,
+    "branches of equilibria and their bifurcations; numbers of equilibria with lines on maps",
+    functions={"branches": "branches:branches"},
+    questions={"diagram": "diagram:diagram"},
+    commands={"branches": "commands:draw_branches"},
+    variables=dict.fromkeys(COUNTS, "counts:count_variables"),
+    lines=dict(zip(COUNTS, ("lines:of_all", "lines:of_stable", "lines:of_minima"), strict=True)),
+)

@@ -1,0 +1,48 @@
+"""Lines of nonlinear stability: resonances where the energy does not decide, and zeros of the determinant."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from ...analysis.boundary import Samples, borders, resonance_lines
+from ...analysis.plane import Plane
+from ...analysis.tracer import TRISECTIONS, Lines, cached_lines, narrowed_lines, values_at, without_poles
+from ...flags import NonlinearStability
+from ...systems.base import Array
+
+DETERMINANT_ZERO = "D = 0 of the normal form"
+STYLE = {"color": "#e6007e", "linestyle": "-", "linewidth": 0.8}
+_VERDICT, _DETERMINANT = "nonlinear_stability", "birkhoff_determinant"
+
+
+def lines(plane: Plane, ds: xr.Dataset) -> Lines:
+    """Borders of motions and, on two axes, lines of nonlinear stability."""
+    two_axes = len(plane.extent) == 2
+    return borders(plane) | (
+        cached_lines(lambda: nonlinear_lines(plane), plane, _VERDICT) if two_axes else {}
+    )
+
+
+def nonlinear_lines(plane: Plane) -> Lines:
+    """Resonances where the energy does not decide, and DETERMINANT_ZERO, where the normal form does not either."""
+    samples = Samples.of(plane)
+    columns = plane.derived(samples.coordinates, (_VERDICT, _DETERMINANT))
+    shown = samples.stable & (columns[_VERDICT] != NonlinearStability.ENERGY)
+
+    def determinant(positions: Array) -> Array:
+        """D at positions that are indices."""
+        coordinates = dict(zip(plane.extent, values_at(positions, samples.axes).T, strict=True))
+        return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
+
+    zeros, edges = narrowed_lines(
+        samples.on_axes(columns[_DETERMINANT], shown),
+        0.0,
+        lambda positions: determinant(positions) > 0,
+        TRISECTIONS,
+    )
+    zeros = without_poles(lambda positions: np.abs(determinant(positions)), edges, zeros)
+    result = resonance_lines(plane, samples, shown)
+    if zeros := [values_at(line, samples.axes) for line in zeros if len(line) > 1]:
+        result[DETERMINANT_ZERO] = zeros
+    return result

@@ -47,7 +47,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
-        import_module(".accessor", __name__)  # for equations of one's own that a command loads
+        import_module(".accessor", __name__)  # a command may load equations of one's own
         if name not in _MODULES:
             return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)

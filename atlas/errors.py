@@ -15,14 +15,14 @@ MAX_TEXT = 200  # characters of a value in a message
 
 
 class BadInput(ValueError):
-    """Invalid input, maybe of a stranger: one printable line on the key, its value and what is allowed."""
+    """Invalid input, of anyone: one printable line with the key, its value and the allowed values."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), MAX_MESSAGE))
 
 
 def printable(text: str, limit: int | None = None) -> str:
-    """Text in one line of at most `limit` characters; what is not printable is escaped, as in `\\x1b`."""
+    """Text in one line of at most `limit` characters, with escapes such as `\\x1b` for what is not printable."""
     if limit is not None:
         text = _shortened(text, limit)
     if not text.isprintable():
@@ -39,10 +39,8 @@ def _shortened(text: str, limit: int) -> str:
 
 
 def say(*lines: str, file: TextIO | None = None) -> None:
-    """Print each argument as one line, whatever it contains; the commands print by no other function.
-
-    At once, because a process that ends ignores signals and could wait for its reader for ever.
-    """
+    """Print each argument as one line; commands print by this function alone."""
+    # At once, because a process that ends ignores signals and could wait for its reader for ever.
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -52,7 +50,7 @@ def say(*lines: str, file: TextIO | None = None) -> None:
 def attribute_text(
     attributes: Mapping[str, object], name: str, default: str = "", limit: int = MAX_TEXT
 ) -> str:
-    """An attribute of a dataset or a variable as one `printable` line; all texts of attributes are read by this."""
+    """An attribute of a dataset or a variable as one `printable` line: the only way to read texts of attributes."""
     value = attributes.get(name, default)
     return printable(value, limit) if isinstance(value, str) else shown(value)
 

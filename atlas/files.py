@@ -1,7 +1,7 @@
 """Writing files so that they are whole or absent, and checks of where they go.
 
-A file is written under a temporary name in its folder and then moved. The name names the process, so that a
-later one can remove what a killed one left, but not what a living one is writing; see `remove_leftovers`.
+A file is written under a temporary name in its folder and then moved. The name contains the process, so that another process
+removes leftovers of dead processes alone: `remove_leftovers`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from typing import Any
 from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
-# A write that fails while less than this is free, in bytes, failed because the disk is full. A tile is smaller.
+# Free bytes, more than a tile, below which a write fails because the disk is full.
 MIN_FREE_BYTES = 1 << 25
-# Limits of what a file that is read may claim: bytes of JSON, and bytes of numbers for each byte stored. Compression
-# makes at most 3000 of one; less than MIN_CLAIM bytes are allowed in any case.
+# Limits for files from anyone: bytes of JSON, and bytes of numbers, above MIN_CLAIM, for each stored byte (compression: 3000).
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
@@ -40,7 +39,7 @@ def exists_message(path: Path | str) -> str:
 
 
 def damaged_message(path: object, error: Exception) -> str:
-    """Message about a part of a run that a run of the same scene replaces."""
+    """Message about a damaged part of a run, which the next run of the scene replaces."""
     return f"{path}: damaged: {one_line(error)}; run the scene again, which writes it anew"
 
 
@@ -53,7 +52,7 @@ def foreign_message(path: Path | str) -> str:
 def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Give the name of a new, empty file, which appears at `path` whole or not at all, if `durable` also after a power cut."""
     temporary = temporary_path(path)
-    # Never a link that somebody else put there.
+    # Not through a link of somebody else.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -61,7 +60,7 @@ def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
             _sync(temporary)
         os.replace(temporary, path)
         if durable:
-            _sync(path.parent)  # the new name too must reach the disk
+            _sync(path.parent)  # for the new name
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -94,7 +93,7 @@ def age(path: Path) -> float:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files in a folder whose writers are gone: certain on the same machine, else by FOREIGN_LEFTOVER_AGE."""
+    """Remove the temporary files of dead processes in a folder; of other machines by FOREIGN_LEFTOVER_AGE."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if not (match := TEMPORARY.fullmatch(entry.name)):
@@ -110,7 +109,7 @@ def remove_leftovers(folder: Path) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """A new name in the folder of `path`, by which `remove_leftovers` recognises what this process leaves there."""
+    """A new name in the folder of `path`, which `remove_leftovers` recognises."""
     return path.with_name(f".atlas-{process_name()}-{secrets.token_hex(4)}.tmp")
 
 
@@ -144,7 +143,7 @@ def read_bytes(path: Path | str, most: int = MAX_JSON_BYTES) -> bytes:
 
 
 def cache_folder() -> Path:
-    """Folder of what later processes use again; the environment variable ATLAS_CACHE overrides the user's own."""
+    """The cache folder: the environment variable ATLAS_CACHE, or the user's own."""
     import platformdirs  # few commands need it
 
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
@@ -168,7 +167,7 @@ def check_claim(claimed: int, stored: int) -> None:
 
 
 def hash_of(content: Any) -> str:
-    """Hash of what JSON holds, whatever the order of its entries."""
+    """Hash of a content of JSON, independent of the order of entries."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -224,7 +223,7 @@ def check_folder(path: Path, *, replace: str | None = None) -> None:
 def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
     """Raise BadInput if `path` is one of the inputs, under any name, or in an input that is a folder."""
     for each in map(Path, inputs):
-        with suppress(OSError):  # what does not exist is not replaced
+        with suppress(OSError):  # nothing there
             if each.is_dir() and path.resolve().is_relative_to(each.resolve()):
                 raise BadInput(f"{path}: in {each}, which is read; choose another place")
             if path.samefile(each):
@@ -242,7 +241,7 @@ def without_suffix(name: str | Path, *suffixes: str) -> Path:
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """The path of a file that may be written; BadInput for another suffix, for an input, and without `force` for what exists."""
+    """The path of a file to write; BadInput for another suffix, an input and, without `force`, an existing file."""
     path = Path(name)
     if path.suffix.lower() not in suffixes:
         allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))

@@ -36,7 +36,7 @@ class Label(Flag):
 
 
 class Steadiness(Flag):
-    """Kind of motion of a system with observables; the numbers of `Label` where the meaning is the same."""
+    """Kind of motion of a system with observables, with numbers as in `Label`."""
 
     NOT_COMPUTED = 0, "not computed"
     STEADY = 1, "no observable varies: all standard deviations are within their tolerances"
@@ -143,7 +143,7 @@ class Completeness(Flag):
 
 
 class SettledBy(Flag):
-    """How the equilibrium is known in which a motion ends."""
+    """How it is known in which equilibrium a motion ends."""
 
     NOT = 0, "not settled, or unresolved: see status"
     PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
@@ -151,7 +151,7 @@ class SettledBy(Flag):
 
 
 class BifurcationKind(Flag):
-    """What happens where branches of equilibria meet."""
+    """Kinds of points where branches of equilibria meet."""
 
     UNRESOLVED = (
         0,

@@ -27,11 +27,11 @@ GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _received = signal.SIGINT  # the last signal
-_kept: Callable[[], object] = str  # what is kept, as text
+_kept: Callable[[], object] = str  # text about the finished work
 
 
 class Stopped(Exception):
-    """The time given to a run is over; what is finished is kept, and the same call continues."""
+    """The time of a run is up; finished work is kept, and the same call continues."""
 
 
 def end_process(number: int | None = None, *_: object) -> None:
@@ -50,7 +50,7 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 
 
 def _in_time(function: Callable[[], object]) -> object:
-    """Result of a function; None where it fails, as for a removed folder, or takes long, as for a server that is silent."""
+    """Result of a function; None if it fails, as for a removed folder, or takes long, as for a silent server."""
     results: list[object] = [None]
 
     def call() -> None:
@@ -63,14 +63,14 @@ def _in_time(function: Callable[[], object]) -> object:
     return results[-1]
 
 
-def explain_kept(kept: Callable[[], str] | None) -> None:
-    """Make the message of an interruption state what `kept` returns: the work that would be continued."""
+def explain_kept(text: Callable[[], str] | None) -> None:
+    """Set the text about finished work in the message of an interruption."""
     global _kept
-    _kept = kept or str
+    _kept = text or str
 
 
 def called_as() -> str:
-    """The program as this process was called, to be typed again: `atlas`, or its path where no shell finds it."""
+    """The name of this program to type again: `atlas`, or its path where no shell finds it."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return "python -m atlas"
@@ -79,7 +79,7 @@ def called_as() -> str:
 
 
 def is_command() -> bool:
-    """Whether this process is the command `atlas`, and no process that it started."""
+    """Whether this process is the command `atlas`, not a child of it."""
     if parent_process() is not None:
         return False
     name = Path(sys.argv[0]).stem if getattr(sys, "argv", None) else ""
@@ -87,14 +87,14 @@ def is_command() -> bool:
 
 
 def end_on_signal() -> None:
-    """Make a signal end the process at once, without a traceback: for the time of its imports."""
+    """Let a signal end the process at once, without a traceback, during its imports."""
     for number in SIGNALS:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             signal.signal(number, end_process)
 
 
 def start_deadline() -> None:
-    """Let this process end GRACE_PERIOD after a signal, also while its main thread, in which handlers run, is in a library."""
+    """End this process GRACE_PERIOD after a signal even if its main thread, which runs handlers, is busy in a library."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -112,23 +112,17 @@ def start_deadline() -> None:
 
 
 def exit_process(code: int) -> NoReturn:
-    """Exit with the code of a command that has ended; later signals do not change it.
-
-    After a KeyboardInterrupt, also one that was handled, Python may end itself with SIGINT instead.
-    """
+    """Exit with the code of a finished command, which later signals do not change."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
-    if code in (INTERRUPTED, TERMINATED):
+    if code in (INTERRUPTED, TERMINATED):  # Python may end itself with SIGINT after a KeyboardInterrupt
         os._exit(code)
     sys.exit(code)
 
 
 @contextmanager
 def signals_as_interrupt() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into KeyboardInterrupt; a second one ends the process.
-
-    A signal that the process was started to ignore stays ignored. Does nothing outside the main thread.
-    """
+    """Turn SIGINT and SIGTERM into KeyboardInterrupt in the main thread; a second signal ends the process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -144,6 +138,7 @@ def signals_as_interrupt() -> Iterator[None]:
         raise KeyboardInterrupt
 
     previous = {number: signal.getsignal(number) for number in SIGNALS}
+    # A signal that was ignored from the start stays ignored.
     replaced = [number for number, handler in previous.items() if handler is not signal.SIG_IGN]
     for number in replaced:
         signal.signal(number, interrupt)

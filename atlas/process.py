@@ -1,4 +1,4 @@
-"""Which process this is, and whether one runs whose name is known."""
+"""Names of processes, and whether a process runs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import socket
 from contextlib import suppress
 from pathlib import Path
 
-# The name of a process is machine-boot-pid-start. On the same machine the name decides exactly whether the process runs, because a number
-# that is used again belongs to a process with another start, and a machine that was started again has no process of
-# before. A container counts as a machine of its own, because it cannot see the processes of another one. Of another
-# machine nothing is known.
+# A process is named machine-boot-pid-start. On its machine the name decides whether it runs: a later process with the same number
+# has another start, and after a new boot no earlier process runs. A container counts as a machine, because it cannot see the
+# processes of others. Nothing is known about processes of another machine.
 PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 
 
@@ -24,7 +23,7 @@ def process_name() -> str:
 
 
 def is_running(process: str) -> bool | None:
-    """Whether a process runs, by its `process_name`; None for one of another machine, where this cannot be known."""
+    """Whether a process runs, by its `process_name`; None if it is of another machine."""
     match = PROCESS_NAME.fullmatch(process)
     machine, boot = _machine_and_boot()
     if match is None or match[1] != machine:
@@ -43,7 +42,7 @@ def is_running(process: str) -> bool | None:
 
 
 def _machine_and_boot() -> tuple[str, str]:
-    """Short hashes of the host with the container whose processes can be seen, and of its last start where Linux tells."""
+    """Short hashes of the host, its container included, and of its last boot if Linux shows it."""
     machine, boot = [socket.gethostname()], ""
     with suppress(OSError):
         machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))
@@ -56,7 +55,7 @@ def _machine_and_boot() -> tuple[str, str]:
 
 
 def _start(pid: int) -> int | None:
-    """Start of a process, in ticks since the machine's; -1 for a zombie, None if it cannot be read."""
+    """Start of a process in ticks after the boot; -1 for a zombie, None if it cannot be read."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
         fields = text.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks

@@ -1,4 +1,4 @@
-"""The source files on which the numbers of an atlas depend, as they were when this process imported the package."""
+"""The source files that the numbers of an atlas depend on, at the import of the package."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import hashlib
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-# Everything from the scene to the tile: equations, kernels, grid, labels, the registry of variables, and which
-# points and variables a tile contains. Modules that only read, join or draw finished tiles are left out.
+# All modules from the scene to the tile, which decide on its points, variables and numbers; not the readers of finished tiles.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/execution.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
@@ -25,7 +24,7 @@ def read() -> dict[str, tuple[int, str]]:
     return files
 
 
-# The package imports this module before any other, so that whatever is loaded later is at least as new.
+# The package imports this module before all others, which are at least as new.
 AT_IMPORT = read()
 
 

@@ -87,8 +87,8 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
     same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
-    given = {name: getattr(options, name) for name in same}
-    ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **given)
+    arguments = {name: getattr(options, name) for name in same}
+    ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **arguments)
     (_write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)
     say(*summary(ds, verbose=options.verbose).split("\n"), f"wrote {out}")
 
@@ -147,7 +147,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
-    """The trajectory at some coordinates of a scene or of the scene of an atlas, or of an atlas' nearest single point."""
+    """The trajectory at a place of a scene, or of the scene of an atlas, or of the nearest point of an atlas without a scene."""
     from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
@@ -220,9 +220,9 @@ def draw_map(options: argparse.Namespace) -> None:
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
     same = ("x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width")
-    given = {name: getattr(options, name) for name in same}
+    arguments = {name: getattr(options, name) for name in same}
     for name in ("colors", "labels"):
-        given[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
+        arguments[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
     select = axis_values("--select", options.select)
     size, dpi = None, 600 if options.dpi is None else options.dpi
     if options.size is not None:
@@ -232,7 +232,7 @@ def draw_map(options: argparse.Namespace) -> None:
             raise BadInput(f"--size {options.size}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
         size = width, height
     with atlas.open_atlas(options.atlas) as ds:
-        figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **given)
+        figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **arguments)
         if options.caption:
             say(style.caption(ds))
     for path in paths:

@@ -1,4 +1,4 @@
-"""Options and output that several commands share."""
+"""Options and output of several commands."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, and with options that may be repeated or take several values."""
+    """A parser with errors in one line, and with options that may be repeated or take several values."""
 
-    def __init__(self, *arguments: Any, **more: Any):
-        super().__init__(*arguments, **more)
+    def __init__(self, *arguments: Any, **settings: Any):
+        super().__init__(*arguments, **settings)
         self._several: dict[str, Callable[[str], bool]] = {}
 
-    def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **more: Any) -> Any:
-        """As argparse; an option with `belongs` takes several words that it accepts, as argparse would any: --at a=1 b=2."""
+    def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **settings: Any) -> Any:
+        """As argparse; an option with `belongs` takes all following words that it accepts: --at a=1 b=2."""
         if belongs is not None:
-            more["action"] = "append"
+            settings["action"] = "append"
             self._several |= dict.fromkeys(names, belongs)
-        return super().add_argument(*names, **more)
+        return super().add_argument(*names, **settings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse the words of a command line, as `argparse.ArgumentParser`."""
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Words of the command line with such an option repeated before each of its values."""
+        """Words of the command line, with the name of such an option before each of its values."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):
@@ -81,16 +81,16 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """An argument or option, as `Parser.add_argument` takes it, and `lowest`, the least number."""
+    """Names and settings of an argument for `Parser.add_argument`, and `lowest`, its least number."""
     return names, settings
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command, which its handler's docstring describes in one sentence."""
+    """A command; the docstring of its handler is its description."""
 
     name: str
-    arguments: tuple[Argument | list[Argument], ...]  # of a list, at most one may be given
+    arguments: tuple[Argument | list[Argument], ...]  # a list: of arguments that exclude each other
     handler: Handler
 
     def add(self, commands: Commands) -> None:
@@ -122,19 +122,21 @@ def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handl
 
 
 def out_options(
-    metavar: str, text: str, *, replaces: str = "an existing file", **more: Any
+    metavar: str, text: str, *, replaces: str = "an existing file", **settings: Any
 ) -> tuple[Argument, Argument]:
-    """The option for the output, and the one that allows to replace what its help names."""
+    """The option for the output, and the option that allows to replace it."""
     return (
-        argument("-o", "--out", metavar=metavar, help=text, **more),
+        argument("-o", "--out", metavar=metavar, help=text, **settings),
         argument("--force", action="store_true", help=f"replace {replaces}"),
     )
 
 
-def option_with_default(name: str, metavar: str, default: float | str, text: str, **more: Any) -> Argument:
+def option_with_default(
+    name: str, metavar: str, default: float | str, text: str, **settings: Any
+) -> Argument:
     """An option whose default its help shows."""
     text = f"{text} (default: {default})"
-    return argument(name, type=type(default), default=default, metavar=metavar, help=text, **more)
+    return argument(name, type=type(default), default=default, metavar=metavar, help=text, **settings)
 
 
 def assignment_option(name: str, metavar: str, text: str) -> Argument:
@@ -163,7 +165,7 @@ def default_name(scene: str) -> str:
 
 
 def input_files(scene: str) -> list[Path]:
-    """The files that a scene is read from: its own, and its file of points."""
+    """The files of a scene: its own, and its file of points."""
     from ..scene.points import file_of
 
     return [] if scene == STANDARD_INPUT else [Path(scene), *file_of(Path(scene))]
@@ -189,7 +191,7 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
 
 
 def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
-    """NAME=VALUE options as texts by name; form: what an error message asks for."""
+    """NAME=VALUE options as texts by name; form: the allowed form in an error message."""
     values: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")

@@ -106,9 +106,9 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     from ..analysis.compare import summary
     from ..runs.run import HISTORY, TALLY
 
-    given = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
+    arguments = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
     ds = atlas.run(
-        scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **given
+        scene, out, progress=not options.quiet, shard=shard, stop_after=stop_after, reuse=reuse, **arguments
     )
     if HISTORY in ds.attrs:
         say(*(printable(line, MAX_MESSAGE) for line in str(ds.attrs[HISTORY]).split("\n")))

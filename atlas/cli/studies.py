@@ -28,7 +28,7 @@ from .options import (
     read_scene,
 )
 
-RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # with their heads in tables
+RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> its head
 
 
 @command(
@@ -98,7 +98,7 @@ def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
-    """Print some columns of rows under the words that head them."""
+    """Print some columns of rows under their heads."""
     cells = [[row[name] or "-" for name in columns] for row in map(_with_residuals, rows)]
     lines = [[" ".join(each) if isinstance(each, list) else each for each in row] for row in cells]
     say(*text_table([[*columns.values()], *lines]).split("\n"))

@@ -1,18 +1,17 @@
-"""Kernel modules: `source` writes the text for the compiler, `plain_module` the same for the interpreter.
+"""Kernel modules: `source` writes one as text for the compiler, `plain_module` makes one for the interpreter.
 
-Both consist of `integrate` and what it calls, the equations of a system and what `generated` declares. In the
-plain one `integrate` is the file itself, so that a debugger or a coverage tool steps through it.
+A kernel consists of `integrate` and its callees, the equations of a system and the functions that `generated` declares. In the
+plain module `integrate` is the file itself, so that a debugger or a coverage tool steps through it.
 """
 
 from __future__ import annotations
 
 import ast
-import importlib.util
+import inspect
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
-from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any
 
@@ -31,17 +30,16 @@ MEASURING = (integrate, observe)
 
 
 def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
-    """Sources of a module's functions by name, without docstrings, decorators and what `if name:` holds of an
-    absent name; members of enumerations become numbers.
+    """Sources of a module's functions by name: no docstrings, no decorators, no blocks `if name:` of absent names, and numbers
+    for members of enumerations.
     """
     return {name: ast.unparse(_stripped(node, module, absent)) for name, node in _parsed(module).items()}
 
 
 def _parsed(module: ModuleType) -> dict[str, ast.FunctionDef]:
     """Syntax trees of a module's functions by name."""
-    assert module.__file__ is not None
-    tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
-    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    body = ast.parse(inspect.getsource(module)).body
+    return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
 
 
 def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]) -> ast.FunctionDef:
@@ -85,9 +83,7 @@ def _reachable(
 
 
 class _Stripped(ast.NodeTransformer):
-    """Members and sizes of the enumerations of a module as plain numbers, which the compiler needs not look up; leaves
-    out what is done only if one of some absent names is true.
-    """
+    """Replaces members and sizes of a module's enumerations by numbers, and removes the blocks `if name:` of absent names."""
 
     def __init__(self, namespace: Mapping[str, Any], absent: Collection[str]):
         enums = {name: value for name, value in namespace.items() if isinstance(value, type)}
@@ -126,11 +122,10 @@ def source(
 ) -> str:
     """Text of a compiled kernel module of a system's equations and a method.
 
-    `zero` and `equal` name constants that are 0, or equal to another one, at every point to come. Raises BadInput
-    for equations that cannot be differentiated, and if a first integral or a loss has the name of a function of the
-    kernel.
+    `zero` and `equal` name constants that are 0, or equal to another one, at every point. Raises BadInput for equations
+    that cannot be differentiated, and for a first integral or a loss with the name of a function of the kernel.
     """
-    from . import machine_code  # here, because what only draws atlases needs no compiler
+    from . import machine_code  # here, because drawing atlases needs no compiler
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
@@ -142,7 +137,7 @@ def source(
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
     names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
-    for key, name in ((key, name) for key, given in names.items() for name in given):
+    for key, name in ((key, name) for key, members in names.items() for name in members):
         if name in sources or hasattr(generated, name):
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     constants = _constants(equations, METHODS[method], of, plugs) | numbers
@@ -188,12 +183,9 @@ def plain_module(
 
 def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
     """A module executed again, with other values of some of its names."""
-    assert module.__file__ is not None
-    spec = importlib.util.spec_from_file_location(f"{module.__name__}_plain", module.__file__)
-    assert spec is not None
-    assert spec.loader is not None
-    copy = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(copy)
+    copy = ModuleType(f"{module.__name__}_plain")
+    vars(copy).update(__package__=module.__package__)
+    exec(compile(inspect.getsource(module), inspect.getfile(module), "exec"), vars(copy))
     vars(copy).update(namespace)
     return copy
 
@@ -248,10 +240,8 @@ def _generated_functions(
     if "axis_in_frame" not in sources:
         sources["axis_in_frame"] = "def axis_in_frame(state, constants):\n    return 0.0, 0.0"
     generated_lines = {
-        "load_state(block, l)": [f"return {_columns('block', states)}"],
-        "store_state(block, l, state)": [f"{_columns('block', states)} = state"],
-        "load_constants(block, l)": [f"return {_columns('block', constants)}"],
-        "store_constants(block, l, constants)": [f"{_columns('block', constants)} = constants"],
+        **_column_lines("state", states),
+        **_column_lines("constants", constants),
         "store_scales(block, l, scales, p, inverse_unit)": [
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
@@ -289,8 +279,7 @@ def _generated_functions(
     if of is tangent:
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
-            "load_extended(block, l)": [f"return {_columns('block', extended)}"],
-            "store_extended(block, l, extended)": [f"{_columns('block', extended)} = extended"],
+            **_column_lines("extended", extended),
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
     if of is observe:
@@ -303,7 +292,7 @@ def _generated_functions(
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:
-    """Names of the observables of a system, whose equations have been completed; none of a body in a frame."""
+    """Names of the observables of a system by its completed equations; a body in a frame has none."""
     return getattr(equations, "OBSERVABLES", ())
 
 
@@ -314,7 +303,7 @@ def _observable_functions(
     changes, values, slopes, lines = dict[str, str](), [], [], []
 
     def value(name: str) -> str:
-        """The value of an observable, whose function is added to the others unless it is a state."""
+        """Text of the value of an observable: a state, or a call of its function, which moves from `sources` to `changes`."""
         if name not in sources:
             return f"state[{list(equations.STATE).index(name)}]"
         changes[f"observable_{name}"] = sources.pop(name).replace(
@@ -328,14 +317,8 @@ def _observable_functions(
         if text is None:
             slopes.append(f"change[{list(equations.STATE).index(name)}]")
             continue
-        function_tree = ast.parse(text).body[0]
-        assert isinstance(function_tree, ast.FunctionDef)
-        last = function_tree.body[-1]
-        assert isinstance(last, ast.Return)
-        assert last.value is not None
-        last.value = ast.Tuple([last.value], ast.Load())  # `differential` takes functions that return a tuple
-        tuple_text = ast.unparse(ast.fix_missing_locations(function_tree))
-        changes[change] = differential(tuple_text, change)
+        head, _, result = text.rpartition("return ")
+        changes[change] = differential(f"{head}return ({result},)", change)  # which takes tuples
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
     rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
@@ -362,9 +345,13 @@ def _extended_lines(states: int, extended: int) -> list[str]:
     ]
 
 
-def _columns(block: str, rows: int) -> str:
-    """Column l of a block as a tuple."""
-    return f"({', '.join(f'{block}[{i}, l]' for i in range(rows))},)"
+def _column_lines(name: str, rows: int) -> dict[str, list[str]]:
+    """Functions that read and write column l of a block as a tuple."""
+    column = f"({', '.join(f'block[{i}, l]' for i in range(rows))},)"
+    return {
+        f"load_{name}(block, l)": [f"return {column}"],
+        f"store_{name}(block, l, {name})": [f"{column} = {name}"],
+    }
 
 
 def _terms(equations: ModuleType, name: str) -> list[str]:
@@ -380,7 +367,7 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
-    """Lines that count nodes above levels in these sums; the energy is the first integral without the sum of its loss."""
+    """Lines that count the nodes above some levels of the energy, the first integral without the sum of its loss."""
     name = next(iter(equations.INTEGRALS))
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
@@ -396,9 +383,8 @@ def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> li
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step.
 
-    The first weight is factored out, because the inner coefficients of rk4 are then 1, 2, 2, 1: additions
-    leave the multipliers, the narrowest part of the processor, to the equations. Their total goes along with
-    the stages, so that fewer of them are in use at once.
+    Over the first weight, which is factored out, the weights of rk4 are 1, 2, 2, 1: additions leave the multipliers, the narrowest
+    part of the processor, to the equations. The total grows stage by stage, so that few slopes are live at once.
     """
     lines, first = [], method.b[0]
     for stage in range(method.stages):
@@ -411,7 +397,7 @@ def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
 
 
 def _axpy(base: str, coefficients: Iterable[float], factor: float = 1.0) -> str:
-    """A tuple plus the sum of the slopes k, weighted by coefficients times factor; those with weight 0 are left out."""
+    """A tuple plus the sum of the slopes k, weighted by coefficients times factor; slopes of weight 0 are left out."""
     # A sum of two is cheaper than a product with 2.
     pairs = [(a * factor, f"k{j}") for j, a in enumerate(coefficients) if a != 0.0]
     terms = [term for a, k in pairs for term in ([(1.0, k), (1.0, k)] if a == 2.0 else [(a, k)])]

@@ -1,19 +1,16 @@
 """Equations with more states: the losses of first integrals, a direction at rest in the frame, a tangent vector.
 
-Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has
-one more state for I, the sum L of what was lost, with L' = R and L = 0 at the start. I + L is a first
-integral of the equations with this state, so that its change measures the error of the integration. The sums
-L come from the same Runge-Kutta steps as the motion and have errors of the same order.
+Where dissipation changes a first integral I at the rate -R, the equations name R in LOSSES. A kernel then has one more state
+for I, its loss L, with L' = R and L = 0 at the start. I + L is a first integral of the equations with this state, so that its
+change measures the error of the integration: L comes from the same Runge-Kutta steps as the motion.
 
-A tangent vector obeys the variational equations. The equations may name vectors that are at rest in the frame
-(`FRAME_VECTORS`: body-axes components of unit vectors v with v' = v x u, u the angular velocity relative to the
-frame). Where there are two or more, a change of the attitude is a rotation by a small vector eta of the body's
-axes: dv = v x eta, and
+A tangent vector obeys the variational equations. The equations may name unit vectors v at rest in the frame (`FRAME_VECTORS`,
+components along body axes: v' = v x u, u the angular velocity relative to the frame). With two or more of them a change of the
+attitude is a rotation by a small vector eta of the body's axes: dv = v x eta, and, by the Jacobi identity,
 
-    eta' = du + eta x u,
+    eta' = du + eta x u.
 
-by the Jacobi identity. Three components thus replace the components of all vectors, whose lengths and
-products are kept. Everything else changes by components of its own.
+Three components thus replace those of all vectors, whose lengths and products they keep; every other state has its own.
 """
 
 from __future__ import annotations
@@ -27,19 +24,18 @@ import numpy as np
 
 from ..systems import arithmetic
 from ..systems.base import Array
-from .differentiate import PREFIX, differential, simplify
+from .differentiate import PREFIX, differential, parsed, simplify
 
-# Name under which `with_losses` keeps the function `scaled` for the motion alone; of `unscaled` likewise.
+# Names under which `with_losses` keeps the functions `scaled` and `unscaled` of the motion alone.
 SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 
 
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
-    """Functions that return the losses of first integrals, by integral, where anything is lost."""
+    """Names of the functions of the losses that are not 0, by first integral."""
     sources, losses = arithmetic.functions(equations), {}
     for integral, function in getattr(equations, "LOSSES", {}).items():
-        simplified = ast.parse(simplify(sources[function], zero, equal)).body[0]
-        match simplified:
-            case ast.FunctionDef(body=[*_, ast.Return(value=ast.Constant(value=0))]):
+        match parsed(simplify(sources[function], zero, equal)).body[-1]:
+            case ast.Return(value=ast.Constant(value=0)):
                 pass
             case _:
                 losses[integral] = function
@@ -62,10 +58,10 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 
 @cache
 def with_frame_vector(equations: ModuleType) -> ModuleType:
-    """Equations of a body with `axis_in_frame`; those without a frame as they are.
+    """Equations of a body with `axis_in_frame`; equations without a frame are returned as they are.
 
-    Where a body has none, the components x1, x2, x3 of the first axis of the frame in body axes are three more states,
-    x' = x x u with the angular velocity u of ``frame_motion``. Unlike psi they are regular everywhere.
+    Where it is missing, three more states hold the first axis of the frame in body axes, x' = x x u with the angular velocity u
+    of ``frame_motion``. Unlike psi they are regular everywhere.
     """
     sources = arithmetic.functions(equations)
     if "axis_in_frame" in sources or "frame_motion" not in sources:
@@ -91,9 +87,9 @@ def with_frame_vector(equations: ModuleType) -> ModuleType:
 def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
     """These names, with underscores where a function uses them."""
     nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
-    used, result = {node.id for node in nodes if isinstance(node, ast.Name)}, []
+    occupied, result = {node.id for node in nodes if isinstance(node, ast.Name)}, []
     for name in names:
-        while name in used:
+        while name in occupied:
             name += "_"
         result.append(name)
     return result
@@ -106,17 +102,13 @@ def _with_states(
     names: Mapping[str, str],
     powers: list[int],
 ) -> dict[str, str]:
-    """The functions of so many states with more of them; `powers`: of a rate in the new states' units.
-
-    The right-hand side has the rates of the new states, an integral its sum of losses as one more term.
-    """
+    """Functions with new states, whose units contain `powers` of a rate; an integral gets its loss as one more term."""
     scaled, unscaled = sources["scaled"], sources["unscaled"]
     extended = {}
     for name, text in sources.items():
         if name in ("scaled", "unscaled"):
             continue
-        function = ast.parse(text).body[0]
-        assert isinstance(function, ast.FunctionDef)
+        function = parsed(text)
         for statement in function.body:
             match statement:
                 case ast.Assign(targets=[ast.Tuple(elts=elements)], value=ast.Name(id="state")):
@@ -160,7 +152,7 @@ def rotates(equations: ModuleType) -> bool:
 
 
 def own_components(equations: ModuleType) -> list[int]:
-    """Indices of the states that change by components of their own."""
+    """Indices of the states with a component in the tangent vector; the rotation replaces the others."""
     rotated = (
         {name for vector in frame_vectors(equations) for name in vector} if rotates(equations) else set()
     )
@@ -172,8 +164,9 @@ def tangent_size(equations: ModuleType) -> int:
 
 
 def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
-    """Sources, by name, of ``rhs_change(state, constants, change)``, and of ``variation(state, constants,
-    tangent)``, the time derivative of the tangent vector.
+    """Sources by name of ``rhs_change(state, constants, change)`` and of ``variation(state, constants, tangent)``.
+
+    The second one is the time derivative of the tangent vector.
     """
     own, names = own_components(equations), list(equations.STATE)
     changes = [f"t{j}" for j in range(len(own))]
@@ -201,10 +194,7 @@ def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
 
 
 def tangent_start(equations: ModuleType, state: Array) -> Array:
-    """Tangent vectors of norm 1 at the start, (size, points), rates in the unit of rates of their norm.
-
-    A single vector of the frame changes by its product with the start of the rotation, to stay a unit vector.
-    """
+    """Tangent vectors of norm 1 at the start, (size, points), rates in the unit of the norm."""
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)
     vectors = frame_vectors(equations)
@@ -212,7 +202,7 @@ def tangent_start(equations: ModuleType, state: Array) -> Array:
     rows = [np.full(state.shape[1], pattern[j % length]) for j in range(len(own))]
     if rotates(equations):
         rows += [np.full(state.shape[1], value) for value in START_OF_ROTATION]
-    elif vectors:
+    elif vectors:  # the vector stays a unit vector
         indices = [names.index(name) for name in vectors[0]]
         for i, row in zip(indices, np.cross(state[indices].T, START_OF_ROTATION).T, strict=True):
             rows[own.index(i)] = row

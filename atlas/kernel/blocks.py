@@ -21,7 +21,7 @@ from .generated import WIDTH
 from .sampling import EndWeights, Quadrature
 from .stepsize import StepSizes
 
-# A call of the kernel takes at most about this many point-steps (some 0.1 s): Ctrl-C and the progress line wait for it.
+# Most point-steps of a call of the kernel, some 0.1 s, for which Ctrl-C and the progress line wait.
 CHUNK = 20_000_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -30,14 +30,13 @@ Counts = NDArray[np.int64]
 class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
-    # Indices of the points of each block; an incomplete block repeats its last point, (blocks, WIDTH)
-    points: Counts
+    points: Counts  # their indices, (blocks, WIDTH); an incomplete block repeats its last point
     steps: Counts  # as in StepSizes, (blocks,)
     steps_per_sample: Counts  # as in StepSizes, (blocks,)
 
     @property
     def point_steps(self) -> int:
-        """Steps of all points together, the repeated ones included."""
+        """Steps of all points, repeated ones included."""
         return int(self.steps.sum()) * WIDTH
 
     @property
@@ -55,7 +54,6 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
     points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((2, 0), np.int64)]
     for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
         group = order[first:last]
-        # An incomplete block repeats its last point.
         points.append(np.r_[group, np.full(-group.size % WIDTH, group[-1])].reshape(-1, WIDTH))
         rows.append(np.repeat(key[:, [first]], len(points[-1]), axis=1))
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
@@ -76,13 +74,13 @@ def available_threads() -> int:
 
 
 class Arrays(NamedTuple):
-    """What a kernel reads and writes of its points; between calls for parts of a run, `state` is in the kernel's units."""
+    """Data of points that a kernel reads and writes; between calls for parts of a run, `state` is in the kernel's units."""
 
     step_size: Array  # in time units
-    state: Array  # at the start, see `start_state`, and afterwards at the end, (kernel.STATES, points)
+    state: Array  # at the start, see `start_state`; after the call at the end, (kernel.STATES, points)
     constants: Array  # of the equations, (constants, points)
-    scales: Array  # reciprocals of the sizes that changes of the first integrals are compared with; 0: not conserved
-    given: Array  # to the plugged instruments, (kernel.PLUGGED_GIVEN, points)
+    scales: Array  # see `ensemble.integral_scales`, (integrals, points)
+    given: Array  # constants of the plugged instruments, (kernel.PLUGGED_GIVEN, points)
     rule: Quadrature | EndWeights
     cylinder_squared: float  # square of the radius of the cylinder, rad^2
     resume: Array  # between calls: the last four nodes and the first integrals at the start, (rows, points)
@@ -90,13 +88,12 @@ class Arrays(NamedTuple):
 
 
 def start_state(kernel: ModuleType, state: Array) -> Array:
-    """Copy of a state of the equations, (states, points), followed by the states that only the kernel has, which are 0."""
-    more = np.zeros((kernel.STATES - len(state), state.shape[1]))
-    return np.concatenate([state, more])
+    """Copy of a state of the equations, (states, points), followed by zeros for the losses of first integrals."""
+    return np.concatenate([state, np.zeros((kernel.STATES - len(state), state.shape[1]))])
 
 
 def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
-    """With room for what the kernel keeps of runs between calls."""
+    """The arrays with room for the interrupted runs between two calls."""
     rows = 4 * kernel.NODE_ROWS + len(arrays.scales)
     return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
 
@@ -112,9 +109,8 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    `segment` is the first and the last node of each block (default: whole runs). Worker threads call
-    `progress` with the point-steps done since the last call. On KeyboardInterrupt the calls of the kernel in
-    flight end first, a fraction of a second later.
+    `segment` is the first and the last node of each block (default: whole runs). Worker threads call `progress` with the
+    point-steps since the last call. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -133,11 +129,7 @@ def call_by_parts(
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Call a kernel for all blocks, in threads; a block of more than CHUNK point-steps takes several calls.
-
-    threads = 0 calls in the thread of the caller, for work that takes less time than starting a thread. After
-    an exception no further call begins.
-    """
+    """Call a kernel for all blocks in threads, for a long block several times; threads = 0: in this thread, for short work."""
     # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
     total, stop = np.cumsum(point_steps), threading.Event()
     least_chunks = 4 * (threads or available_threads())

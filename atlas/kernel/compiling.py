@@ -1,4 +1,4 @@
-"""How long this process has compiled kernels: announced once for each, and left out of speeds. Imports no compiler."""
+"""Time that this process spent on compiling kernels: announced for each, and left out of speeds. Imports no compiler."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from contextlib import contextmanager
 ANNOUNCEMENT = "compiling these equations to machine code, which later runs use again: about 10 s, more on a busy machine"
 
 _lock = threading.Lock()
-_finished = 0.0  # seconds of all compilations that have ended
-_began: float | None = None  # start of the one that has not; there is one at a time
+_finished = 0.0  # seconds of all finished compilations
+_began: float | None = None  # start of the running one; there is one at a time
 _announcers = 0
 
 
@@ -39,7 +39,7 @@ def say(announcement: str) -> None:
 
 
 def announce(change: int) -> None:
-    """Let one more (1) or one less (-1) part of the program ask for a line on stderr when a kernel is compiled."""
+    """Add (1) or remove (-1) a part of the program that asks for a line on stderr when a kernel is compiled."""
     global _announcers
     with _lock:
         _announcers += change
@@ -62,7 +62,7 @@ def _seconds(now: float) -> float:
 
 
 class Stopwatch:
-    """Seconds since it was made in which this process compiled no kernel."""
+    """Seconds since its start, without the time for compiling kernels."""
 
     def __init__(self) -> None:
         now = time.perf_counter()

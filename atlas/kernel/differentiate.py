@@ -1,8 +1,7 @@
-"""Plain arithmetic on the syntax tree: its differentials, and its form where terms vanish in a whole scene.
+"""Arithmetic as a syntax tree: its differentials, for the variational equations, and its form where terms vanish in a scene.
 
-The variational equations follow from the differentials. `simplify` leaves out x * 0, x + 0, x - x and x * 1; x * y -
-x * z becomes x * (y - z). The result is the same to round-off; LLVM may not do this itself, because x * 0 is not 0
-for a NaN or an infinity.
+`simplify` leaves out x * 0, x + 0, x - x and x * 1; x * y - x * z becomes x * (y - z). The result is the same to round-off.
+LLVM may not do this itself, because x * 0 is not 0 for a NaN or an infinity.
 """
 
 from __future__ import annotations
@@ -30,14 +29,20 @@ _DERIVATIVES = {
 }
 
 
+def parsed(text: str) -> ast.FunctionDef:
+    """Syntax tree of the source of a function."""
+    function = ast.parse(text).body[0]
+    assert isinstance(function, ast.FunctionDef)
+    return function
+
+
 def differential(text: str, name: str) -> str:
     """Source of a function `name` of ``(state, constants, change)`` that returns the first-order change.
 
     The text assigns names, or tuples of them, and returns a tuple. It consists of + - * / **, powers with
     exponents that do not depend on the state, and `systems.arithmetic.FUNCTIONS`; else ValueError.
     """
-    function = ast.parse(text).body[0]
-    assert isinstance(function, ast.FunctionDef)
+    function = parsed(text)
     active: set[str] = set()  # names that depend on the state
     body: list[ast.stmt] = []
     for statement in function.body:
@@ -47,16 +52,16 @@ def differential(text: str, name: str) -> str:
                 changes = ", ".join(f"{PREFIX}{ast.unparse(element)}" for element in names)
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
-                # First, because the differential needs the values from before a name is assigned anew.
+                # Before the assignment, because the differential needs the values that a name has before it.
                 pairs = [(target, value)]
                 if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
                     pairs = list(zip(target.elts, value.elts, strict=True))
-                given = {ast.unparse(left): _differential(right, active) for left, right in pairs}
-                for assigned, change in given.items():
+                differentials = {ast.unparse(left): _differential(right, active) for left, right in pairs}
+                for assigned, change in differentials.items():
                     (active.discard if change is None else active.add)(assigned)
-                changes = ", ".join(f"{PREFIX}{assigned}" for assigned in given if assigned in active)
+                changes = ", ".join(f"{PREFIX}{assigned}" for assigned in differentials if assigned in active)
                 if changes:
-                    slopes = ", ".join(map(ast.unparse, filter(None, given.values())))
+                    slopes = ", ".join(map(ast.unparse, filter(None, differentials.values())))
                     body += ast.parse(f"{changes}, = {slopes},").body
                 body.append(statement)
             case ast.Return(value=ast.Tuple(elts=values)):
@@ -67,9 +72,8 @@ def differential(text: str, name: str) -> str:
                 pass
             case _:
                 raise ValueError(f"{function.name} cannot be differentiated: {ast.unparse(statement)}")
-    arguments = ast.parse("def _(state, constants, change): pass").body[0]
-    assert isinstance(arguments, ast.FunctionDef)
-    new = ast.FunctionDef(name, arguments.args, body, [], lineno=1)
+    arguments = parsed("def _(state, constants, change): pass").args
+    new = ast.FunctionDef(name, arguments, body, [], lineno=1)
     return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
 
 
@@ -81,11 +85,11 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
         case ast.Name(id=name):
             return ast.Name(f"{PREFIX}{name}")
         case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
-            return ast.UnaryOp(sign, _given(_differential(operand, active)))
+            return ast.UnaryOp(sign, _nonzero(_differential(operand, active)))
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
             return _sum(_differential(left, active), _differential(right, active), op)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            # The factors that do not depend on the state stand before the sum.
+            # Factors independent of the state stand before the sum.
             changes = [(factor, _differential(factor, active)) for factor in _factors(left) + _factors(right)]
             constant = [factor for factor, change in changes if change is None]
             variable = [(factor, change) for factor, change in changes if change is not None]
@@ -100,7 +104,7 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
             return ast.BinOp(_sum(dx, quotient, ast.Sub()), ast.Div(), right)
         case ast.BinOp(left=left, op=ast.Pow(), right=right) if _differential(right, active) is None:
             lower = ast.BinOp(left, ast.Pow(), ast.BinOp(right, ast.Sub(), ast.Constant(1.0)))
-            return _times(_times(right, lower), _given(_differential(left, active)))
+            return _times(_times(right, lower), _nonzero(_differential(left, active)))
         case ast.Call(func=function, args=[x]):  # such as sin(x) or np.sin(x)
             text = ast.unparse(function)
             module, _, name = text.rpartition(".")
@@ -109,20 +113,20 @@ def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
             derivative = _DERIVATIVES[name].format(
                 function=text, module=f"{module}." if module else "", x=ast.unparse(x)
             )
-            return _times(ast.parse(derivative, mode="eval").body, _given(_differential(x, active)))
+            return _times(ast.parse(derivative, mode="eval").body, _nonzero(_differential(x, active)))
         case _:
             raise ValueError(f"cannot be differentiated: {ast.unparse(node)}")
 
 
-def _given(change: ast.expr | None) -> ast.expr:
+def _nonzero(change: ast.expr | None) -> ast.expr:
     assert change is not None
     return change
 
 
 def _sum(x: ast.expr | None, y: ast.expr | None, op: ast.operator) -> ast.expr:
-    """The sum or difference of two terms, of which one may be missing."""
+    """The sum or difference of two terms; one may be missing."""
     if y is None:
-        return _given(x)
+        return _nonzero(x)
     if x is None:
         return ast.UnaryOp(ast.USub(), y) if isinstance(op, ast.Sub) else y
     return ast.BinOp(x, op, y)
@@ -140,7 +144,7 @@ def _times(x: ast.expr, y: ast.expr) -> ast.expr:
 
 
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
-    """Source of a function for names that are 0 (which comes first), 1, or equal to another name."""
+    """Source of a function in which some names are 0, else 1, else equal to another name."""
     tree = ast.parse(text)
     simplifier = _Simplifier(set(zero), dict(equal), set(ones))
     return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))

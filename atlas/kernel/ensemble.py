@@ -16,15 +16,15 @@ from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
-# Where runs are interrupted to leave out the points that are certain to drift, as shares of their nodes. Most drifting
-# motions are certain after a small part of the run; motions that leave an unstable one only later.
+# Shares of the nodes after which runs are interrupted, to leave out points that are certain to drift. Most drifting motions
+# are certain after a small part of the run; motions that leave an unstable one only later.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
 # A run is not interrupted before this node: shorter segments cost more than they save.
 MIN_NODES = 8
 
 
 class Plug(Protocol):
-    """An instrument that adds every node of the motion of a body to sums of its own, which are 0 at the start."""
+    """An instrument with sums of its own over the nodes of the motion of a body; they are 0 at the start."""
 
     @property
     def sums(self) -> int:
@@ -32,16 +32,16 @@ class Plug(Protocol):
 
     @property
     def given(self) -> int:
-        """Number of constants of a point that it is given."""
+        """Number of its constants for each point."""
 
     @property
     def add_node(self) -> Callable[..., None] | None:
         """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
 
         Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
-        time, is in slot i & 3 of `nodes`, after the three before it: see `kernel.motion_at`; slopes are per 1 / inverse_unit.
-        None: the constants are energies, and the sums count the nodes, of one in `kernel.NODES_PER_LEVEL`, at which the first of
-        the equations' INTEGRALS is above them.
+        time, is in slot i & 3 of `nodes`, the three before it in the other slots: see `integrate.motion_at`; slopes are per
+        1 / inverse_unit. None: the constants are levels of the energy, the first of the equations' INTEGRALS, and the sums count
+        the nodes above them, one node in `integrate.NODES_PER_LEVEL`.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
@@ -52,7 +52,7 @@ class Plug(Protocol):
 class Integration:
     """Result of integrating an ensemble; arrays (points,)."""
 
-    final_state: Array  # of the points that ran to the end, (states, points)
+    final_state: Array  # at the end of the run, (states, points)
     sums: Array  # output of the kernel, (kernel.SUMS, points)
     intervals: NDArray[np.int64]  # intervals between the nodes reached
     duration: Array  # integrated time, time units
@@ -78,7 +78,7 @@ class Ensemble:
 
     @classmethod
     def of(cls, system: System, points: Points, plugs: Sequence[Plug] = ()) -> Ensemble:
-        """The ensemble of points of a system. Parameters that overflow make numbers that are not finite."""
+        """The ensemble of points of a system; where parameters overflow, its numbers are not finite."""
         with np.errstate(all="ignore"):
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))
@@ -98,11 +98,11 @@ class Ensemble:
     def arrays(
         self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
     ) -> blocks.Arrays:
-        """What a kernel integrates these points with; cylinder: see `integrate`; period: in nodes."""
+        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: in nodes."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
         given = self.given
-        if len(given) < kernel.PLUGGED_GIVEN:  # of a kernel that measures once a period
+        if len(given) < kernel.PLUGGED_GIVEN:  # the kernel measures once a period
             given = np.full((1, self.size), period, np.float64)
         return blocks.Arrays(
             step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, given, rule,
@@ -120,9 +120,8 @@ class Ensemble:
     ) -> Integration:
         """Integrate every point; options: threads and progress of `blocks.integrate`.
 
-        `cylinder` is a radius in rad. early_stop_rate is the root mean square of theta' over the whole run
-        beyond which a point outside the cylinder is certain to drift, so that its run may end early; by
-        default every run is whole.
+        `cylinder` is a radius in rad. A run may end early once the root mean square of theta' over the whole run is certain to
+        exceed early_stop_rate outside the cylinder; by default every run is whole.
         """
         arrays = self.arrays(kernel, step_sizes.step_size, cylinder, step_sizes.nodes_per_period)
         nodes = step_sizes.intervals + 1
@@ -131,7 +130,7 @@ class Ensemble:
         else:
             nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, **options)
         intervals = np.maximum(nodes - 1, 1)
-        with np.errstate(over="ignore"):  # of a duration near the largest number
+        with np.errstate(over="ignore"):  # a duration near the largest number
             duration = intervals * step_sizes.sample_spacing
         return Integration(
             arrays.state[: len(self.state)], arrays.sums, intervals, duration, nodes <= step_sizes.intervals
@@ -154,11 +153,11 @@ class Ensemble:
         threads: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> NDArray[np.int64]:
-        """How many nodes each point took.
+        """Number of nodes that each point took.
 
-        The weights of all samples are positive, so that the sum of theta'^2 only grows: once it exceeds the
-        limit of the whole run outside the cylinder, no later motion brings the label back. A passage of the
-        vertical takes away at most one sample near it. Whole runs have the same bits as in a single call.
+        All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run outside the
+        cylinder, no later motion brings the label back. A passage of the vertical takes away at most one sample near it. Whole
+        runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -178,7 +177,7 @@ class Ensemble:
             segment = done[first_points], _segment_end(share, schedule.nodes)
             blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads, progress=progress)
             done[selected] = until[goes_on]
-            certain = done[active] > 0  # sums of points that have not begun are undefined
+            certain = done[active] > 0  # before its first node a point has undefined sums
             with np.errstate(invalid="ignore", over="ignore"):  # of undefined sums, and of overflow
                 certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
             certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
@@ -191,7 +190,7 @@ class Ensemble:
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Node at which runs of so many nodes are interrupted after a share of them; 0 where that is too early."""
+    """Node after a share of the nodes of runs; 0 where an interruption there is too early."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 
@@ -199,14 +198,12 @@ def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 def integral_scales(
     system: System, state: Array, constants: Array, floors: Mapping[str, Array]
 ) -> NDArray[np.float64]:
-    """Reciprocal of the sum of the magnitudes of each first integral's terms at the start, by integral.
-
-    The sum is at least its floor, and 1 where it is 0; a floor of nan gives 0: the change does not count.
-    """
+    """Reciprocal size of each first integral at the start: the sum of the magnitudes of its terms, at least its floor."""
     rows = []
     for name in system.equations.INTEGRALS:
         terms = getattr(system.equations, name)(state, constants)
         size = np.maximum(sum(np.abs(term) for term in terms), floors[name])
         size = np.where(size == 0.0, 1.0, size)
+        # With a floor of nan the change does not count.
         rows.append(np.where(np.isnan(size), 0.0, 1.0 / size))
     return np.ascontiguousarray(np.reshape(rows, (len(rows), state.shape[1])))

@@ -1,7 +1,7 @@
-"""What depends on the system and the method in a kernel: `assemble` writes these for each pair of them.
+"""The parts of a kernel that depend on system and method: `assemble` writes them for each pair.
 
-The signatures serve readers, linters and type checkers; calling one is an error. `state` and `constants` are
-in the kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH), l is a lane.
+The signatures, whose bodies are empty here, serve readers, linters and type checkers. `state` and `constants` are in the
+kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH), l is a lane.
 """
 
 from __future__ import annotations
@@ -16,15 +16,13 @@ STATES = 0  # of the equations, and the sums of losses
 CONSTANTS = 0
 INTEGRALS = 0
 LOSSES = ()  # integrals whose losses are the last states, see `augmented`; only where there are any
-OBSERVABLES = 0  # that are measured throughout
-# Observables that are measured once a period; without them what stands under `if STROBED:` is left out.
-STROBED = 0
+OBSERVABLES = 0  # measured throughout
+STROBED = 0  # observables measured once a period; without them the blocks `if STROBED:` are left out
 TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
-STORES_SLOPE = False  # is the slope at a node kept for the first stage of the step after it?
-HAS_AXIS = False  # does the system have `axis_in_frame`?
-# Sums of the plugged instruments, see `ensemble.Plug`, and what they are given; without them what stands under `if PLUGGED:`
-# is left out.
+STORES_SLOPE = False  # whether the slope at a node is kept for the first stage of the step after it
+HAS_AXIS = False  # whether the system has `axis_in_frame`
+# Sums and constants of the plugged instruments, see `ensemble.Plug`; without them the blocks `if PLUGGED:` are left out.
 PLUGGED, PLUGGED_GIVEN = 0, 0
 
 
@@ -45,114 +43,91 @@ def axpy(y, weights, slopes):
 
 def rhs(state, constants):
     """Time derivatives of the state."""
-    raise NotImplementedError
 
 
 def rhs_change(state, constants, change):
     """Change of the time derivatives to first order in a change of the state."""
-    raise NotImplementedError
 
 
 def scaled(state, constants, unit):
     """State and constants in units in which the time `unit` is 1."""
-    raise NotImplementedError
 
 
 def unscaled(state, constants, unit):
     """State in the caller's units; constants: as `scaled` returned them."""
-    raise NotImplementedError
 
 
 def frame_motion(state, constants):
     """Angular velocity relative to the frame and the frame's vertical: u1, u2, u3, g1, g2, g3."""
-    raise NotImplementedError
 
 
 def frame_motion_change(state, constants, change):
     """Change of `frame_motion` to first order in a change of the state."""
-    raise NotImplementedError
 
 
 def axis_in_frame(state, constants):
     """Two components of the third body axis in the frame."""
-    raise NotImplementedError
 
 
 def step(state, slope, constants):
     """State after one step of length STEP; slope: its derivative before it."""
-    raise NotImplementedError
 
 
 def load_state(block, l):
     """Column l of a block of states, as a tuple."""
-    raise NotImplementedError
 
 
 def store_state(block, l, state):
     """Write a state into column l of a block."""
-    raise NotImplementedError
 
 
 def load_constants(block, l):
     """Column l of a block of constants, as a tuple."""
-    raise NotImplementedError
 
 
 def store_constants(block, l, constants):
     """Write constants into column l of a block."""
-    raise NotImplementedError
 
 
 def store_scales(block, l, scales, p, inverse_unit):
     """Write the scales of the first integrals of point p, in the kernel's units, into column l of a block."""
-    raise NotImplementedError
 
 
 def store_integrals(block, l, state, constants):
     """Write the first integrals of a state into column l of a block."""
-    raise NotImplementedError
 
 
 def largest_change(first, scales, l, state, constants, largest):
     """The larger of `largest` and the scaled changes of the first integrals since their column l of `first`."""
-    raise NotImplementedError
 
 
 def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants):
     """Add node i to the sums of every plugged instrument."""
-    raise NotImplementedError
 
 
 def load_extended(block, l):
     """Column l of a block of states and tangent vectors, as one tuple."""
-    raise NotImplementedError
 
 
 def store_extended(block, l, extended):
     """Write a state and a tangent vector into column l of a block."""
-    raise NotImplementedError
 
 
 def extended_rhs(extended, constants):
     """Time derivatives of a state and a tangent vector."""
-    raise NotImplementedError
 
 
 def observe(state, constants):
     """Every observable, as a tuple."""
-    raise NotImplementedError
 
 
 def observe_change(state, constants, change):
     """First-order change of every observable for a change of the state, as a tuple."""
-    raise NotImplementedError
 
 
 def store_values(nodes, slot, row, l, values):
     """Write the values of every observable, or their derivatives, into rows `row` and following of a node."""
-    raise NotImplementedError
 
 
 def store_strobes(block, l, state, constants):
     """Write the values of the observables that are measured once a period into column l of a block."""
-    raise NotImplementedError

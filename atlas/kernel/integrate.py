@@ -1,17 +1,16 @@
 """The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
 
-Ordinary Python, of which `assemble` makes a module for the compiler or for the interpreter. The compiler
-turns every loop over `l`, the lanes, into vector instructions, and inlines every function into `integrate`.
-What depends on the system and the method stands in `generated`.
+Ordinary Python, of which `assemble` makes a module for the compiler or for the interpreter. The compiler turns every loop over
+`l`, the lanes, into vector instructions, and inlines every function into `integrate`. The functions of `generated` depend on
+the system and the method.
 
-Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and
-most coefficients are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
+Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most coefficients
+are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
 
-A node is an instant, every steps_per_sample steps, at which the motion is evaluated with its derivative. Node
-i is kept in slot i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated
-from four nodes. The statistics are sums over the nodes and, near both ends of a run, over interpolated
-samples (`sampling`). Passages near the vertical wait in a queue, so that the errors that they cause (`poles`)
-are computed for QUEUE of them side by side, and so do turning points of theta.
+A node is an instant, every steps_per_sample steps, at which the motion is evaluated with its derivative. Node i is kept in slot
+i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from four nodes. The statistics are
+sums over the nodes and, near both ends of a run, over interpolated samples (`sampling`). Passages near the vertical and turning
+points of theta wait in queues, from which QUEUE of them are computed side by side (`poles`).
 """
 
 import numpy as np
@@ -73,9 +72,9 @@ from .statistics import Row, accumulate, begin, end, extend, may_extend
 MOTION = 6
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
-# Nodes from one at which the energy is compared with levels to the next.
+# One node in so many is compared with levels of the energy.
 NODES_PER_LEVEL = 8
-# Turning points and passages that are computed side by side; their queues have room for WIDTH more.
+# Turning points and passages computed side by side; their queues have room for WIDTH more.
 QUEUE = 32
 # sin^2 theta below which both ends of a run are searched for passages.
 NEAR_END = 0.2
@@ -109,7 +108,7 @@ def motion_at(nodes, slot, l):
 
 
 def interpolate(nodes, slots, weights, row, l):
-    """One component of the motion between four nodes: weights of their values and derivatives."""
+    """One component of the motion among four nodes, by weights of their values and derivatives."""
     s0, s1, s2, s3 = slots
     w0, w1, w2, w3, w4, w5, w6, w7 = weights
     d = row + MOTION
@@ -161,7 +160,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
         intervals, spacing = steps[block] // stride, STEP * stride
         rule = min(intervals, LONG)
         begins, ends = first_node[block] == 0, last_node[block] == intervals + 1
-        # Integers of NumPy: what is called with a literal 0 would be compiled for it as well.
+        # Integers of NumPy: Numba would compile callees for a literal 0 as well.
         passage_count, turn_count = np.int64(0), np.int64(0)
         load_points(points, block, step_size, state0, constants0, scales, state, constants, inverse_scales)
         load_step_sizes(points, block, step_size, dt, inverse_unit)
@@ -214,14 +213,14 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def empty_queue(rows):
-    """Queue of zeros: the columns that are not in use are computed as the others are."""
+    """Queue of zeros: its unused columns are computed like the others."""
     queue = aligned_empty((rows, QUEUE + WIDTH))
     queue[:] = 0.0
     return queue
 
 
 def move_up(queue, lanes, first_nodes, count):
-    """Move what follows the first QUEUE of `count` columns to the front of a queue; returns how many columns that are."""
+    """Move the columns after the first QUEUE of `count` to the front of a queue; returns their number."""
     rest = max(count - QUEUE, 0)
     for e in range(rest):
         lanes[e], first_nodes[e] = lanes[QUEUE + e], first_nodes[QUEUE + e]
@@ -264,7 +263,7 @@ def add_node(stats, nodes, slot, weight, cylinder_squared):
 
 
 def add_samples(stats, nodes, slots, spacing, samples, first, stop, cylinder_squared):
-    """Add the samples from `first` to the one before `stop`, which lie in one interval of four nodes."""
+    """Add the samples first, ..., stop - 1, which lie in one interval of four nodes."""
     for j in range(first, stop):
         weights = sample_weights(samples, j, spacing)
         for l in range(WIDTH):
@@ -287,9 +286,7 @@ def end_runs(stats, nodes, slot):
 
 
 def mark(turning, near, stats, nodes, spacing, interval, intervals):
-    """Mark, by 1.0, lanes that may turn beyond their extremes in an interval in `turning`, lanes that may
-    pass near the vertical in `near`.
-    """
+    """Write 1.0 into `turning` for lanes that may turn beyond their extremes, into `near` for lanes that may pass the vertical."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
@@ -326,9 +323,9 @@ def queue_passages(
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
-    """Whether zeta may have a zero near an interval, 1.0 or 0.0, and where: see `poles.turns_near_vertical`.
+    """Whether zeta may have a zero near an interval, 1.0 or 0.0, and its place: see `poles.turns_near_vertical`.
 
-    Where the run begins or ends near the vertical, it may have one although sin^2 theta does not turn.
+    A run that begins or ends near the vertical may have one although sin^2 theta does not turn.
     """
     slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
     slope_1 = spacing * (
@@ -344,7 +341,7 @@ def near_vertical(nodes, first, second, l, spacing, interval, intervals):
 
 
 def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
-    """Describe a passage of lane l in column e; `duration` is `spacing` in the caller's units."""
+    """Write a passage of lane l into column e; `duration` is `spacing` in the caller's units."""
     store_component(passages, Passage.G1, Passage.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(passages, Passage.G2, Passage.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(
@@ -357,7 +354,7 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
 
 def store_turn(turns, e, nodes, slots, l, spacing, node, x):
-    """Describe a turning point of lane l in column e, about x after the node of this number of four."""
+    """Write a turning point of lane l into column e: about x after this one of the four nodes."""
     store_component(turns, Turn.G1, Turn.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(turns, Turn.G2, Turn.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(turns, Turn.G3, Turn.G3_SLOPE, e, nodes, slots, 5, l, 1.0, spacing)
@@ -373,7 +370,7 @@ def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, 
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):
-    """Extend the extremes of the lanes of the first QUEUE of `count` turning points to these; returns how many remain."""
+    """Extend the extremes of lanes to the first QUEUE of `count` turning points; returns the number of the others."""
     for e in range(QUEUE):
         difference(turns, Turn.G1, e)
         difference(turns, Turn.G2, e)
@@ -387,7 +384,7 @@ def extend_to_turns(stats, turns, lanes, count, extremes):
 
 
 def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared):
-    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; returns how many remain."""
+    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; the number of the others."""
     nearer = np.int64(0)
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
@@ -428,11 +425,11 @@ def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, inter
 def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
     """Whether the zero z of a passage, counted from the first node of the run, needs a correction of its own."""
     x, y = abs(terms[farther, Term.Z_REAL, e] - 1.5), abs(z.imag)
-    # The farther from the real axis, the less does the accuracy matter that the polynomial loses beyond its nodes.
+    # Far from the real axis the accuracy that the polynomial loses beyond its nodes matters little.
     near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
-    # A passage inside the cylinder has no samples of psi' and phi'; before and after the run it does not matter.
+    # During the run a passage inside the cylinder has no samples of psi' and phi'.
     inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals
-    # Passages that follow each other, and both zeros of one, may be the same.
+    # Successive passages, and both zeros of one, may coincide.
     same = 0.1 * y
     x1, y1 = z.real - stats[Row.ZERO_1_REAL, l], z.imag - stats[Row.ZERO_1_IMAG, l]
     x2, y2 = z.real - stats[Row.ZERO_2_REAL, l], z.imag - stats[Row.ZERO_2_IMAG, l]

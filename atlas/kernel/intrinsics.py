@@ -11,10 +11,10 @@ from numba.np import arrayobj
 
 @intrinsic
 def aligned_stack(typingctx):
-    """In a kernel: align its stack to 64 bytes, because no vector there may straddle two cache lines either.
+    """Align the stack of the calling kernel to 64 bytes, so that no vector on it straddles two cache lines.
 
-    LLVM aligns what it spills only where something else on the stack asks for it; otherwise the speed of a
-    kernel would depend on where its caller's stack ends, of rk8 by up to a fifth.
+    LLVM aligns spilled vectors only if another object on the stack asks for it; otherwise the speed of a kernel would depend on
+    where its caller's stack ends, for rk8 by up to a fifth.
     """
 
     def generate(context, builder, signature, arguments):
@@ -44,7 +44,7 @@ def axpy(typingctx, y, weights, slopes):
     """The tuple y plus the weighted sum of tuples, which the compiler need not read as a thousand operations."""
 
     def generate(context, builder, signature, arguments):
-        given = [
+        operands = [
             list(zip(cgutils.unpack_tuple(builder, value), kind, strict=True))
             for value, kind in zip(arguments, signature.args, strict=True)
         ]
@@ -53,9 +53,9 @@ def axpy(typingctx, y, weights, slopes):
             return context.cast(builder, builder.extract_value(vector, i), kind[i], types.float64)
 
         row = []
-        for i, (value, kind) in enumerate(given[0]):
+        for i, (value, kind) in enumerate(operands[0]):
             total = None
-            for (weight, _), (slope, slope_kind) in zip(given[1], given[2], strict=True):
+            for (weight, _), (slope, slope_kind) in zip(operands[1], operands[2], strict=True):
                 product = builder.fmul(weight, component(slope, slope_kind, i))
                 total = product if total is None else builder.fadd(total, product)
             row.append(builder.fadd(context.cast(builder, value, kind, types.float64), total))

@@ -46,7 +46,7 @@ def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out
 
 
 def store_runs(points, block, state, nodes, integrals0, state0, resume):
-    """Keep what `load_runs` needs, but the sums."""
+    """Keep interrupted runs for `load_runs`, the sums apart."""
     rows = nodes.shape[1]
     for l in range(WIDTH):
         p = points[block, l]
@@ -74,7 +74,7 @@ def store_sums(points, block, sums, out):
 
 
 def load_plugged(points, block, begins, given, plugged, given0, out, first_row):
-    """Bring what the plugged instruments are given into the lanes, and their sums, or zeros where the runs begin."""
+    """Bring the constants of the plugged instruments into the lanes, and their sums, zeros where the runs begin."""
     for l in range(WIDTH):
         p = points[block, l]
         for row in range(given.shape[0]):

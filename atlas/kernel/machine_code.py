@@ -1,8 +1,7 @@
 """Compiler options and the cache of machine code.
 
-The machine code of a kernel has a hash of everything that it depends on as its name in the user's cache
-folder, so that an edited right-hand side is never answered by an old kernel. Numba's own cache does not see
-edits in other files, and trusts whatever lies in its folder.
+In the user's cache folder the name of a kernel is a hash of everything that its machine code depends on, so that an edited
+right-hand side never meets an old kernel. Numba's own cache does not see edits in other files, and trusts its folder.
 """
 
 from __future__ import annotations
@@ -56,8 +55,7 @@ INLINE = (
 )
 CALLED = INLINE.replace("forceinline=True, ", "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
-# Settings of Numba that change the machine code of a kernel. All others (threads, caches, messages, dumps, GPUs,
-# profiling of the dispatcher) leave it as it is.
+# Settings of Numba that change the machine code of a kernel, unlike threads, caches, messages, dumps, GPUs and profiling.
 MACHINE_CODE_SETTINGS = {
     "CPU_NAME": "processor that the code is for",
     "CPU_FEATURES": "instructions that it may use",
@@ -73,10 +71,10 @@ MACHINE_CODE_SETTINGS = {
     "LLVM_REFPRUNE_PASS": "removes code",
     "LLVM_REFPRUNE_FLAGS": "removes code",
 }
-# Intrinsics are compiled into every kernel, but are not in its source.
+# Intrinsics are compiled into every kernel without being in its source.
 _INTRINSICS = Path(__file__).with_name("intrinsics.py").read_bytes() + Path(__file__).read_bytes()
-# A second thread must not get a module that is only half there, nor parse while another does: Python 3.11 keeps one depth of
-# recursion for all threads, and raises SystemError where two conversions of syntax trees overlap.
+# No second thread may get half a module, nor parse at the same time: Python 3.11 keeps one depth of recursion for all threads,
+# and raises SystemError where two conversions of syntax trees overlap.
 PARSING = threading.RLock()
 
 
@@ -88,7 +86,7 @@ def cpu() -> str:
 def settings() -> dict[str, str]:
     """Settings of Numba that change the machine code, as they are in effect, by name."""
     with global_compiler_lock:  # `_at_level` changes two of them for a while
-        numba.config.reload_config()  # the compiler does the same, and would use variables that have changed
+        numba.config.reload_config()  # the compiler does so, too: environment variables may have changed
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
 
 
@@ -102,7 +100,7 @@ class _Statement(NamedTuple):
 
 @functools.lru_cache(maxsize=8)
 def _statements(source: str) -> tuple[_Statement, ...]:
-    """The statements of a kernel, parsed once for its hash and for those of its functions."""
+    """The statements of a kernel, parsed once for the hashes of the kernel and of its functions."""
     with PARSING:
         body = ast.parse(source).body
     statements = []
@@ -138,48 +136,45 @@ def load(source: str) -> ModuleType:
         name = f"atlas_kernel_{digest(source)}"
         if name not in sys.modules:
             module = ModuleType(name)
-
-            def define(functions: bool) -> None:
-                """Run the functions that `integrate` calls, whose decorators take a tenth of a second, or the rest."""
-                body = [
-                    node
-                    for function, node, _ in _statements(source)
-                    if functions == (isinstance(node, ast.FunctionDef) and function != "integrate")
-                ]
-                exec(compile(ast.Module(body, []), f"<{name}>", "exec"), module.__dict__)
-
-            define(functions=False)
-            compiles = isinstance(module.integrate, Dispatcher)
+            _define(source, module, functions=False)
+            compiles = isinstance(module.integrate, Dispatcher)  # false under NUMBA_DISABLE_JIT
             if compiles:
-                cache = module.integrate._cache = _MachineCode(name)  # what its option `cache` sets
+                module.integrate._cache = _MachineCode(name)  # as the option `cache` of njit does
                 compiler = module.integrate._compiler
-                compile_function = compiler.compile
-
-                def reported(*arguments: Any) -> Any:
-                    """Compile, measured and announced; it is not called if the code is in the cache."""
-                    # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
-                    enabled = gc.isenabled()
-                    gc.disable()
-                    try:
-                        with compilation():
-                            define(functions=True)
-                            cache.modules = _share_functions(source, module)
-                            return compile_function(*arguments)
-                    finally:
-                        if enabled:
-                            gc.enable()
-
-                compiler.compile = reported
-            else:  # under NUMBA_DISABLE_JIT
-                define(functions=True)
+                compiler.compile = functools.partial(_compile, source, module, compiler.compile)
+            else:
+                _define(source, module, functions=True)
             sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
         return sys.modules[name]
 
 
+def _define(source: str, module: ModuleType, *, functions: bool) -> None:
+    """Run the functions that `integrate` calls, whose decorators take a tenth of a second, or else the rest of a kernel."""
+    body = [
+        node
+        for name, node, _ in _statements(source)
+        if functions == (isinstance(node, ast.FunctionDef) and name != "integrate")
+    ]
+    exec(compile(ast.Module(body, []), f"<{module.__name__}>", "exec"), vars(module))
+
+
+def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arguments: Any) -> Any:
+    """Compile `integrate`, which is not in the cache; the time is measured and announced."""
+    # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        with compilation():
+            _define(source, module, functions=True)
+            module.integrate._cache.modules = _share_functions(source, module)
+            return compiler(*arguments)
+    finally:
+        if enabled:
+            gc.enable()
+
+
 def _share_functions(source: str, module: ModuleType) -> list[str]:
-    """Cache each function of a kernel under a hash of its text, of the functions that it calls and of the
-    numbers that these use, so that only what is new in another kernel is compiled; returns these names.
-    """
+    """Cache each function of a kernel under a hash of all that it uses, so that kernels share it; returns these names."""
     definitions = {statement.name: statement for statement in _statements(source) if statement.name}
     uses = {
         name: {node.id for node in ast.walk(statement.node) if isinstance(node, ast.Name)}
@@ -199,11 +194,11 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
             trees = (definitions[each].tree for each in sorted(needed))
             shared = f"atlas_function_{name}_{_hash(trees, environment)}"
             names.append(shared)
-            # Numba looks the globals of cached code up by module name, and a module of this kernel may not be there.
+            # Numba looks the globals of cached code up by module name, and this kernel's module may not be loaded.
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)
-            # What is inlined is neither vectorised nor unrolled before: both are done where it is inlined.
+            # Inlined functions are vectorised and unrolled in their caller, not before.
             inlined = function.targetoptions.get("forceinline")
             level = (type(config.OPT)(1), 0) if inlined else (config.OPT, config.LOOP_VECTORIZE)
             function._compiler.compile = functools.partial(_at_level, level, function._compiler.compile)
@@ -211,7 +206,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
 
 
 def _at_level(level: tuple[int, int], compile_function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile a function, perhaps while another is compiled, with this level of optimisation and of vectorisation."""
+    """Compile a function with this level of optimisation and of vectorisation, maybe during the compilation of another."""
     config: Any = numba.config
     with global_compiler_lock:
         before = config.OPT, config.LOOP_VECTORIZE
@@ -227,17 +222,17 @@ class _MachineCode(NullCache):
 
     def __init__(self, name: str):
         self.name = name
-        self.modules: list[str] = []  # of the functions in it
+        self.modules: list[str] = []  # names under which its functions are cached
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """The compiled function, or None if it has to be compiled."""
-        # Finished code needs the allocator alone. To refresh the compiler as well, as Numba's own cache does, takes 0.5 s.
+        # Finished code needs the allocator alone; refreshing the compiler, as Numba's own cache does, takes 0.5 s.
         rtsys.initialize(target_context)
         path, key = self._place(signature, target_context.codegen())
         try:
             if _warned_of_foreign(path.parent):
                 return None
-            # A file that nobody else can have written: neither follow a link nor wait for the other end of a pipe.
+            # Neither follow a link nor wait for the other end of a pipe.
             flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
             with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
                 status = os.fstat(file.fileno())
@@ -275,18 +270,18 @@ class _MachineCode(NullCache):
             _complain(path.parent, f"cannot be written ({error.strerror or error}): compiling in memory")
 
     def _place(self, signature: Any, codegen: Any) -> tuple[Path, bytes]:
-        """File of a signature, and what the file must be made for."""
+        """File of a signature, and the key that its hash contains."""
         key = repr((self.name, str(signature), codegen.magic_tuple())).encode()
         return cache_folder() / f"{self.name}.{hashlib.sha256(key + _INTRINSICS).hexdigest()[:8]}", key
 
 
 def _hashed(key: bytes, payload: bytes) -> bytes:
-    """Content of a file of the cache; the hash finds damage, and files that were made for something else."""
+    """Content of a file of the cache; the hash finds damage and files with another key."""
     return hashlib.sha256(key + payload).digest() + payload
 
 
 def _danger(status: os.stat_result) -> str | None:
-    """Why the machine code in a file or folder may be another user's, or None if it cannot."""
+    """Why another user may have written a file or folder; None if nobody can have."""
     if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
         return "belongs to another user"
     if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
@@ -295,7 +290,7 @@ def _danger(status: os.stat_result) -> str | None:
 
 
 def _warned_of_foreign(folder: Path) -> bool:
-    """Whether other users could have filled a cache, so that nothing in it may be executed; warns of it once."""
+    """Whether other users could have filled a cache, so that nothing in it may be executed; warns once."""
     status = os.lstat(folder)
     danger = _danger(status)
     if stat.S_ISLNK(status.st_mode):
@@ -317,7 +312,7 @@ _complaints: set[Path] = set()
 
 
 def _complain(folder: Path, text: str) -> None:
-    """Warn of a cache that cannot be used, once for each folder."""
+    """Log a warning about an unusable cache, once for each folder."""
     if folder not in _complaints:
         _complaints.add(folder)
         logging.getLogger("atlas").warning("the kernel cache %s %s", folder, text)
@@ -333,10 +328,10 @@ def _remove(path: Path) -> None:
 
 
 def cached() -> list[tuple[str, int, float]]:
-    """Kernels, and functions that they share, in the cache: name, bytes, time of the last change."""
+    """Kernels and the functions that they share in the cache: name, bytes, time of the last change."""
     kernels = []
     for path in sorted(cache_folder().glob("atlas_[fk]*")):
-        files = [path, *path.rglob("*")]  # a folder: of an earlier version
+        files = [path, *path.rglob("*")]  # earlier versions had a folder for each kernel
         with suppress(FileNotFoundError):  # removed in the meantime
             size = sum(status.st_size for file in files if stat.S_ISREG((status := file.lstat()).st_mode))
             kernels.append((path.name, size, path.lstat().st_mtime))
@@ -344,7 +339,7 @@ def cached() -> list[tuple[str, int, float]]:
 
 
 def clear() -> int:
-    """Remove all of the cache, and what killed processes left of it; returns how many kernels there were."""
+    """Empty the cache, temporary files of killed processes included; returns the number of kernels in it."""
     names = [name for name, _, _ in cached()]
     for name in names:
         _remove(cache_folder() / name)

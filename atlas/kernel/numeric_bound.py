@@ -1,9 +1,9 @@
 """The frequency bound of systems that give none: from the Jacobian at the start and along a preliminary run.
 
-At the start alone the numeric frequency of `systems.jacobian` is often too low, because a motion may begin
-slowly. A preliminary run with the longest possible steps therefore samples it, and is repeated with the
-larger bound where it has grown. A forcing by time, itself a state, is not in the Jacobian's powers: the run
-shows it in the derivatives of the states. No point's result depends on others.
+The numeric frequency of `systems.jacobian` at the start alone is often too low, because a motion may begin slowly. A
+preliminary run with the longest possible steps therefore samples it, and is repeated with a larger bound where it has grown.
+The Jacobian's powers do not contain a forcing by time, itself a state: the derivatives of the states along the run show it. No
+point's result depends on others.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from ..systems.base import Array, Mask, Points, System
 from .ensemble import Ensemble
 from .tableaux import Method
 
-# Distance of two samples in rad of the bound: so short that a motion which becomes faster is sampled before it is too fast
-# for the steps, such as a body on an eccentric orbit before it passes the centre. Long runs have MAX_SAMPLES of them.
+# Distance of two samples in rad of the bound: short enough to show that a motion becomes faster, such as on an eccentric orbit
+# before the centre, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Turns in a run of the least bound: a motion that starts in a state with vanishing Jacobian is sampled, too.
+# Turns in a run by the least bound, which samples a motion that starts with a vanishing Jacobian.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because
-# a coarse trial run may itself be wrong.
+# A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because a coarse run may
+# be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives that are
-# smaller than this share of the state, with the bound as the unit of rates, are rounding errors.
+# The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives below the
+# share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
-MATRICES = 4096  # Jacobians that are computed together
-FEW_STEPS = 20000  # of all points together: fewer take less time than starting a thread
+MATRICES = 4096  # Jacobians computed at a time
+FEW_STEPS = 20000  # of all points: fewer take less time than the start of a thread
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
@@ -59,10 +59,7 @@ def along_runs(
     *,
     threads: int | None = None,
 ) -> tuple[Array, Mask]:
-    """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it.
-
-    The ensemble's bound is a proved one, or the frequency at the start. A run of more than max_steps is sampled no further.
-    """
+    """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it."""
     if not system.has_numeric_bound:
         return ensemble.frequency_bound, np.ones(ensemble.size, bool)
     bound = np.fmax(ensemble.frequency_bound, _least(duration))
@@ -106,10 +103,10 @@ def _largest_frequency(
     longest_step: Array,
     threads: int | None,
 ) -> Array:
-    """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf: it overflowed."""
-    largest, taken = np.zeros(ensemble.size), 0
-    # Time as a state depends on no state. Without one the Jacobian shows every frequency, and derivatives of steady motions
-    # would be rounding errors.
+    """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf after an overflow."""
+    largest, n_samples = np.zeros(ensemble.size), 0
+    # A state whose rate depends on no state is time. Without it the Jacobian shows every frequency, and the derivatives of
+    # steady motions would be rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # the largest of each state and derivative
@@ -119,11 +116,11 @@ def _largest_frequency(
     active: NDArray[np.int64] = np.arange(ensemble.size)
     while active.size:
         part = ensemble.subset(active)
-        # As many as before, for most bounds that are too low are exceeded early.
-        count = int(np.clip(min(MATRICES // active.size, taken), 1, samples[active].max() - taken))
+        # The number of samples doubles, because most bounds that are too low are exceeded early.
+        count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
         states = np.empty((len(part.state), count, active.size))
-        # The first call may compile the kernel, which only threads can do without delaying an interruption.
-        in_threads = 0 if taken > 0 and steps[active].sum() <= FEW_STEPS else threads
+        # The first call may compile the kernel: in a thread, so that it delays no interruption.
+        in_threads = 0 if n_samples > 0 and steps[active].sum() <= FEW_STEPS else threads
         for k in range(count):
             states[:, k] = part.final_states(kernel, steps[active], step_size[active], threads=in_threads)
             part.state[:] = states[:, k]
@@ -134,14 +131,14 @@ def _largest_frequency(
             rate = np.repeat(bound[None, active], count, axis=0)
             derivatives = np.abs(jacobian.derivatives(system.equations, states, constants, rate))
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
-        sampled = taken + np.arange(count)[:, None] < samples[active]
+        sampled = n_samples + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
         sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # none after the first
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
         derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
         sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)
-        taken += count
-        active = active[~exceeds.any(0) & (taken < samples[active])]
+        n_samples += count
+        active = active[~exceeds.any(0) & (n_samples < samples[active])]
     with np.errstate(all="ignore"):
         ratios = np.fmax.reduce(sizes[2:] / np.fmax(sizes[1:3], NEGLIGIBLE * sizes[0]), axis=(0, 1))
         of_slopes = np.where(has_time & ~(largest > TOLERATED * bound), bound * ratios / OVERTONE, 0.0)

@@ -1,11 +1,10 @@
 """The kernel of systems with observables: blocks of points, their observables averaged along each motion.
 
-What depends on the system and the method stands in `generated`. An observable is evaluated with its
-derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over the nodes by the
-trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
-are extremes of the interpolation of four. Of an observable that is measured once a period the sums and extremes are those of
-the nodes there. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2
-along the run, sums of g, g^2 and u g give mean, standard deviation and slope of the line fitted to f.
+An observable is evaluated with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over
+the nodes by the trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
+are extremes of the interpolation of four. An observable measured once a period has sums and extremes over the nodes at the
+periods alone. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, sums of g, g^2 and u g give
+mean, standard deviation and slope of the line fitted to f.
 """
 
 import numpy as np
@@ -33,7 +32,7 @@ from .generated import (
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
 from .poles import place_of_turn, turns_twice
 
-# Rows of the sums: the change of first integrals, then FIELDS rows for each observable: f0, the sums, the extremes, the
+# Rows of the sums: the change of first integrals; then FIELDS rows for each observable: f0, the sums, the extremes, and the
 # largest distance of a node from the cubic through its two neighbours.
 CHANGE, FIRST_ROW = 0, 1
 START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS, FIELDS = 0, 1, 2, 3, 4, 5, 6, 7
@@ -98,7 +97,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def begin(sums, nodes):
-    """Start the sums with the values at the start, which stand in slot 0."""
+    """Start the sums with the values at the start, in slot 0."""
     for row in range(sums.shape[0]):
         for l in range(WIDTH):
             sums[row, l] = 0.0
@@ -133,7 +132,7 @@ def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_we
 
 
 def add_strobes(sums, strobes, state, constants, period, i, intervals):
-    """Add node i of a run to the sums of what is measured once a period, in the lanes in which it ends one or is the start."""
+    """Add node i of a run to the sums of observables measured once a period, in lanes where a period ends or the run begins."""
     for l in range(WIDTH):
         store_strobes(strobes, l, load_state(state, l), load_constants(constants, l))
     u = i / intervals - 0.5

@@ -5,12 +5,12 @@ function of complex time, has a zero z close to the real axis, so that
 
     phi' = -Im(zeta' / zeta),    psi' = (u3 - phi') / g3,    theta'^2 = g3'^2 / |zeta|^2
 
-have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole is a closed
-form (Poisson's summation formula): `trapezoid_error_of_pole`. The zero is found on the polynomial through
-four nodes of the motion (`pole_terms`), and the kernel subtracts the errors of the sums.
+have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole has a closed form (Poisson's
+summation formula): `trapezoid_error_of_pole`. The polynomial of degree 7 through four nodes of the motion has the zero
+(`pole_terms`), and the kernel subtracts the errors of the sums.
 
-Turning points of theta are computed on such polynomials, of degree 7 (`turning_point`), from those of the cubic between two
-nodes (`turns_twice`, `place_of_turn`). The unit of time is the distance of two nodes.
+Turning points of theta are computed on the same polynomials (`turning_point`), from a first approximation on the cubic between
+two nodes (`turns_twice`, `place_of_turn`). The unit of time is the distance of two nodes.
 """
 
 from enum import IntEnum
@@ -24,10 +24,7 @@ NEWTON_STEPS = 3
 
 
 class Passage(IntEnum):
-    """Rows that describe a passage near the vertical; rates and derivatives are per distance of two nodes.
-
-    The first six begin four rows each, one for each node, of which `difference` makes divided differences.
-    """
+    """Rows of a passage near the vertical; the first six begin four rows each, one for each node."""
 
     G1 = 0
     G1_SLOPE = 4
@@ -35,12 +32,12 @@ class Passage(IntEnum):
     G2_SLOPE = 12
     U3 = 16
     U3_SLOPE = 20
-    TIME = 24  # real instant near which zeros are sought, counted from the first of the four nodes
+    TIME = 24  # real instant near the zeros, counted from the first of the four nodes
     Z_REAL = 25  # a zero or its approximation, counted likewise
     Z_IMAG = 26
     FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
     VERTICAL = 28  # the sign of g3
-    PSI_DOT_REFERENCE = 29  # what psi' and phi' are counted from in the sums
+    PSI_DOT_REFERENCE = 29  # zero of psi' and phi' in the sums
     PHI_DOT_REFERENCE = 30
 
 
@@ -48,7 +45,7 @@ PASSAGE_ROWS = max(Passage) + 1
 
 
 class Term(IntEnum):
-    """Rows of the result of `pole_terms`: a zero, and the coefficients of 1 / (t - z) in the squares of the rates."""
+    """Rows of the result of `pole_terms`: a zero z, and the coefficients of 1 / (t - z) in the squares of the rates."""
 
     Z_REAL = 0  # counted from the first of the four nodes
     Z_IMAG = 1
@@ -69,7 +66,7 @@ class Term(IntEnum):
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """Whether sin^2 theta is least between two nodes and zeta may have a zero near, 1.0 or 0.0, and where.
+    """Whether sin^2 theta has a minimum between two nodes with a zero of zeta near it, 1.0 or 0.0, and the place.
 
     Slopes are half the derivative of sin^2 theta; near: on a parabola, within REACH of the real axis.
     """
@@ -108,10 +105,7 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """The nearer or the farther zero of the parabola that touches zeta at TIME; `passages` is differenced.
-
-    An axis that starts near the vertical, or turns back there, has two zeros near.
-    """
+    """The nearer or the farther zero of the parabola that touches zeta at TIME; both may be near."""
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
     root = square_root(slope * slope - 4.0 * (curvature * value))
@@ -134,13 +128,11 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of the differenced passage e into column e of terms[farther].
-
-    The last step for the zero is one of Halley's method, which needs no more than the coefficients do.
-    """
+    """Write zero, Laurent coefficients and errors of the differenced passage e into column e of terms[farther]."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
+    # A step of Halley's method, whose second derivative the coefficients need as well.
     change = value * complex_inverse(slope)
     change = value * complex_inverse(slope - curvature * change)
     z, slope = z - change, slope - 2.0 * (curvature * change)
@@ -169,10 +161,7 @@ def pole_terms(passages, e, terms, farther):
 
 
 def sum_errors(terms, farther, e, tau, slope, vertical):
-    """Write the excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero.
-
-    `tau` and `slope` as for `trapezoid_error_of_pole`; `vertical` is the sign of g3.
-    """
+    """Write the excess of the sums of theta'^2, psi', psi'^2, phi' and phi'^2 over their integrals near one zero."""
     simple, double = trapezoid_error_of_pole(tau, slope)
     theta = (
         simple.real * terms[farther, Term.THETA_REAL, e] - simple.imag * terms[farther, Term.THETA_IMAG, e]
@@ -188,10 +177,7 @@ def sum_errors(terms, farther, e, tau, slope, vertical):
 
 
 def trapezoid_error_of_pole(tau, slope):
-    """Excess of the weighted sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals.
-
-    `tau`, in which the samples are uniform, and its derivative are values at z; see `sampling.stretched`.
-    """
+    """Excess of the sums of 1 / (t - z) and 1 / (t - z)^2 over their integrals; tau, slope: `sampling.stretched` at z."""
     side, turns = (1.0 if tau.imag > 0.0 else -1.0), tau.real - np.floor(tau.real + 0.5)
     q_less_1 = exponential_less_1(complex(-2.0 * np.pi * min(abs(tau.imag), 8.0), 2.0 * np.pi * turns))
     inverse = complex_inverse(-q_less_1)
@@ -201,7 +187,7 @@ def trapezoid_error_of_pole(tau, slope):
 
 
 def exponential_less_1(z):
-    """exp(z) - 1 for |z| up to 50, from exp(z / 128) - 1: arithmetic of which the compiler makes vector instructions."""
+    """exp(z) - 1 for |z| up to 50, from exp(z / 128) - 1 by arithmetic that the compiler turns into vector instructions."""
     w = z * (1 / 128)
     value = 1.0 + w * (1 / 9)
     for k in range(8, 1, -1):
@@ -213,7 +199,7 @@ def exponential_less_1(z):
 
 
 def complex_inverse(z):
-    """1 / z, and a large number without an error where z is 0 (complex division raises)."""
+    """1 / z; a large number where z is 0, for which complex division raises an error."""
     square = z.real * z.real + z.imag * z.imag
     return z.conjugate() * (1.0 / (square if square > 1e-300 else 1e-300))
 
@@ -258,7 +244,7 @@ TURN_STEPS = 5
 
 
 class Turn(IntEnum):
-    """Rows that describe a turning point: the vertical and its derivatives at four nodes, four rows each."""
+    """Rows of a turning point: the vertical and its derivatives at four nodes, four rows each."""
 
     G1 = 0
     G1_SLOPE = 4
@@ -274,9 +260,9 @@ TURN_ROWS = max(Turn) + 1
 
 
 def turns_twice(f0, f1, s0, s1, rounding):
-    """Whether the cubic with these values, of one sign, and slopes at 0 and 1 turns twice between, 1 or 0.
+    """Whether the cubic with these values and slopes, of one sign, at 0 and 1 turns twice between them, 1.0 or 0.0.
 
-    So does a motion that starts at rest if it turns back once; less than `rounding` is no turn.
+    A motion that starts at rest and turns back once does so as well; a change below `rounding` is no turn.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -285,7 +271,7 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Place from 0 to 1 at which that cubic turns; where it does so twice, the one farther from both nodes."""
+    """Place from 0 to 1 at which that cubic turns; of two places the one farther from both nodes."""
     a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))
@@ -318,10 +304,9 @@ def motion_of_turn(turns, e):
 
 
 def turning_point(turns, e):
-    """cos theta and sin^2 theta at TIME, in column e of `turns`; then TIME is improved.
+    """cos theta and sin^2 theta at TIME in column e of `turns`; then a step of Newton's method improves TIME.
 
-    TIME stays between the nodes where the derivative of theta changes its sign: where theta is constant but
-    for rounding errors, Newton's method would leave the four nodes.
+    TIME stays between its two nodes: where theta is constant but for rounding errors, Newton's method would leave the four nodes.
     """
     u, v, w = motion_of_turn(turns, e)
     before = turns[Turn.NODE, e] - turns[Turn.TIME, e]

@@ -1,11 +1,9 @@
 """Samples of the Euler rates and the quadrature rule that averages them over a run.
 
-The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes,
-whose error falls exponentially. At both ends the variable of integration is changed from t to tau(t), which
-is t itself away from the ends and there grows like the logarithm of the distance from the end: uniform in
-tau, the samples crowd towards the ends geometrically, so that the rule is as accurate for a rate that has a
-singularity at any distance beyond an end as for a smooth one. (The trapezoidal rule after such a change of
-variable: H. Takahasi and M. Mori, Publ. RIMS 9 (1974) 721-741.)
+The unit of time is the distance of two nodes. Inside a run the rule is the trapezoidal one on the nodes, whose error falls
+exponentially. Near both ends the variable of integration changes from t to tau(t), which grows like the logarithm of the
+distance from the end: samples uniform in tau crowd towards the end geometrically, so that a singularity of a rate at any
+distance beyond an end costs no accuracy (H. Takahasi and M. Mori, Publ. RIMS 9 (1974) 721-741).
 """
 
 from __future__ import annotations
@@ -17,27 +15,24 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-# tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Seen from beyond the end
-# every singularity lies CLUSTERING times at least pi / 2 from the real tau axis: an error of exp(-pi^2 CLUSTERING).
+# tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond
+# an end lies at least CLUSTERING pi / 2 from the real tau axis: an error of exp(-pi^2 CLUSTERING).
 CLUSTERING = 2.25
 SQUARE, FOURTH = 5.0, 9.0
-# Intervals from an end in which tau(t) differs from t, and the shortest run that has both ends to themselves.
+# Intervals from an end in which tau(t) differs from t, and the shortest run whose ends do not overlap.
 END = 18
 LONG = 2 * END
 # Terms of the Euler-Maclaurin formula: B_2k / (2k)! of the derivatives of the orders 1, 3, 5, 7.
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # Nodes are interpolated by fours.
 MIN_INTERVALS = 3
-# The sample nearest to an end is about this far from it; what lies beyond is added to the weight of the end itself.
+# About the distance of the nearest sample from an end, whose own weight covers the rest.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """theta_dot, psi_dot, phi_dot and the normal rate in the units of u, and 1.0 outside the cylinder.
-
-    Where sin^2 theta is below cylinder_squared, psi' and phi' have no meaning: they and the last value are 0.
-    """
+    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside the cylinder; inside it is 0, like psi' and phi'."""
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)
@@ -58,17 +53,14 @@ class Quadrature(NamedTuple):
     """The rules of all runs, by the number of intervals, LONG and above being one."""
 
     node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
-    # Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1, (LONG + 1, LONG
-    # + 1)
+    # Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1, (LONG + 1, LONG + 1)
     first_sample: NDArray[np.int64]
-    # Weight of a sample, then the weights of `hermite_weights` that interpolate the motion there, (samples,
-    # 9)
-    samples: NDArray[np.float64]
+    samples: NDArray[np.float64]  # weight of a sample, then its `hermite_weights`, (samples, 9)
 
 
 @cache
 def quadrature() -> Quadrature:
-    """The rules for runs of MIN_INTERVALS intervals and more. The weights of each are positive and add up to them."""
+    """The rules for runs of MIN_INTERVALS intervals and more; all weights are positive, their sum is the number of intervals."""
     node_weights = np.zeros((LONG + 1, LONG + 1))
     first_sample = np.zeros((LONG + 1, LONG + 1), np.int64)
     rows, count = [], 0
@@ -90,9 +82,7 @@ def quadrature() -> Quadrature:
 
 
 def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Instants of the samples of each run of so many intervals, ascending, and their weights, both in node distances,
-    without the two ends.
-    """
+    """Ascending instants of the samples of runs of these lengths, without the two ends, and their weights, in node distances."""
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
@@ -106,9 +96,9 @@ def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float6
         value, slope = stretched(start, end)
         middle = np.clip(middle + (tau - value) * intervals / (slope * start * end), low - 1.0, high + 1.0)
     start, end = _from_both_ends(middle, intervals)
-    used = np.minimum(start, end) > 0.5 * NEAREST
+    mask = np.minimum(start, end) > 0.5 * NEAREST
     weight = 1.0 / stretched(start, end)[1]
-    return [(start[i][used[i]], weight[i][used[i]]) for i in range(len(lengths))]
+    return [(start[i][mask[i]], weight[i][mask[i]]) for i in range(len(lengths))]
 
 
 def _from_both_ends(
@@ -148,17 +138,17 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 class EndWeights(NamedTuple):
     """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
 
-    values: NDArray[np.float64]  # by the number of the node; the half of the first node is in the first, (4,)
-    slopes: NDArray[np.float64]  # of the derivatives, (4,); at the end of a run with the opposite sign
+    values: NDArray[np.float64]  # of the motion, (4,); the first contains the half weight of an end
+    slopes: NDArray[np.float64]  # of its derivative, (4,); at the end of a run with the opposite sign
 
 
 @cache
 def end_weights() -> EndWeights:
     """The weights for any run.
 
-    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, in which the first and
-    the last count half, and B_2k / (2k)! times the difference of the odd derivatives at both ends (start less
-    end). With derivatives of the Hermite interpolation of four nodes the rule is exact up to degree 7.
+    By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, the first and the last counted half, plus
+    B_2k / (2k)! times the odd derivatives at the start less those at the end. With the derivatives of the Hermite interpolation
+    of four nodes the rule is exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

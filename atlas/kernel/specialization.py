@@ -18,8 +18,7 @@ class Specialization:
     """Terms that the kernel of a whole scene may leave out."""
 
     zero: frozenset[str] = frozenset()  # constants of the equations that are 0 at every point
-    # Constants of which the first equals the second at every point
-    equal: frozenset[tuple[str, str]] = frozenset()
+    equal: frozenset[tuple[str, str]] = frozenset()  # pairs of constants that are equal at every point
 
     @classmethod
     def of(cls, system: System, zero: Set[str], equal: Set[tuple[str, str]]) -> Specialization:
@@ -67,7 +66,7 @@ def kernel_hash(*sources: str) -> str:
 
 
 def _jit() -> Any:
-    """The compiler, which nothing imports that only reads or draws atlases."""
+    """The compiler, imported here because reading and drawing atlases needs none."""
     from . import machine_code
 
     return machine_code

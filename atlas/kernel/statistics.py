@@ -1,8 +1,8 @@
 """Statistics of a run: their sums in the kernel, their final formulas, and their names in an atlas.
 
-A statistic of every atlas is added here alone: a row of the sums (`Row`), a line in `begin` and in
-`accumulate`, its formula in `finish`, and its entry in STATISTICS, from which the registry of variables takes
-name, unit and meaning. Others are instruments (`measure.instrument`). No trajectory is kept.
+A statistic of every atlas is added in this module alone: a row of the sums (`Row`), a line in `begin` and in `accumulate`, its
+formula in `finish`, and its entry in STATISTICS, which gives the registry of variables its name, unit and meaning. Statistics
+that only some scenes ask for are instruments (`measure.instrument`). No trajectory is kept.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # Marks an empty slot for a zero.
 NO_ZERO = -1e3
-# Relative difference of the mean of theta' over the samples from that over the run that is rounding; where theta' is nearly constant
-# and does not jump, an error of the steps.
+# Relative difference of the mean of theta' over the samples from its mean over the run: by rounding, and, where theta' is nearly
+# constant, by the error of the steps.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
@@ -36,7 +36,7 @@ class Counted(IntEnum):
 
 
 class Row(Counted):
-    """Rows of the kernel's output; sums and their quadrature errors are apart; theta at both ends in rad."""
+    """Rows of the kernel's output: sums, their quadrature errors, extremes, references; theta at both ends in rad."""
 
     OUTSIDE = auto()
     THETA_DOT_SQUARED = auto()
@@ -67,7 +67,7 @@ class Row(Counted):
     NORMAL_RATE_REFERENCE = auto()
     FIRST_THETA = auto()
     LAST_THETA = auto()
-    ZERO_1_REAL = auto()  # the last two zeros of zeta that were corrected for
+    ZERO_1_REAL = auto()  # the last two zeros of zeta with a correction
     ZERO_1_IMAG = auto()
     ZERO_2_REAL = auto()
     ZERO_2_IMAG = auto()
@@ -179,12 +179,9 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Every statistic of STATISTICS, sine_max (largest sin theta), and axis_1, axis_2 (mean `axis_in_frame`).
-
-    Means and deviations of psi' and phi' are over the time outside the cylinder, nan if there is none.
-    """
+    """Every statistic of STATISTICS, sine_max (largest sin theta), and axis_1, axis_2 (mean `axis_in_frame`)."""
     with np.errstate(all="ignore"):
-        # np.maximum returns nan for nan: a run that overflowed stays visible.
+        # np.maximum returns nan for nan, so that an overflow stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
         rms, shift = np.sqrt(square), out[Row.THETA_DOT_CHANGE] / intervals
         about_start = out[Row.THETA_DOT_CHANGE_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR]
@@ -198,7 +195,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]
+        outside = out[Row.OUTSIDE]  # of the cylinder: psi' and phi' are nan without it
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]
@@ -213,7 +210,7 @@ def finish(
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted_mean**2, 0.0))
         low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
         widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
-        # All on one side of the equator the widest tilt is the extreme nearer to it.
+        # On one side of the equator the widest tilt is the extreme nearer to it.
         result |= {
             "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
             "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),

@@ -1,4 +1,4 @@
-"""How many steps each point takes, and how often it is sampled: from that point and the settings alone."""
+"""Steps and samples of each point, from that point and the settings alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16
 # A run is resolved up to this step ratio and this dissipation error.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
-# Steps of a run that is not resolved. They show whether its numbers overflow; it gets no label however long it is.
+# Steps of a run that is not resolved, enough to show an overflow: it gets no label however long it is.
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
@@ -33,13 +33,15 @@ class StepSizes:
     steps_per_sample: NDArray[np.int64]  # steps between two nodes of the statistics
     step_size: NDArray[np.float64]  # in time units
     step_ratio: NDArray[np.float64]  # step_size times frequency bound, over the stability limit of the method
-    # Phase error of an oscillation at the frequency bound at the end of the run, rad
+    # At the end of the run, for an oscillation at the frequency bound: phase error in rad, relative loss of amplitude
     dispersion_error: NDArray[np.float64]
-    dissipation_error: NDArray[np.float64]  # relative loss of its amplitude by then
-    # Expected variation of a steady rate as large as the bound, rad per time unit
-    rate_error: NDArray[np.float64]
-    # Periods that a run consists of, each of equally many nodes; 0: of a run that is not measured once a period
-    periods: NDArray[np.int64]
+    dissipation_error: NDArray[np.float64]
+    rate_error: NDArray[
+        np.float64
+    ]  # expected variation of a steady rate as large as the bound, rad per time unit
+    periods: NDArray[
+        np.int64
+    ]  # of the run, with equally many nodes in each; 0: nothing is measured once a period
 
     @classmethod
     def of(
@@ -51,13 +53,11 @@ class StepSizes:
     ) -> StepSizes:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
-        Of `settings`, see `scene.model.Settings`, method, tolerance (rad), step (time units), max_steps and rate_tolerance (rad
-        per time unit) are used.
-        With `step`, of each point, or else `settings.step`, steps are at most that long. Otherwise they are so short that the phase error of an
-        oscillation at the bound stays within `settings.tolerance`, and that neither its loss of amplitude nor the
-        local error lets a steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance.
-        `settings.max_steps` limits their number before it is rounded up: the errors show what that costs. A point
-        without finite bound gets the fewest steps and an infinite step ratio.
+        Steps are at most as long as `step`, of each point, or else `settings.step`. Without both the phase error of an
+        oscillation at the bound stays within `settings.tolerance`, and neither its loss of amplitude nor the local error lets a
+        steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance. `settings.max_steps` limits
+        the number before it is rounded up: the errors show the cost. A point without a finite bound gets the fewest steps and an
+        infinite step ratio. settings: see `scene.model.Settings`.
         """
         method, length = METHODS[settings.method], settings.step if step is None else step
         radians = bound * duration
@@ -124,7 +124,7 @@ class StepSizes:
         return np.asarray(stable & (self.dissipation_error <= MAX_DISSIPATION_ERROR))
 
     def without_unresolved(self) -> StepSizes:
-        """The same where they resolve the point, elsewhere STEPS_UNRESOLVED steps of the same size at most."""
+        """The same step sizes, with at most STEPS_UNRESOLVED steps where they do not resolve the point."""
         shorter = ~self.resolved & (self.steps > STEPS_UNRESOLVED)
         return replace(
             self,
@@ -145,10 +145,10 @@ class StepSizes:
         return self._in_steps(steps, np.gcd(steps, self.steps_per_sample), method)
 
     def incommensurate(self, method: Method) -> StepSizes:
-        """Fewer steps, about the golden section, whose nodes coincide with hardly any of these.
+        """Fewer steps, by about the golden section, with hardly any node in common.
 
-        What is faster than the steps and looks slow at these instants looks different at the others: no
-        number is farther from all fractions with small denominators than the golden section.
+        A motion that is faster than the steps and looks slow at these nodes looks different at the others: the golden section is
+        the number farthest from all fractions with small denominators.
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
         fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
@@ -158,7 +158,7 @@ class StepSizes:
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 
     def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
-        """The same runs in so many periods of equally many nodes; None: without periods."""
+        """The same runs with equally many nodes in each period; periods: their numbers, or None."""
         if periods is None:
             return self
         steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
@@ -184,7 +184,7 @@ class StepSizes:
 
 
 def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
-    """Number of steps of at most a length, but for the least and the largest number."""
+    """Number of steps of at most a length, from the least to the largest number allowed."""
     count = np.ceil(np.minimum(duration / length, float(most)) - 1e-9)
     return np.maximum(count, least).astype(np.int64)
 
@@ -192,7 +192,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: Any, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Whole steps in each of equal intervals of runs of so many steps: not longer than these, or than `settings.step`."""
+    """Whole steps in each of `intervals` equal parts of runs of so many steps: not longer than these, or than `settings.step`."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))

@@ -14,15 +14,18 @@ class Method:
     order: int  # global order
     a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
     b: tuple[float, ...]  # weights of the stages
-    dispersion: float  # the phase error of a step is dispersion * y^(order + 1) to leading order
-    # The relative loss of amplitude of a step is dissipation * y^dissipation_order to leading order
+    # To leading order a step has the phase error dispersion * y^(order + 1) and the relative loss of amplitude
+    # dissipation * y^dissipation_order.
+    dispersion: float
     dissipation: float
     dissipation_order: int
     stability: float  # largest stable y
-    # Length of the step in the kernel's unit of time: most coefficients times it are 1
-    kernel_step: float = 1.0
-    # Processor time of a step, samples included, in units of a step of rk4, as bench_methods.py measures it
-    step_cost: float = 1.0
+    kernel_step: float = (
+        1.0  # length of the step in the kernel's unit of time, in which most coefficients are 1
+    )
+    step_cost: float = (
+        1.0  # processor time of a step, samples included, over a step of rk4: see bench_methods.py
+    )
 
     def __post_init__(self) -> None:
         if [len(row) for row in self.a] != list(range(len(self.b))):

@@ -1,13 +1,12 @@
 """The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
 
-The layout of the tangent vector v is in `augmented`. It is divided by its norm at NODES instants of a run
-or more, equally spaced but for the length of a step, and at its end. With L the logarithm of the growth of
-|v| up to an instant t,
+`augmented` gives the layout of the tangent vector v, which is divided by its norm at the nodes, equally spaced but for the
+length of a step, and at the end of the run. With L the logarithm of the growth of |v| up to an instant t,
 
     Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
 
-(Cincotta & Simo 2000, doi 10.1051/aas:2000108; the form without derivatives of v follows by integration by
-parts). The integrals are sums by the trapezoidal rule over these instants; time is counted in steps.
+(Cincotta & Simo 2000, doi 10.1051/aas:2000108; integration by parts gives this form without derivatives of v). The integrals
+are sums by the trapezoidal rule over the nodes; time is counted in steps.
 """
 
 import numpy as np
@@ -33,17 +32,14 @@ from .generated import (
 )
 from .tableaux import METHODS
 
-# The method of these runs, whatever the method of the others: of the two it needs the least time for a given error.
+# The method of all runs with tangent vectors: it needs less time than rk4 for a given error.
 METHOD = METHODS["rk8"]
 # Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L.
 LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1, 2, 3, 4, 5, 6
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """As `kernel.integrate`, with tangent vectors, which are divided by their norms at the nodes.
-
-    The schedule has the nodes of the whole run, not the steps between two; arrays: `chaos.TangentArrays`.
-    """
+    """Integrate blocks with tangent vectors over a range of nodes; the schedule has their number, not the steps between."""
     aligned_stack()
     points, steps, nodes = schedule
     step_size, state0, constants0, tangent0, weights, out = arrays
@@ -94,7 +90,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def add_stretch(sums, l, log_growth, length, time):
-    """Add a stretch of a run to the sums of lane l: logarithm of the growth in it, its length, time at its end."""
+    """Add the part of a run between two nodes to the sums of lane l: logarithm of the growth, its length, time at its end."""
     before = sums[LOG_GROWTH, l]
     after = before + log_growth
     sums[LOG_GROWTH, l] = after

@@ -24,7 +24,7 @@ from .theory import Theory, agreement, departure_changes, predict_any_axis
 
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
-# Share of the size of a statistic by which runs with two steps may differ: the error of what both miss may be ten times as large.
+# Largest difference of a statistic in runs with two steps, over its size; an error in both may be ten times as large.
 LARGEST_CHANGE = 0.01
 
 
@@ -38,9 +38,9 @@ def evaluate(
 ) -> dict[str, np.ndarray]:
     """Integrate, measure, label and compare points; the arrays have names of the registry of variables.
 
-    Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan.
-    Statistics that the plan does not want may be missing or cover a part of the run, because a point ends
-    once its label is certain. `halved`: at half the step of the settings; `progress`: gets points done.
+    Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan. Statistics that the plan
+    does not want may be missing or cover a part of the run, because a point ends once its label is certain. `halved`: at half
+    the step of the settings; `progress`: gets the number of points done.
     """
     if not tile.exists.all():
         columns, registry = {}, variables(plan.system)
@@ -56,7 +56,6 @@ def evaluate(
     runs = _prepare(plan, tile, halved, threads, progress or (lambda points: None))
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
-    # What follows from the other variables, from theory, and from runs with tangent vectors.
     added = dict[str, np.ndarray]()
     if "predicted" in columns:
         added["agreement"] = agreement(columns["label"], columns["predicted"])
@@ -84,8 +83,8 @@ def label_status(
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    rounding_growth is growth rate times duration where the start is on an unstable motion to rounding, else
-    0; step_sensitive: whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`.
+    rounding_growth: growth rate times duration where the start is, to rounding, on an unstable motion, else 0; step_sensitive:
+    whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,
@@ -99,24 +98,24 @@ def label_status(
 
 @dataclass(frozen=True)
 class _Runs:
-    """Points ready to be integrated, and what theory predicts of them; arrays of shape (points,)."""
+    """Points ready to be integrated, and their predictions; arrays of shape (points,)."""
 
     plan: Plan
     tile: Grid
     ensemble: Ensemble
     step_sizes: StepSizes
-    settled: Mask  # whether the frequency bound holds for the whole run, as far as is known
+    settled: Mask  # whether the frequency bound holds for the whole run
     theory: Theory
     tangent: TangentRuns | None
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
     def check(self, point_steps: int = 0) -> None:
-        """For what does not count as progress: call `progress`, which may end the run."""
+        """Call `progress`, which may end the run, without points done."""
         self.progress(0.0)
 
     def integrate(self) -> Run:
-        """Integrate the points, unresolved ones for a few steps; certain drift may end early if planned."""
+        """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.plan.settings
         total = max(int(step_sizes.steps.sum()), 1)
         points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
@@ -160,7 +159,7 @@ class _Runs:
 def _prepare(
     plan: Plan, tile: Grid, halved: bool, threads: int | None, progress: Callable[[float], None]
 ) -> _Runs:
-    """The ensemble, its step sizes and its theory. Parameters may overflow: such points end up unresolved."""
+    """The ensemble, its step sizes and its theory. Points whose parameters overflow are unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
@@ -175,7 +174,7 @@ def _prepare(
         step_sizes = step_sizes.in_periods(periods, method)
         if halved:
             step_sizes = step_sizes.halved(method)
-        starts = replace(tile, points=points)  # not kept, so that what they share does not stay in memory
+        starts = replace(tile, points=points)  # not kept, so that the shared values do not stay in memory
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = None
         if plan.has_chaos:
@@ -186,32 +185,24 @@ def _prepare(
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
-    """Relative errors, and where labels depend on the step, by a second run at half the step where needed."""
+    """Relative errors, and where the step decides labels, by further runs with other steps where needed."""
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
-        # A departure from an unstable motion may be caused by integration errors; it must be where the start
-        # satisfies the conditions of the motion to rounding.
+        # Integration errors may cause a departure from an unstable motion; they do where the start is on it to rounding.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
             theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.steps)
         )
         errors, error = run.errors()
         unsure = run.unsure(errors)
-        # Points whose error is measured: none, all, or one in POINTS_PER_HALF_STEP, by a hash of the point. All are with a
-        # numeric bound, because the expected error does not contain what the bound has not seen. The status follows from
-        # measured errors only where all points have them, so that it does not depend on the choice.
-        which, is_numeric = run.settings.check_half_step, run.system.has_numeric_bound
-        chosen = np.full(usable.size, every := which == "all" or is_numeric)
-        if which == "sample" and not every:
-            mixed = np.zeros(usable.size, np.uint64)
-            for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
-                mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
-                mixed ^= mixed >> np.uint64(29)
-            chosen = mixed % np.uint64(POINTS_PER_HALF_STEP) == 0
-        sample = np.flatnonzero(usable & chosen)
+        # With a numeric bound all errors are measured, because the expected ones miss frequencies that the bound has not seen.
+        # Measured errors decide the status only where all points have them, so that it does not depend on the sample.
+        is_numeric = run.system.has_numeric_bound
+        every = is_numeric or run.settings.check_half_step == "all"
+        sample = np.flatnonzero(usable & (every or _sampled(run)))
         if sample.size:
-            # By a second run with fewer steps, whose overflow could change a label as well.
+            # The second run has fewer steps: its overflow could change a label as well.
             part, expected = run.subset(sample), error[sample]
             sizes = part.step_sizes
             coarser = sizes.incommensurate(method) if is_numeric else sizes.coarsened(method)
@@ -237,10 +228,21 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive
 
 
+def _sampled(run: Run) -> Mask:
+    """One point in POINTS_PER_HALF_STEP, by a hash of the point; none unless the settings ask for a sample."""
+    if run.settings.check_half_step != "sample":
+        return np.zeros(run.ensemble.size, bool)
+    mixed = np.zeros(run.ensemble.size, np.uint64)
+    for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
+        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+        mixed ^= mixed >> np.uint64(29)
+    return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
+
+
 def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
     """Where another step changes a statistic by more than LARGEST_CHANGE of its size, and the expected errors do not explain it.
 
-    They grow as in a run from another start, which is as far away: in chaos so much that no step would do.
+    Errors grow like the distance from a run with a neighbouring start: in chaos so much that no step would do.
     """
     change = run.change(coarse)
     decides = change > LARGEST_CHANGE
@@ -257,13 +259,13 @@ def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
-    """Every variable of the registry but the additions."""
+    """The variables from measurements and predictions, to which `evaluate` adds others."""
     integration, main = run.integration, run.main
     resolved = main.shown(run, runs.resolved(run))
     columns: dict[str, np.ndarray] = {
         name: values if name == "integral_drift" else np.where(resolved, values, np.nan)
         for name, values in run.measured.items()
-        if ":" not in name  # what decides labels
+        if ":" not in name
     }
     columns["status"] = status = runs.status(run, step_sensitive)
     with np.errstate(invalid="ignore"):

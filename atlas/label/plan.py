@@ -1,8 +1,7 @@
-"""A plan: how points are integrated and measured, made once from system, settings and variables wanted, and carried along."""
+"""The plan of an integration and its measurements, made once from system, settings and the variables wanted."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,19 +11,19 @@ from ..kernel import specialization, tangent
 from ..kernel.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
-from ..scene.model import Scene, Settings
+from ..scene.model import Scene, Settings, zero_and_equal
 from ..systems.base import System, derived_variables
 from ..variables import instruments, main_instrument
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The instruments and the kernels of a set of points, which is the same for all points of a scene."""
+    """The instruments and the kernels of some points, the same for all points of a scene."""
 
     system: System
     settings: Settings
-    outputs: Collection[str] | None = None  # variables that are wanted; None: `variables.default_variables`
-    specialization: Specialization = GENERIC  # what the kernels leave out
+    outputs: Collection[str] | None = None  # variables wanted; None: `variables.default_variables`
+    specialization: Specialization = GENERIC  # terms that the kernels leave out
     nudged: bool = False  # whether points were moved off a family's motions
 
     @classmethod
@@ -36,25 +35,20 @@ class Plan:
     def of_points(
         cls, system: System, settings: Settings, outputs: Collection[str] | None, given: Collection[str]
     ) -> Plan:
-        """Of points that give values of some parameters, whatever these values are; the others have their defaults."""
+        """The plan of points with some parameters of any values, the other parameters at their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
-        zero = {name for name, value in defaults.items() if value == 0 or math.isnan(value)}
-        pairs = ((a, b) for a, b in system.equal_parameters if {a, b} <= defaults.keys())
-        equal = {(a, b) for a, b in pairs if defaults[a] == defaults[b]}
-        return cls(system, settings, outputs, Specialization.of(system, zero, equal))
+        return cls(system, settings, outputs, Specialization.of(system, *zero_and_equal(system, defaults)))
 
     def without_derived(self) -> Plan:
-        """The same without the variables from theory alone, which may take long."""
-        names = (
-            None
-            if self.outputs is None
-            else [n for n in self.outputs if n not in derived_variables(self.system)]
-        )
-        return replace(self, outputs=names)
+        """The plan without the variables from theory alone, which may take long."""
+        if self.outputs is None:
+            return self
+        derived = derived_variables(self.system)
+        return replace(self, outputs=[name for name in self.outputs if name not in derived])
 
     @property
     def names(self) -> Collection[str]:
-        """The variables that are wanted by name: what is sought among them is no default variable."""
+        """The variables wanted by name, among which an optional one is sought."""
         return self.outputs or ()
 
     @cached_property
@@ -64,9 +58,9 @@ class Plan:
 
     @cached_property
     def instruments(self) -> tuple[Instrument, ...]:
-        """What is measured, by the main instrument first."""
-        more = (each for each in instruments() if each.wanted(self.system, self.names))
-        return self.main, *(each for each in more if each != self.main)
+        """The main instrument, then the others that the variables need."""
+        others = (each for each in instruments() if each.wanted(self.system, self.names))
+        return self.main, *(each for each in others if each != self.main)
 
     @property
     def plugs(self) -> tuple[Instrument, ...]:
@@ -92,7 +86,7 @@ class Plan:
 
     @property
     def kernel_hash(self) -> str:
-        """Hash of the kernel; a second one follows where points are integrated with tangent vectors as well."""
+        """Hash of the kernel, and of the kernel with tangent vectors if there are any."""
         sources = [specialization.source(self.system, self.settings.method, self.specialization, self.plugs)]
         if self.has_chaos:
             method = tangent.METHOD.name

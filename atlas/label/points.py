@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from functools import partial
+from dataclasses import dataclass
 from inspect import signature
 from typing import Any
 
@@ -121,13 +121,17 @@ def label_points(
     text = parse_duration(duration) if isinstance(duration, str) else None
     if text is not None:
         check_unit(description, text)
-    names, (*arrays, lengths), kept = parameter_arrays(
+    names, (*arrays, lengths), name_columns = parameter_arrays(
         description, source, keep, duration=1.0 if text is not None else duration
     )
     dims = {dim for array in (*arrays, lengths) for dim in array.dims}
-    more = {str(dim): n for array in kept.values() for dim, n in array.sizes.items() if dim not in dims}
+    more = {
+        str(dim): n for array in name_columns.values() for dim, n in array.sizes.items() if dim not in dims
+    }
     lengths = lengths.expand_dims(more if dims or more else {POINT: 1})
-    for name in {str(each) for array in (*arrays, *kept.values()) for each in array.coords} | kept.keys():
+    for name in {
+        str(each) for array in (*arrays, *name_columns.values()) for each in array.coords
+    } | name_columns.keys():
         if name in outputs:
             raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     lazy = any(array.chunks is not None for array in (*arrays, lengths))
@@ -136,15 +140,15 @@ def label_points(
         flat_columns(description, [*single], [*single.values()], (), source)
     plan = Plan.of_points(description, settings, None if variables is None else outputs, names)
     warnings, stopwatch = list[str](), Stopwatch()
-    labels = partial(
-        _labels, system, settings, plan.outputs, outputs, names, text, 1 if lazy and threads is None else threads,
+    labels = _Labels(
+        system, settings, plan.outputs, outputs, names, text, 1 if lazy and threads is None else threads,
         progress and not lazy, *((None, None) if lazy else (source, warnings)),
     )  # fmt: skip
     results = xr.apply_ufunc(
         labels, *arrays, lengths, dask="parallelized", output_core_dims=[()] * len(outputs),
         output_dtypes=[registry[name].dtype for name in outputs],
     )  # fmt: skip
-    ds = xr.Dataset(dict(zip(outputs, results if len(outputs) > 1 else [results], strict=True)), kept)
+    ds = xr.Dataset(dict(zip(outputs, results if len(outputs) > 1 else [results], strict=True)), name_columns)
     for name in outputs:
         ds[name].attrs = dataset.variable_attributes(description, name, outputs)
     ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
@@ -155,37 +159,40 @@ def label_points(
     return ds
 
 
-def _labels(
-    system_name: str,
-    settings: Settings,
-    wanted: Collection[str] | None,
-    outputs: Sequence[str],
-    names: Sequence[str],
-    duration: Duration | None,
-    threads: int | None,
-    progress: bool,
-    source: Any,
-    warnings: list[str] | None,
-    *arrays: Array,
-) -> tuple[np.ndarray, ...] | np.ndarray:
-    """The outputs from parameters and, without a duration, durations; `warnings` gets those about the points, unless it is None."""
-    system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
-    points = flat_columns(system, names, arrays[:-1], shape, source)
-    durations = np.broadcast_to(arrays[-1], shape).ravel()
-    if duration is not None:
-        durations = grid.durations(system, duration, points)
-    elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
-        raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
-    reason = grid.reasons(system, points)
-    reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
-    tile = grid.Grid(points, points, reason, durations)
-    if warnings is not None:
-        warnings.extend(_warnings(system, tile, duration or Duration()))
-        log_warnings(warnings)
-    plan = Plan.of_points(system, settings, wanted, names)
-    columns = _evaluate_in_tiles(plan, tile, outputs, threads, progress)
-    results = tuple(columns[name].reshape(shape) for name in outputs)
-    return results if len(results) > 1 else results[0]
+@dataclass(frozen=True)
+class _Labels:
+    """A function of arrays: the parameters and, last, the durations of points; sent to other processes if they are lazy."""
+
+    system: str
+    settings: Settings
+    wanted: Collection[str] | None  # see `Plan.outputs`
+    outputs: Sequence[str]  # variables that it returns
+    names: Sequence[str]  # of the parameters
+    duration: Duration | None  # in place of the last array
+    threads: int | None
+    progress: bool
+    source: Any  # table of the points, for messages
+    warnings: list[str] | None  # gets the warnings about the points
+
+    def __call__(self, *arrays: Array) -> tuple[np.ndarray, ...] | np.ndarray:
+        """The outputs at the points."""
+        system, shape = systems.get(self.system), np.broadcast_shapes(*(array.shape for array in arrays))
+        points = flat_columns(system, self.names, arrays[:-1], shape, self.source)
+        durations = np.broadcast_to(arrays[-1], shape).ravel()
+        if self.duration is not None:
+            durations = grid.durations(system, self.duration, points)
+        elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
+            raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
+        reason = grid.reasons(system, points)
+        reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
+        tile = grid.Grid(points, points, reason, durations)
+        if self.warnings is not None:
+            self.warnings.extend(_warnings(system, tile, self.duration or Duration()))
+            log_warnings(self.warnings)
+        plan = Plan.of_points(system, self.settings, self.wanted, self.names)
+        columns = _evaluate_in_tiles(plan, tile, self.outputs, self.threads, self.progress)
+        results = tuple(columns[name].reshape(shape) for name in self.outputs)
+        return results if len(results) > 1 else results[0]
 
 
 def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str]:
@@ -200,7 +207,7 @@ def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str
     warnings += grid.system_warnings(system, points.subset(points.exists).base)
     try:
         system.check(points.base)
-    except BadInput as error:  # of incomplete points
+    except BadInput as error:  # incomplete points
         warnings.append(str(error))
     return warnings
 

@@ -25,14 +25,14 @@ from ..systems.base import Array, Points, System, check_possible
 from ..variables import main_instrument
 from .plan import Plan
 
-# Instants of a trajectory: some gigabytes.
+# Most instants of a trajectory: some gigabytes.
 MAX_SAMPLES = 10**7
-# The turns of psi and phi are followed from one node to the next, for so many nodes side by side. A node is an instant of the
-# trajectory or, where these are fewer than the first number and more than the second apart in steps, of its parts.
+# psi and phi are continued from node to node, SIDE_BY_SIDE nodes at a time. Nodes are the instants of the trajectory; fewer than
+# NODES of them get more in between, at least STEPS_PER_NODE steps apart.
 NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
-# A part of a step in which the axis passes the vertical is halved until it does so within the first distance, which is
-# rounding, or until the body turns by less than the second angle (rad) and the vertical moves in the body by less than
-# the sum of its distances from the third axis over the third number.
+# A step in which the axis passes the vertical is halved until it does so within the distance AT_VERTICAL, which is rounding, or
+# until the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than the sum of its distances
+# from the third axis over MARGIN.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
 _RATE = "rad s-1"
@@ -163,10 +163,7 @@ def trajectory_of_point(
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Motion of one point of a scene, with the scene's settings; `places`: a value of every axis.
-
-    Raises BadInput for an axis that is missing or unknown, and where the scene's family has no motion.
-    """
+    """Motion of one point of a scene by a value of every axis; BadInput for another axis, or if there is no motion."""
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
             problem = "is no axis of the scene" if name in places else "has no value"
@@ -188,7 +185,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 def _states(
     module: Any, ensemble: Ensemble, steps: NDArray[np.int64], step_size: Array
 ) -> tuple[Array, dict[str, Array]]:
-    """States after each of these numbers of steps, from the start on, (nodes, states), and what was lost of first integrals until then."""
+    """States at the start and after each of these numbers of steps, (nodes, states), and the losses of first integrals until then."""
     count, arrays = len(ensemble.state), ensemble.arrays(module, step_size)
     schedules = {n: blocks.pack_blocks(np.array([n]), np.array([n])) for n in set(steps.tolist())}
     states = np.empty((steps.size + 1, len(arrays.state)))
@@ -237,17 +234,16 @@ def _dataset(
             total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    # Of a state that is no rate the units are unknown.
+    # The units of states that are no rates are unknown.
     attributes = {name: {"long_name": f"state {name}"} for name in equations.STATE}
     for name in system.rate_states:
         attributes[name]["units"] = _RATE
+    texts = {name: text for name, text in _VARIABLES.items() if path or name == "integral_drift"}
     for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
-        attributes[name] = {"long_name": f"third axis along {axis.strip('$')}", "units": "1"}
-    described = {name: text for name, text in _VARIABLES.items() if path or name == "integral_drift"}
-    described |= {o.name: (o.long_name, o.unit) for o in system.observables}
-    for name, (long_name, units) in described.items():
-        attributes[name] = {"long_name": long_name, "units": units}
-    for name in described.keys() & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"} if path else ():
+        texts[name] = f"third axis along {axis.strip('$')}", "1"
+    texts |= {o.name: (o.long_name, o.unit) for o in system.observables}
+    attributes |= {name: {"long_name": text, "units": units} for name, (text, units) in texts.items()}
+    for name in texts.keys() & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"} if path else ():
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return xr.Dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
@@ -258,14 +254,14 @@ def _dataset(
 def _path(
     system: System, points: Points, motion: _Motion, states: Array, steps: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states); steps: between them."""
+    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states); steps between nodes."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
         turns, _ = motion.turns(state[:, :-1], steps)
     else:
-        # The motions from all nodes are computed side by side, with three vectors that are known at each: the first is
-        # horizontal, and the vector of the frame is a sum of all, for its equation is linear.
+        # The motions from all nodes are computed side by side, each with three known vectors: the first is horizontal, and the
+        # vector of the frame is a sum of the three, because its equation is linear.
         unit = vertical / np.linalg.norm(vertical, axis=0)
         body_axis = np.argmin(np.abs(unit), axis=0)
         first = np.eye(3)[:, body_axis] - unit * np.take_along_axis(unit, body_axis[None], 0)
@@ -315,7 +311,7 @@ class _Motion:
     step_size: float
 
     def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the rates of the second and of the body."""
+        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the rates of the vertical in the body and of the body."""
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
         x, y = self.equations.axis_in_frame(state, self.constants)
         speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)
@@ -359,18 +355,16 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in a step to `turns`; returns the motions whose step is too long.
-
-        Near the vertical psi + phi is regular, near its opposite psi - phi.
-        """
+        """Add the changes of psi and phi in a step to `turns`, unless the step is too long; returns the motions where it is."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
         too_long = ((distance <= MARGIN * path) | (angle >= LARGEST_TURN)) & (distance >= AT_VERTICAL)
         turn = z1 * z0.conj()
         phi = np.angle(turn)
-        # Half a turn is left where the axis passes exactly through the vertical: forward, whatever rounding may be.
+        # An axis exactly through the vertical leaves half a turn: forward, whatever the rounding.
         phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
+        # Near the vertical psi + phi is regular, near its opposite psi - phi.
         regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))
         psi = np.where(g3 > 0.0, regular - phi, regular + phi)
         for total, change in zip(turns, (psi, phi), strict=True):

@@ -1,1 +1,1 @@
-"""Instruments: what is measured of runs, the labels that follow, their errors, and the variables that hold them."""
+"""Instruments: measurements of runs, their errors, the labels that follow, and their variables."""

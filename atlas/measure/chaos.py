@@ -21,9 +21,9 @@ from ..kernel.tangent import METHOD
 from ..systems.base import Array, Flags, Mask, Points, System
 from .instrument import Instrument, Variable
 
-# Instants of a run at which the tangent vector is divided by its norm and the sums are taken, at least.
+# Nodes of a run at least: instants at which the tangent vector is divided by its norm and the sums grow.
 NODES = 1024
-# Steps between two of them at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
+# Steps between two nodes at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
 MAX_STEPS_PER_NODE = 1000
 # Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
 # motions by less than 0.01.
@@ -32,16 +32,16 @@ MAX_RADIANS_PER_STEP = 0.3
 MAX_DISSIPATION_ERROR = 0.01
 # Time of a step with a tangent vector over a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
-# Chaos and one passage of an unstable motion, from nearby and back, both let a tangent vector grow. A regular motion that
-# returns to within a distance d of an unstable one has a tangent vector along its own velocity, which falls by a factor d:
-# L has a drawdown of ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix, and
-# growth is theirs: drawdowns of 14 to 22 were measured, along chaotic motions of at most 7.
+# A tangent vector grows in chaos, and in one passage of an unstable motion, from nearby and back. A regular motion that returns
+# to a distance d of an unstable one has a tangent vector along its own velocity, which falls by a factor d: the logarithm L of
+# the growth has a drawdown of ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix and
+# cause the growth: drawdowns of 14 to 22 were measured, against at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Until it returns, L grows by ln(1/d^2) or less, where rounding errors of 1e-16 are the least d^2: 39 was measured.
+# Before the return L grows by ln(1/d^2) or less, d^2 at least the rounding errors of 1e-16: 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
 # Mean MEGNO below the first is regular, above the second chaotic. It tends to 2 or less, or grows as lambda T / 2.
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# Durations for which a run goes on at most until it has passed one of these two limits.
+# A chaotic run goes on for at most so many durations, until it exceeds one of these two limits.
 MAX_DURATIONS = 16
 
 
@@ -80,7 +80,7 @@ class TangentSteps:
 
     @property
     def nodes(self) -> NDArray[np.int64]:
-        """Instants at which the tangent vectors are divided by their norms."""
+        """Number of nodes of each run."""
         return np.minimum(np.maximum(NODES, -(-self.steps // MAX_STEPS_PER_NODE)), self.steps)
 
     def subset(self, where: NDArray[np.int64]) -> TangentSteps:
@@ -88,7 +88,7 @@ class TangentSteps:
 
 
 class TangentArrays(NamedTuple):
-    """What the tangent kernel reads and writes, as `blocks.Arrays`."""
+    """Data of points that the tangent kernel reads and writes, as `blocks.Arrays`."""
 
     step_size: Array
     state: Array
@@ -99,7 +99,7 @@ class TangentArrays(NamedTuple):
 
 
 class Separation:
-    """Tangent vectors of an ensemble, integrated for its durations and, where these do not decide, longer."""
+    """Tangent vectors of an ensemble, integrated for its durations and, where needed, longer."""
 
     def __init__(
         self, system: System, kernel: ModuleType, ensemble: Ensemble, steps: TangentSteps, rate_unit: Array
@@ -108,10 +108,10 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            # Factors of the components of a tangent vector, in the kernel's units, in its norm.
+            # Weights of the components of a tangent vector, in the kernel's units, in its norm.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # Of changes by 1, for the units are factors.
+            # The units are factors: changes by 1 give them.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]
@@ -124,7 +124,7 @@ class Separation:
             self.weights = np.ascontiguousarray(rows)
             start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
-        self.durations = np.zeros(ensemble.size, np.int64)  # integrated so far
+        self.durations = np.zeros(ensemble.size, np.int64)  # integrated until now
         self.sums = np.empty((tangent.SUMS, ensemble.size))
 
     @property
@@ -147,7 +147,7 @@ class Separation:
         threads: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Integrate points, all of which have run for as long, for one more duration."""
+        """Integrate points with equal times behind them for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -219,9 +219,7 @@ class TangentRuns:
         threads: int | None,
         progress: Callable[[float], None],
     ) -> dict[str, np.ndarray]:
-        """The variables of CHAOS, nan and NOT_COMPUTED where the status is not ok; `progress` is called with
-        points done, in all `share` of their number. unstable: as `label.theory.Theory` has it.
-        """
+        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; `progress` gets `share` of the points in all."""
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
         flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
@@ -241,10 +239,10 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Errors may decide how motions leave an unstable one: after growth, not where all neighbours come nearer.
+        # Errors may decide how motions leave an unstable one: after growth, not where all neighbours only approach.
         highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
-        # Vectors of chaos grow by more than one passage of an unstable motion explains; other runs go on.
+        # In chaos vectors grow by more than one passage of an unstable motion explains; other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
         log_growth = separation.sums[tangent.LOG_GROWTH]  # as `drawdown` a view

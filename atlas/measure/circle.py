@@ -1,14 +1,13 @@
 """The angular velocity in the body: is it constant, or on a circle as in a regular precession about any axis?
 
-A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at
-rest in the frame, has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that
-u moves on a circle about s at constant speed: u' = -m s x u. The converse holds as well. From the radius of
-the circle, n sin(nutation), the height of its plane, u . s = m + n cos(nutation), and the speed follow m, n
-and the nutation, the angle of s and z.
+A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at rest in the frame,
+has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that u moves on a circle about s at
+constant speed: u' = -m s x u. The converse holds as well. The radius of the circle, n sin(nutation), the height of its plane,
+u . s = m + n cos(nutation), and the speed determine m, n and the nutation, the angle between s and z.
 
-Sums over the nodes give the plane through the angular velocities that fits best, and how far they are from a
-circle in it. So that no digits cancel, the sums are about the start, and along axes of which the third is the
-one about which the angular velocity turns there: on a circle components along it vanish but for rounding.
+Sums over the nodes give the best plane through the angular velocities, and their distance from a circle in it. So that no
+digits cancel, the sums count from the start, along axes x, y, z: z is the axis about which the angular velocity turns at the
+start, along which its changes on a circle vanish but for rounding.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
 from .rates import existing, relative_error, steady_label
 from .rates import label as label_of_third_axis
 
-# Time between the motions whose differences are the derivatives at the start, over the period of the fastest frequency
-# / (2 pi). On a circle the error of the second one lies in its plane.
+# Time step of the differences that give the derivatives at the start, times the bound of the fastest frequency. On a circle the
+# error of the second derivative lies in its plane.
 DIFFERENCE_TIME = 1e-2
 # Sweeps of Jacobi's method for the axes of a 3 x 3 matrix; it converges quadratically.
 SWEEPS = 6
@@ -41,15 +40,13 @@ class Axis(IntEnum):
     """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
-    # It along x, y and z, the square of its derivative, its derivative, the vertical.
+    # The angular velocity along x, y and z, the square of its derivative, the derivative itself, the vertical.
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Sums over the nodes, half at both ends, of changes since the start and of their products: x, y, z of
-    the angular velocity, l of the square of its length, s of the square of its speed.
-    """
+    """Sums over the nodes, half at both ends, of changes of u (x, y, z), of u^2 (l), of u'^2 (s), and of their products."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -91,7 +88,7 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Rows of `Axis`; frame_rate times the vertical is added to the rates relative to the system's frame."""
+    """Rows of `Axis`, for a frame in which frame_rate times the vertical is added to the system's angular velocity."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
@@ -117,15 +114,14 @@ def circle_axes(
 
 
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
-    """How far the angular velocities of runs in one frame are from one circle, and which one.
+    """The circle nearest to the angular velocities of runs in one frame, and their distance from it.
 
-    Rates are in rad per time unit: `spread`, the standard deviation of the angular velocity; `height` and
-    `height_std`, its component along the normal s of the plane that fits best; `radius` (root mean square)
-    and `radius_std`, its distance from s; `extent`, its standard deviation along the shorter axis in the
-    plane; `spin` and `spin_std`, the rate about s of the motion that would follow it; `rate_1` to `rate_3`,
-    its mean in body axes. `spin_axis_1` to `spin_axis_3` are s in body axes, of either sign. Angles, in rad,
-    are from the vertical at the start: of the axis of precession (by s and spin), of the angular velocity,
-    and of the third axis, `tilt`.
+    Rates are in rad per time unit: `spread`, the standard deviation of the angular velocity; `height` and `height_std`, its
+    component along the normal s of the best plane; `radius` (root mean square) and `radius_std`, its distance from s; `extent`,
+    its standard deviation along the shorter axis in the plane; `spin` and `spin_std`, the rate about s of a motion on the
+    circle; `rate_1` to `rate_3`, its mean in body axes. `spin_axis_1` to `spin_axis_3` are s in body axes, of either sign.
+    Angles, in rad, are from the vertical at the start: `precession_inclination` of the fixed axis (by s and spin),
+    `rotation_inclination` of the angular velocity, `tilt` of the third axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -165,10 +161,10 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
 
 
 def principal_axes(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues of symmetric (3, 3, points), ascending, and unit eigenvectors vectors[i], by Jacobi.
+    """Eigenvalues of symmetric matrices (3, 3, points), ascending, and unit eigenvectors vectors[i], by Jacobi's method.
 
-    Small eigenvalues of matrices that are nearly diagonal are accurate relative to themselves, unlike
-    LAPACK's: J. Demmel and K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
+    For nearly diagonal matrices it computes small eigenvalues to a small relative error, unlike LAPACK: J. Demmel and
+    K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
     """
     a = matrix.copy()
     vectors = np.broadcast_to(np.eye(3)[:, :, None], a.shape).copy()
@@ -207,12 +203,12 @@ RATES = ("precession_rate", "spin_rate")
 ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
 # The measurements of a circle from which a label is decided.
 STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
-# Variables that need the sums about the circle of the angular velocity in the body, in the frame and in inertial space.
+# Variables that need the sums about the circle, in the frame and in inertial space.
 ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
     "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
 )  # fmt: skip
-# Those of them that follow from theory, the last from the measured label as well.
+# Variables from theory, the last from the measured label as well.
 ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreement_any_axis")
 _NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
 _SPIN_AXIS = (
@@ -225,9 +221,9 @@ _SPIN_AXIS = (
 class Circle(Instrument):
     """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
 
-    A point that is steady about the third axis and the vertical keeps its label. Elsewhere an angular
-    velocity that is constant in the body means a permanent rotation, one that moves on a circle at constant
-    speed a regular precession. Rates and angles are in the system's frame.
+    A point that is steady about the third axis and the vertical keeps its label. Elsewhere an angular velocity constant in the
+    body is a permanent rotation, one on a circle at constant speed a regular precession. Rates and angles are in the system's
+    frame.
     """
 
     name: str = "label_any_axis"  # a key of LABELS
@@ -236,11 +232,11 @@ class Circle(Instrument):
 
     @property
     def inertial(self) -> bool:
-        """Whether the frame is inertial space instead of the system's frame."""
+        """Whether the frame is inertial space, not the system's frame."""
         return self.name == "label_any_axis_inertial"
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Variables of both frames, of the instrument of the system's frame."""
+        """The variables of both frames, which the instrument of the system's frame makes."""
         if self.inertial:
             return ()
         labels, predicted = [], []
@@ -299,7 +295,7 @@ class Circle(Instrument):
         return own | {f"{self.name}:{key}": value for key, value in circle.items()}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """The label about any axis; the label about the third axis and the vertical is taken as certain."""
+        """The label about any axis, given the label about the third axis and the vertical."""
         own_label = rules[LABELS[self.name]].label(run.measured)
 
         def label_of(measured: Measured) -> Flags:
@@ -316,7 +312,7 @@ class Circle(Instrument):
         step_sizes, bound, circle = run.step_sizes, run.bound, self._statistics(run.measured)
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
         rounding = bound * ROUNDING * np.sqrt(step_sizes.steps)
-        # The smaller the circle, or the part of it that is run through, the less sure are its axis and its spin.
+        # The axis and the spin of a small circle, or of a short arc, are uncertain.
         spin = step_sizes.rate_error + rounding * self._amplification(run)
         absolute = dict.fromkeys(("spread", "height_std", "radius_std"), step_sizes.rate_error)
         errors = {key: size + share * circle[key] for key, size in (absolute | {"spin_std": spin}).items()}
@@ -331,7 +327,7 @@ class Circle(Instrument):
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """Of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
+        """Relative error of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -355,7 +351,7 @@ class Circle(Instrument):
         return np.fmax(self._change(run, coarse, RATES) / run.bound, self._change(run, coarse, ANGLES))
 
     def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
-        """Largest difference of one of these values; 0 where it has none."""
+        """Largest difference of one of these values; 0 without a difference."""
         changes = [np.abs(run.measured[name] - other.measured[name]) for name in names if not self.inertial]
         return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
 
@@ -365,7 +361,7 @@ class Circle(Instrument):
         return {name: np.where(ok, columns[name], np.nan) for name in names}
 
 
-# Of the system's frame, and of inertial space: the first is wanted where the second is.
+# In the system's frame, and in inertial space: where the second is wanted, so is the first.
 CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
@@ -374,7 +370,7 @@ def is_steady(label: Flags) -> Mask:
 
 
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
-    """Values of flags.Label about any axis, whatever the status; an own label that is steady stays."""
+    """Values of flags.Label about any axis, whatever the status; own_label: about the third axis and the vertical, kept if steady."""
     rate = tolerances.rate
     constant = circle["spread"] <= rate
     varies = (
@@ -388,7 +384,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """RATES and ANGLES, nan if not steady; of regular_precession, about the third axis and the vertical."""
+    """RATES and ANGLES, nan for motions that are not steady; of a regular precession about the third axis, if it is one."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)
@@ -396,21 +392,20 @@ def values(
         reversed_axis = measured["psi_dot_mean"] < 0
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
-        # Of a regular precession: the last component of the spin axis above the tolerance is positive.
+        # Regular precession: the last component of the spin axis above the tolerance is positive.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
         )
         sign = np.copysign(1.0, last)
-        # Of a permanent rotation: about the mean angular velocity, which a body at rest has not.
+        # Permanent rotation: about the mean angular velocity, which vanishes for a body at rest.
         components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
         size = np.sqrt(sum(component**2 for component in components))
         zero, third_axis = np.zeros_like(size), (0.0, 0.0, 1.0)
         zero_or_nan = np.where(size > tolerances.rate, 0.0, np.nan)
         lean = np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"]))
         inclination = circle["rotation_inclination"] + zero_or_nan
-        # About the third axis and the vertical, of another regular precession, and of a permanent rotation; 0.0 makes -0.0
-        # positive.
+        # Regular precession about the third axis and the vertical, about other axes, permanent rotation; 0.0 makes -0.0 positive.
         choices = {
             "precession_rate": (np.abs(measured["psi_dot_mean"]), circle["precession"], zero),
             "spin_rate": (measured["phi_dot_mean"], sign * circle["spin"], size),

@@ -1,8 +1,8 @@
 """Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
 
-An instrument is a frozen object of a class derived from `Instrument`, whose members default to "this
-instrument has nothing of it". The main one of a plan (`label.plan`) integrates the points in its kernel;
-the others add to its sums (`kernel.ensemble.Plug`), or run a kernel of their own.
+An instrument is a frozen object of a class derived from `Instrument`, whose defaults contribute nothing. The main instrument of
+a plan (`label.plan`) integrates the points in its kernel; the others add sums to that kernel (`kernel.ensemble.Plug`), or run a
+kernel of their own.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ..kernel.statistics import Row
 from ..kernel.stepsize import StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
-# Least turn in rad of a body in a run; kernels add 1e-100 to divisors that may be 0.
+# Least turn of a body in a run, rad: the frequency bound, a divisor, is never 0.
 LEAST_TURN = 1e-80
 
-# Measurements by name, (points,) each; a colon is in names that no atlas holds.
+# Measurements by name, (points,) each; names with a colon are not in atlases.
 Measured = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of an atlas; every one has the dimensions of the atlas' points."""
+    """A variable of an atlas, with the dimensions of its points."""
 
     name: str
     dtype: str  # NumPy dtype in the file
@@ -59,12 +59,10 @@ class Variable:
 class Tolerances:
     """Largest variations of a motion that counts as steady."""
 
-    # Largest root mean square of theta' and standard deviation of psi' and phi', rad per time unit; a mean
-    # rate up to this size counts as zero
+    # Largest root mean square of theta' and standard deviation of psi' and phi', and largest mean rate that counts as zero, rad
+    # per time unit
     rate: float
-    # Radius in rad of the polar cap, called cylinder in scenes: while sin(theta) is below it, the third axis
-    # counts as vertical
-    angle: float
+    angle: float  # radius of the cylinder: where sin(theta) is below it, the third axis counts as vertical
 
 
 @dataclass(frozen=True)
@@ -72,13 +70,13 @@ class Rule:
     """How a label follows from measurements."""
 
     label: Callable[[Measured], Flags]  # whatever the status
-    statistics: tuple[str, ...]  # the measurements that it reads, and that may be wrong
-    # Those of them whose magnitude counts, after this rate is added
+    statistics: tuple[str, ...]  # the measurements that it reads, which have errors
+    # Means among them: their magnitude counts, after this rate is added
     means: Mapping[str, Array | float] = field(default_factory=dict)
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label could be another one, were every measurement off by as much as its error, in its unit."""
+    """Whether the label changes where every measurement changes by its error, in its unit."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -97,7 +95,7 @@ def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
 
 @dataclass(frozen=True)
 class Run:
-    """Points and what instruments measured of them by steps of some sizes; arrays (points,)."""
+    """Points, integrated by steps of some sizes, and the measurements of instruments; arrays (points,)."""
 
     system: System
     settings: Any  # see `scene.model.Settings`
@@ -124,7 +122,7 @@ class Run:
         return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
 
     def measure(self) -> Run:
-        """The same with what its instruments measured."""
+        """The run with the measurements of its instruments."""
         measured: dict[str, Array] = {}
         for instrument in self.instruments:
             measured |= instrument.measurements(self, measured)
@@ -139,7 +137,7 @@ class Run:
         return rules
 
     def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
-        """The sums of an instrument that adds to the kernel's, and the constants that it was given."""
+        """The sums of an instrument in the kernel, and its constants."""
         before = self.instruments[: self.instruments.index(instrument)]
         row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
         sums, given = self.integration.sums[row:], self.ensemble.given[first:]
@@ -154,7 +152,7 @@ class Run:
         return {name: rule.label(self.measured) for name, rule in self.rules.items()}
 
     def unsure(self, error: Measured) -> Mask:
-        """Whether a label could be another one within the errors of the measurements that decide it."""
+        """Whether a label could change within the errors of its measurements."""
         return np.logical_or.reduce(
             [could_change(rule, self.measured, error) for rule in self.rules.values()]
         )
@@ -165,7 +163,7 @@ class Run:
         return np.logical_or.reduce(np.broadcast_arrays(*differences, np.zeros(self.ensemble.size, bool)))
 
     def errors(self) -> tuple[dict[str, Array], Array]:
-        """Expected errors of the measurements that decide labels, in their units, and the relative one of states and values."""
+        """Expected errors of the measurements that decide labels, in their units, and the relative error of states and values."""
         errors: dict[str, Array] = {}
         relative = np.zeros(self.ensemble.size)
         for instrument in self.instruments:
@@ -195,11 +193,11 @@ class Instrument:
     needs_whole_run = False  # whether no run may end before its duration
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Variables, whether or not the system has them: no parameter may have such a name."""
+        """Its variables in any system: no parameter may have such a name."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """The variables that it makes of a system; none of one that it cannot measure."""
+        """Its variables of a system, none if it cannot measure it."""
         return self.every_variable(system)
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
@@ -207,7 +205,7 @@ class Instrument:
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """What the sums of a run say; measured: by the instruments before it."""
+        """Measurements from the sums of a run; measured: by the instruments before it."""
         return {}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
@@ -215,7 +213,7 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected errors of the statistics of its rules; relative: `relative_error` of all instruments so far."""
+        """Expected errors of the statistics of its rules; relative: the largest `relative_error` of the instruments up to it."""
         return {}
 
     def relative_error(self, run: Run) -> Array:
@@ -223,7 +221,7 @@ class Instrument:
         return np.zeros(run.ensemble.size)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest relative difference of a rate, or of what decides a label, in two runs of the same points, (points,)."""
+        """Largest relative difference of a rate, or of a measurement that decides a label, in two runs of the same points."""
         return np.zeros(run.ensemble.size)
 
     def outcome_differs(self, run: Run, other: Run) -> Mask | bool:
@@ -244,11 +242,11 @@ class Instrument:
 
 
 class MainInstrument(Instrument):
-    """One whose kernel integrates the points."""
+    """An instrument whose kernel integrates the points."""
 
     has_theory = False  # whether theory predicts its labels
-    quantity = ""  # what it measures, in one word
-    unsteadiness_text = ""  # what `unsteadiness` is
+    quantity = ""  # name of its quantities in one word
+    unsteadiness_text = ""  # meaning of `unsteadiness`
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
         """Whether a run with these outputs may end once its label is certain."""
@@ -271,11 +269,11 @@ class MainInstrument(Instrument):
         raise NotImplementedError
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Frequency bound with which points are integrated; settled: where it holds for the whole run, as a proved one does."""
+        """Frequency bound for the steps of points; settled: where it holds for the whole run, as a proved bound does."""
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """See `kernel.ensemble.Ensemble.integrate`; of one that may stop early."""
+        """See `kernel.ensemble.Ensemble.integrate`, for an instrument that may stop early."""
         raise NotImplementedError
 
     def step_sizes(
@@ -289,11 +287,11 @@ class MainInstrument(Instrument):
         return True
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Where the measurements are shown; resolved: where the steps are short enough for them and for tangent vectors."""
+        """Where the atlas shows the measurements; resolved: where the steps suffice for them and for tangent vectors."""
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs of the same points; relative: the relative one."""
+        """Differences of the statistics of all rules in two runs of the same points; relative: the largest relative difference."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..flags import Status, Steadiness
+from ..flags import Steadiness
 from ..kernel import observe
 from ..kernel.stepsize import INTERPOLATION_ERROR, StepSizes
 from ..kernel.tableaux import METHODS
 from ..systems import arithmetic
 from ..systems.base import Array, Flags, Mask, Observable, System
 from .instrument import MainInstrument, Measured, Rule, Run, Variable
-from .rates import INTEGRAL_DRIFT, rounding_error, step_variables
+from .rates import END_TIME, INTEGRAL_DRIFT, STATUS, rounding_error, step_variables
 
-# Suffix of a statistic in the atlas -> what it is, of an observable.
+# Suffix of a statistic in the atlas -> its meaning, with the name of the observable in place of {}.
 STATISTICS = {
     "mean": "mean of the {}",
     "std": "standard deviation of the {}",
@@ -27,13 +27,13 @@ STATISTICS = {
     "max": "largest {}",
     "drift": "change of the {} over the run along the straight line fitted to it by least squares",
 }
-# Observables have overtones of the motion's frequencies, which count up to this multiple of the bound.
+# Overtones of the motion's frequencies in observables count up to this multiple of the bound.
 OVERTONE = 3.0
 # Largest distance of two nodes in rad of the frequency bound.
 MAX_NODE_RADIANS = 0.4
-# How much of the last period of a run may be missing; periods of a run.
+# Share of the last period of a run that may be missing; largest number of periods.
 MISSING, MAX_PERIODS = 1e-3, 10**9
-MAX_HALVINGS = 8  # of steps and of steps between nodes together: by 2^8 in all
+MAX_HALVINGS = 8  # of steps, and of steps between nodes
 # Share of the range of an observable by which it may jump between two nodes.
 MAX_ROUGHNESS = 0.3
 # Least order in the step of the errors of statistics: the order of rk4; quadrature and interpolation have 8.
@@ -54,7 +54,7 @@ class Observables(MainInstrument):
             return ()
         flag = [
             Variable("label", "int8", "1", "whether the observables are constant", Steadiness.meanings()),
-            Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
+            STATUS,
         ]
         measured = [
             Variable(f"{o.name}_{suffix}", "float64", o.unit, text.format(o.long_name))
@@ -68,8 +68,7 @@ class Observables(MainInstrument):
             comment="of the statistics over the largest magnitude of their observable; expected from phase error, dissipation,"
             " rounding and the change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric)",
         )  # fmt: skip
-        end_time = Variable("end_time", "float64", "s", "time at which the integration ended")
-        return (*flag, *measured, *step_variables(system), error, end_time)
+        return (*flag, *measured, *step_variables(system), error, END_TIME)
 
     def statistics(self, system: System) -> tuple[str, ...]:
         return tuple(
@@ -82,7 +81,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Over the largest magnitude of the observable."""
+        """Largest error of a statistic over the largest magnitude of its observable."""
         shares = [
             errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
             for name, size in sizes(system, measured).items()
@@ -93,34 +92,29 @@ class Observables(MainInstrument):
     def step_sizes(
         self, settings: Any, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
-        """With nodes so dense that extremes are found: at most MAX_NODE_RADIANS apart; longer steps are halved unless given.
-
-        Where a node comes after several steps, the error of the interpolation is within the phase error.
-        """
+        """Steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed; longer automatic steps are halved."""
         step_sizes = StepSizes.of(settings, bound, duration, step)
         may_halve = step is None and settings.step is None
         finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
         for _ in range(MAX_HALVINGS):
             radians = bound * step_sizes.sample_spacing
             far = radians > MAX_NODE_RADIANS
+            # With several steps between two nodes the error of the interpolation is within the phase error.
             several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
             per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
             halved = step_sizes.halved(METHODS[settings.method])
             halve = far & ~several & may_halve & step_sizes.resolved
-            chosen = {
+            columns = {
                 field.name: np.where(halve, getattr(halved, field.name), getattr(step_sizes, field.name))
                 for field in fields(step_sizes)
             }
-            step_sizes = StepSizes(**(chosen | {"steps_per_sample": per_node}))
+            step_sizes = StepSizes(**(columns | {"steps_per_sample": per_node}))
         return step_sizes
 
     def resolved(self, run: Run) -> Mask:
-        """Where no observable jumps between nodes, because the steps are too long for the motion.
-
-        An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's
-        neighbours.
-        """
+        """Where no observable jumps between nodes, as it does if the steps are too long for the motion."""
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
+        # An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's neighbours.
         allowed = MAX_ROUGHNESS + radians**4 / 12
         rough = np.zeros(run.ensemble.size, bool)
         for first in range(observe.FIRST_ROW, len(sums), observe.FIELDS):
@@ -154,17 +148,17 @@ class Observables(MainInstrument):
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
-        """Of states and statistics, over the largest magnitude of their observable."""
+        """Relative error of states, and of statistics over the largest magnitude of their observable."""
         step_sizes = run.step_sizes
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
         with np.errstate(over="ignore"):
-            # Of an overtone of the bound, by the distance of the nodes.
+            # The interpolation between nodes, for the highest overtone.
             error += INTERPOLATION_ERROR * (OVERTONE * run.bound * step_sizes.sample_spacing) ** 8
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Errors of the standard deviations, as large as errors of their observables' ranges."""
+        """Errors of the standard deviations: as large as those of the ranges of the observables."""
         errors, measured = {}, run.measured
         for name, size in sizes(run.system, measured).items():
             spread = measured[f"{name}_max"] - measured[f"{name}_min"]
@@ -175,10 +169,7 @@ class Observables(MainInstrument):
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
-        """Largest difference of a statistic, over the largest magnitude of its observable.
-
-        Differences of integrals are divided by `order`; those of extremes have none, for they lie anywhere between nodes.
-        """
+        """Largest difference of a statistic over the size of its observable; order: divisor of differences of integrals."""
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:
@@ -189,7 +180,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(changes))
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Three tenths of the expected error count at least, because two runs may agree by chance."""
+        """Differences by their order, and at least three tenths of the expected error: two runs may agree by chance."""
         ratio = run.step_sizes.steps / coarse.step_sizes.steps
         state, other = run.integration.final_state, coarse.integration.final_state
         size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
@@ -207,7 +198,7 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Number of periods in runs, at least one, and their durations; None without observables that are measured once a period."""
+    """Number of periods in each run, at least one, and their duration; None if no observable is measured once a period."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
@@ -220,7 +211,7 @@ def whole_periods(
 
 
 def std_tolerances(system: System, settings: Any) -> dict[str, float]:
-    """Largest standard deviation with which each observable of a system counts as constant, in its unit."""
+    """Largest standard deviation of each observable that counts as constant, in its unit."""
     result = {}
     for observable in system.observables:
         default = settings.rate_tolerance if observable.tolerance is None else observable.tolerance

@@ -1,5 +1,5 @@
-"""The rates of the body's third axis: labels about it and the vertical, and their errors, expected from the
-step sizes or measured by a second run. The statistics are in `kernel.statistics`.
+"""The rates of the body's third axis: labels about it and the vertical, and their errors, expected from the step sizes or
+measured by a second run. The statistics are in `kernel.statistics`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..systems.base import Array, Flags, Mask, System
 from ..systems.steady import polynomial_degree
 from .instrument import MainInstrument, Measured, Rule, Run, Tolerances, Variable
 
-# The measurements from which a label is decided.
+# The measurements that decide a label.
 LABEL_STATISTICS = (
     "theta_dot_rms", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std", "normal_rate_std",
     "theta_min", "theta_max", "sine_max",
@@ -30,6 +30,8 @@ _ERROR_ESTIMATE = (
     " change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric); at least 1 where the axis was in the"
     " cylinder for a part of the run"
 )
+STATUS = Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings())
+END_TIME = Variable("end_time", "float64", "s", "time at which the integration ended")
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
@@ -52,7 +54,7 @@ class Rates(MainInstrument):
             Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
             Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
             Variable("geometry", "int8", "1", "geometry of the measured motion", dict(system.geometries)),
-            Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings()),
+            STATUS,
             Variable("family", "int8", "1", "family of exact steady motions the start belongs to", families),
             Variable("stable", "int8", "1", "linear stability of the steady motion, from theory", Stability.meanings()),
             Variable("predicted", "int8", "1", f"kind of motion in the {system.frame} frame, from theory alone", Label.meanings()),
@@ -66,7 +68,7 @@ class Rates(MainInstrument):
                 "largest real part of the characteristic exponents of the steady motion, from theory",
                 comment="nan where theory has no steady motion or no exponent",
             ),
-            Variable("end_time", "float64", "s", "time at which the integration ended"),
+            END_TIME,
         ]  # fmt: skip
         numerics = [
             *step_variables(system),
@@ -91,29 +93,29 @@ class Rates(MainInstrument):
         return (*RATES, "theta_min", "theta_max")
 
     def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
-        """In rad per time unit."""
+        """Largest rms or standard deviation of a rate, rad per time unit."""
         rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
     def steady_below(self, settings: Any) -> float:
-        """The rate that counts as none."""
+        """The largest rate that counts as none."""
         return float(settings.rate_tolerance)
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Of the rates, over the frequency bound."""
+        """Largest error of a rate over the frequency bound."""
         return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Infinite where it does not hold."""
+        """The bound, infinite where it does not hold."""
         return np.where(settled, bound, np.inf)
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Whether or not tangent vectors are resolved."""
+        """Where the run is resolved, whether or not its tangent vectors are."""
         return run.step_sizes.resolved
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
-        """Whether a run may end once its label is certain: only a whole run gives the statistics."""
+        """Whether no statistic is wanted, which only a whole run gives."""
         return {statistic.name for statistic in STATISTICS}.isdisjoint(outputs)
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
@@ -135,7 +137,7 @@ class Rates(MainInstrument):
         """Expected error of each measurement that decides a label, in its unit, (points,) each."""
         step_sizes, bound, measured = run.step_sizes, run.bound, run.measured
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
-        # psi' and phi' divide by sin theta: rounding counts the more, the nearer the vertical.
+        # psi' and phi' divide by sin theta: near the vertical rounding counts more.
         near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
             _least_sine(measured), 1e-300
         )
@@ -166,11 +168,11 @@ class Rates(MainInstrument):
         return np.asarray(np.fmax.reduce(_differences(run, other, RATES)) / run.bound)
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """The difference of the final states is as many times the error of the finer as the order of the method implies.
+        """Error of the states from the difference of the final states by the order of the method, and of the statistics.
 
-        The statistics have no clean order: their differences are taken as they are, and count at least three tenths of what
-        the error of the states implies, because two runs may agree by chance. Where the second run is not resolved, the
-        expected error counts if it is larger.
+        The statistics have no clean order: their errors are their differences, and at least three tenths of the error that the
+        states imply, because two runs may agree by chance. Where the second run is not resolved, the expected error counts if
+        it is larger.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -197,7 +199,7 @@ class Rates(MainInstrument):
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """Variables of a body that the system has."""
+    """The variables of a body without those that the system lacks."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if len(system.geometries) < 2:
         missing |= {"geometry"}
@@ -231,9 +233,9 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
-    # A run that enters or leaves the cylinder has no usable psi' there: theta decides.
+    # Entering or leaving the cylinder, a run has no usable psi': theta decides.
     entered = _least_sine(measured) < tolerances.angle
-    # psi' is then measured on a small part of the run, so the rate about the vertical must be steady as well.
+    # psi' is then measured on a part of the run alone, so that the rate about the vertical must be steady as well.
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))
     unsteady = (measured["psi_dot_std"] > rate) | (measured["phi_dot_std"] > rate)
@@ -251,7 +253,7 @@ def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
 def steady_label(
     n: Array, m: Array, cylinder: Mask, tolerance: float, drifting: Mask | bool = False
 ) -> Flags:
-    """Label of a steady motion with rates n = psi' and m = phi'; rates of at most the tolerance count as zero."""
+    """Label of a motion with the mean rates n = psi' and m = phi', steady but where `drifting`; rates up to the tolerance are zero."""
     zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
     steady = np.where(cylinder | zero_rate, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
     return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
@@ -267,10 +269,10 @@ def _least_sine(measured: Measured) -> Array:
 
 
 def _with_statistics(state_error: Array, run: Run) -> Array:
-    """Relative error of states and statistics, given the states' own.
+    """Relative error of states and statistics, from the error of the states.
 
-    The interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows as the
-    third axis comes near the vertical, and is as large as they are where it was in the cylinder for a time.
+    The interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is
+    as large as they are where the axis was in the cylinder for a part of the run.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     with np.errstate(all="ignore"):
@@ -278,7 +280,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
         sine = _least_sine(measured)
         spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
         rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / np.maximum(sine, 1e-300)))
-        # The peak of psi' of an axis that leaves the cylinder at the frequency bound.
+        # Peak of psi' when the axis leaves the cylinder at the frequency bound.
         peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
         undefined = np.fmax.reduce([np.ones_like(rates), spread, rates, peak])
     outside = integration.sums[Row.OUTSIDE]

@@ -1,4 +1,4 @@
-"""Opening an atlas from a file or a run folder; also the engine "atlas" of xarray, so that `xr.open_dataset` does the same."""
+"""Opening an atlas from a file or a run folder, also by the engine "atlas" of `xr.open_dataset`."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     BadInput
         If there is no such file, if it is damaged, or if it is not an atlas.
     """
-    # Here, because xarray imports this module in every process that opens any file.
+    # Imported here, because xarray imports this module in every process that opens any file.
     from ..store import finished
     from ..store.place import located
 

@@ -1,4 +1,4 @@
-"""Claims: what processes that share a run without a server tell each other, so that none computes what another one does."""
+"""Claims, by which processes that share a run without a server divide its work."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from threading import Event, Thread
 from ..process import is_running, process_name
 from ..store.place import Place
 
-SUFFIX = ".claim"  # of the name of a tile that a process computes
+SUFFIX = ".claim"  # of the name of a claimed tile
 POLL = 0.5  # seconds between two attempts to claim
 # Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
-TAKEOVER = 0.2  # seconds after which one of several processes that take over a claim at once has it
+TAKEOVER = 0.2  # seconds until it is decided which of several processes has taken over an expired claim
 
 
 def claim(place: Place, name: str) -> bool:
-    """Whether this process may do what a content stands for: it creates the content, or takes over one that expired."""
+    """Whether this process has made a claim, or taken over an expired one."""
     process = process_name().encode()
     if place.create(name, process):
         return True
@@ -26,13 +26,13 @@ def claim(place: Place, name: str) -> bool:
         return False
     place.write(name, process, durable=False)
     time.sleep(TAKEOVER)
-    with suppress(OSError):  # the one that wrote last may have done its work
+    with suppress(OSError):  # the process that wrote last may have released it
         return place.read(name) == process
     return False
 
 
 def claimant(place: Place, name: str) -> str:
-    """Another process that made a claim and is at work: as far as is known it runs, and it renewed the claim of late; or nothing."""
+    """Another process that made a claim, runs as far as is known, and renewed the claim of late; or an empty text."""
     with suppress(OSError, ValueError):  # it has been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False and place.age(name) <= CLAIM_AGE:
@@ -62,7 +62,7 @@ def held(place: Place, name: str) -> Iterator[None]:
 
 
 def claimants(place: Place) -> Iterator[tuple[str, str]]:
-    """Names of the claims of a place, also in folders inside, each with the process that made it; with none if it is gone."""
+    """Names of the claims of a place, also in folders inside, each with its process, or an empty text if that is gone."""
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)

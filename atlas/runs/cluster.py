@@ -1,4 +1,4 @@
-"""Tasks on many machines by dask.distributed: few in flight, and repeated when a worker dies."""
+"""Tasks on many machines by dask.distributed: few at a time, and repeated when a worker dies."""
 
 from __future__ import annotations
 
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
-# Tasks in flight for each thread of the workers, so that a thread has the next one when one ends.
-TASKS_PER_THREAD = 2
-# dask gives a task up when several workers died while computing it; it is submitted so many times.
-MAX_ATTEMPTS = 3
+TASKS_PER_THREAD = 2  # submitted at a time, so that no thread waits for its next task
+MAX_ATTEMPTS = 3  # at a task that dask gives up, because several workers died during it
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"
 
 
@@ -36,7 +34,7 @@ def check(scheduler: str) -> None:
     try:
         scheme, address = parse_address(scheduler)
         with socket.create_connection(parse_host_port(address), CONNECT_TIMEOUT) as connection:
-            # A dask server sends first. Without this check the client of dask would wait for ever for any other server.
+            # A dask server sends first; for any other server the client of dask would wait for ever.
             if scheme == "tcp" and not connection.recv(1):
                 raise OSError("this is no dask server")
     except (OSError, ValueError) as error:
@@ -46,7 +44,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of a scheduler, or of one-thread processes here; BadInput if only one side uses TLS, OSError if the scheduler is lost."""
+    """A client of a scheduler, or of processes here with one thread each; BadInput for wrong TLS, OSError for a lost scheduler."""
     import distributed
     from distributed.comm.core import CommClosedError
     from distributed.utils import silence_logging_cmgr
@@ -58,15 +56,15 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
-    except RuntimeError as error:  # a process ended before it was a worker
+    except RuntimeError as error:  # a process ended during its start
         raise OSError(f"the dask workers did not start ({one_line(error)})") from None
-    with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # it logs what is raised here
+    with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # dask logs the errors raised here
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
-                # Never the default of the session, which a client that fails to connect would remain.
+                # Not the default of the session, as which a client would stay after a failure.
                 client = distributed.Client(server, set_as_default=False)
-        except (TypeError, RuntimeError) as error:  # what dask raises for its settings of TLS
+        except (TypeError, RuntimeError) as error:  # wrong settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
         except OSError:
             raise OSError(SCHEDULER_LOST) from None
@@ -75,7 +73,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 try:
                     yield client
                 except OSError:
-                    if client.status == "running":  # then it is an error of a task
+                    if client.status == "running":  # an error of a task
                         raise
                     raise OSError(SCHEDULER_LOST) from None
         except (CancelledError, CommClosedError):
@@ -83,7 +81,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Raise BadInput if a worker has another dask or fails `check`, except workers that join later."""
+    """Raise BadInput if a present worker has another dask or fails `check`."""
     versions: Any = client.get_versions()
     servers = {"the scheduler": versions["scheduler"]}
     servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
@@ -109,7 +107,7 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task, harmless to run twice, on the workers for each tuple of arguments, and `on_result` here with each result; raises the error of a task."""
+    """Call a task, which may run twice, on the workers for all tuples of arguments, and `on_result` here with each result."""
     from distributed import wait
 
     source = iter(arguments)
@@ -150,12 +148,12 @@ def for_each(
 
 
 def _succeeded(future: Future[Any], attempt: int) -> bool:
-    """Whether a task gave a result; False if it has to be submitted again. Raises its error otherwise."""
+    """Whether a task has a result, or else is submitted again; raises its error."""
     from distributed import KilledWorker
 
     if future.status == "finished":
         return True
-    if future.status == "lost":  # its worker died before it sent the result
+    if future.status == "lost":  # the worker died with the result
         return False
     if future.status != "error":
         raise OSError(f"the dask scheduler lost a task ({future.status})")

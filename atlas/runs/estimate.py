@@ -1,4 +1,4 @@
-"""The dry run: an estimate of the time, memory and disk space that a scene needs, from one tile of it."""
+"""The dry run: an estimate of time, memory and disk space of a scene from one of its tiles."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ from ..systems.base import derived_values, derived_variables
 from .plan import ScenePlan
 from .refine import expected_points
 
-# Steps of the points that are integrated for the measurement, for each thread: about half a second.
+# Steps of all points in the measurement, for each thread: about half a second.
 CALIBRATION_STEPS = 1e8
 HEADER_BYTES = 1000  # of a tile
 
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Measured cost of a tile, integrated for a part of its duration if it is a long one."""
+    """Measured cost of a tile, or of a part of it if it takes long."""
 
-    seconds_per_step: float  # wall-clock time of a step of one point, by all threads together
-    theory_seconds: float  # wall-clock time of what theory predicts of one point
+    seconds_per_step: float  # wall-clock time of a step of one point, by all threads
+    theory_seconds: float  # wall-clock time of the predictions of one point
     compile_seconds: float
-    memory: float  # bytes that the process took at most, and those of them for each tile
-    bytes_per_tile: float
-    stored_bytes_per_point: float  # of the variables that are measured and of parameters
+    memory: float  # most bytes of the process
+    bytes_per_tile: float  # of memory
+    stored_bytes_per_point: float  # of measured variables and parameters
 
 
 def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
-    """Estimate what running a scene into a file, folder or store takes, from one tile, as text; BadInput as `run`."""
+    """Text about the expected cost of running a scene into a file, folder or store; BadInput as `run`."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -56,9 +56,9 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     while has_derived and derived_seconds < 0.2 and count < existing_points.size:
         count = min(max(4 * count, 6), existing_points.size)
         places = np.linspace(0, existing_points.size - 1, count).astype(np.int64)
-        chosen = plan.sample.subset(existing_points[places])
+        part = plan.sample.subset(existing_points[places])
         started = time.perf_counter()
-        derived_values(scene.system, scene.outputs, chosen.base, chosen.duration, lambda: None)
+        derived_values(scene.system, scene.outputs, part.base, part.duration, lambda: None)
         derived_seconds = time.perf_counter() - started
     derived_seconds /= max(count, 1)
     # A refined atlas has predictions at every point.
@@ -93,16 +93,16 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Bytes on the disk of so many integrated points, compressed."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # which are not measured
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # not in the measurement
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
-    """Raise BadInput if so many missing points of a run, and the file if it is joined there, do not fit onto a disk."""
+    """Raise BadInput if so many missing points of a run, and, if it is joined, the file beside it, do not fit onto a disk."""
     scene, free = plan.scene, shutil.disk_usage(folder).free
     if 2 * scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values()) < free:
-        return  # also without compression
+        return  # they fit even without compression
     points = float(plan.sample.exists.mean()) * (missing + is_joined * scene.size)
     tiles = math.ceil(missing / math.prod(plan.tiling.tile))
     needed = _stored_bytes(plan, _measure(plan, 1), points) + HEADER_BYTES * tiles
@@ -112,8 +112,8 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
         )
 
 
-def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Integrate a tile from the middle of the grid, after one point, for which the kernel is compiled."""
+def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
+    """The plan of a tile from the middle of the grid, with runs so short that they take about CALIBRATION_STEPS."""
     outputs = tuple(name for name in plan.scene.outputs if name not in derived_variables(plan.scene.system))
     scene, tile = replace(plan.scene, outputs=outputs), plan.tiling.count // 2
     sample = grid.points_at_indices(scene, plan.tiling.indices(tile))
@@ -124,21 +124,26 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
         if fraction > 0.8:  # counts of steps are rounded
-            break
-        # Both, because a limited number of steps does not depend on the duration.
+            return plan
+        # A limited number of steps does not depend on the duration: shorten both.
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
         sample = replace(plan.sample, duration=plan.sample.duration * fraction)
         plan = ScenePlan(replace(plan.scene, settings=settings), sample)
 
+
+def _measure(plan: ScenePlan, threads: int) -> _Measurement:
+    """Integrate a tile from the middle of the grid, after one point, for which the kernel is compiled."""
+
     def most_memory() -> float:
-        """Bytes that this process took at most so far."""
+        """Most bytes of this process until now."""
         unit = 1 if sys.platform == "darwin" else 1024
         return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
 
+    plan = _short_tile(plan, threads)
     points, started = plan.sample, time.perf_counter()
     evaluate(plan.points, points.subset(np.zeros(1, np.int64)), threads=1)
     compile_seconds, memory = time.perf_counter() - started, most_memory()
-    began = time.process_time()  # which other programs at work do not lengthen
+    began = time.process_time()  # independent of other programs
     predict_runs(plan.points, points)
     theory_seconds = time.process_time() - began
     columns = evaluate(plan.points, points, threads=threads) | points.base

@@ -14,7 +14,6 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from itertools import chain
 from pathlib import Path
 from threading import Event, Lock
 from typing import Any, TypeAlias
@@ -50,16 +49,16 @@ from .reuse import Earlier, evaluate_at
 from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RunFolder, history_text, remove_empty, result_hash
 
 MAX_DAMAGE_WARNINGS = 5
-# Seconds between two checks whether tiles that other processes compute are done; between the first claims.POLL.
+# Most seconds between two checks of the tiles that other processes compute; the first pause is claims.POLL.
 MAX_CLAIM_POLL = 10.0
 RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
 Advance = Callable[[float], None]  # takes a number of finished points
-Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # what tiles are computed from
+Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # all that a process needs to compute a tile
 
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
-    """A plan, the earlier atlases whose points it takes, and the processes and threads that compute its tiles; see `run`."""
+    """A plan, the earlier atlases that it uses, and the processes and threads that compute its tiles; see `run`."""
 
     plan: ScenePlan
     earlier: list[Earlier]
@@ -70,7 +69,7 @@ class _Execution:
     stop_after: float | None = None
     progress: bool = True
     began: float = field(default_factory=time.monotonic)
-    stack: ExitStack = field(default_factory=ExitStack)  # which ends the dask workers
+    stack: ExitStack = field(default_factory=ExitStack)  # ends the dask workers
 
     @property
     def time_is_up(self) -> bool:
@@ -79,9 +78,9 @@ class _Execution:
 
     @cached_property
     def client(self) -> Any:
-        """Client of the dask workers, which are started when the first tile is to be computed."""
+        """Client of the dask workers, which start before the first tile."""
         if self.workers:
-            # Compile the kernel by one step at one point: each new process would compile it otherwise.
+            # Compile the kernel here, by one step at one point, or each new process would.
             sample = self.plan.sample
             points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
@@ -178,7 +177,7 @@ def run(
     if shard and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and finished.stamp(file) is not None:
-        left = _folder_of(file)  # it may be what a run left that was killed while it was removed
+        left = _folder_of(file)  # maybe of a run that was killed during its removal
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return _finished(ScenePlan.of(scene), file)
@@ -203,7 +202,7 @@ def run(
 
 
 def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
-    """Where a run is kept, and the path of an atlas that is one file or store; BadInput if it cannot be written."""
+    """The place of a run, and the path of its atlas if that is one file or store; BadInput if it cannot be written."""
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
@@ -219,7 +218,7 @@ def _destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
             f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
         )
     path = place if str(out).startswith("file:") else Path(out)
-    # A Path cannot end in /.
+    # A Path loses a / at its end.
     may_be_folder = isinstance(out, Path) or (path.is_dir() and not finished.is_store(path))
     if is_run or (may_be_folder and not path.suffix):
         check_name(path, LONGEST_NAME)
@@ -241,7 +240,7 @@ def _folder_of(path: Path | str) -> Path | str:
 
 @contextmanager
 def _complete(folder: RunFolder, execution: _Execution) -> Iterator[Progress]:
-    """Compute what is missing in a run or shard; this process counts as at work while the context is open."""
+    """Compute the missing tiles of a run or shard; this process counts as at work while the context is open."""
     explain_kept(folder.progress_text)
     part, parts = execution.shard
     if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
@@ -270,10 +269,10 @@ def _complete(folder: RunFolder, execution: _Execution) -> Iterator[Progress]:
 
 
 def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | None) -> None:
-    """Write what only the finished run has, if all tiles are there."""
+    """Write the notes of a run if it has all its tiles; totals: of all tiles, None after a shard."""
     if folder.tiles.missing():
         return
-    if totals is None:  # of a shard
+    if totals is None:
         totals, damaged = folder.tiles.check(range(folder.tiling.count))
         if damaged:
             return
@@ -291,10 +290,10 @@ def _complete_notes(folder: RunFolder, execution: _Execution, totals: Totals | N
 
 
 def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> None:
-    """Compute the levels of a refined scene one after the other, then the tiles of its finest grid from them."""
+    """Compute the levels of a refined scene one by one, then the tiles of its finest grid from them."""
     plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
     _warn_and_remove(tiles, tiles.check(tiles.written())[1])
-    with suppress(BadInput):  # of damaged notes, which are written anew
+    with suppress(BadInput):  # damaged notes are written anew
         if folder.is_complete:
             bar.add(plan.scene.size, done=plan.scene.size)
             return
@@ -317,9 +316,8 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
         columns, indices = fine.values(folder.tiling.slices(tile)), tiles.indices(tile)
         numbers = folder.types.keys() - columns
         columns |= {name: np.full(folder.tiling.shape_of(tile), np.nan) for name in numbers}
-        for points, measured in chain.from_iterable(level.read(indices) for level in levels):
-            for name in numbers:
-                columns[name].flat[points - indices[0]] = measured[name]
+        for level in levels:
+            level.fill({name: columns[name] for name in numbers}, indices)
         tiles.write(tile, columns, computed=int(columns["computed"].sum()), seconds=0.0, by="refinement")
     result, damaged = tiles.check(range(folder.tiling.count))
     if damaged:
@@ -330,17 +328,22 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: _Execution) -> 
 def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder, unless another process did."""
     before, plan, is_joined = finished.stamp(path), execution.plan, False
+
+    def is_open() -> bool:
+        """Whether no other process has finished the atlas in the meantime."""
+        return finished.stamp(path) in (before, None)
+
     try:
         folder = RunFolder.prepare(plan, _folder_of(path))
-        if finished.stamp(path) == before:
+        if is_open():
             with _complete(folder, execution) as bar:
-                # One process joins: on an object store another one would remove what it has written.
-                while not is_joined and finished.stamp(path) in (before, None):
+                # One process joins: on an object store a second one would remove the objects of the first.
+                while not is_joined and is_open():
                     if not claims.claim(folder.place, JOINING):
                         time.sleep(claims.POLL)
                         continue
                     with claims.held(folder.place, JOINING):
-                        if finished.stamp(path) in (before, None):
+                        if is_open():
                             folder.join(path)
                             is_joined = True
                 if is_joined:
@@ -348,7 +351,7 @@ def _run_to_file(path: Path | str, execution: _Execution) -> xr.Dataset:
                     folder.remove()
                     explain_kept(None)
     except (BadInput, OSError):
-        if finished.stamp(path) == before or not _is_result(plan, path):
+        if is_open() or not _is_result(plan, path):
             raise
     return open_atlas(path) if is_joined else _finished(plan, path)
 
@@ -357,20 +360,20 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
     """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
     expected = result_hash(plan.scene.toml(), identity(plan.points))
     with suppress(BadInput), open_atlas(path) as ds:
-        # A dataset that a user derives from an atlas has its attributes but no hash.
+        # A user's own dataset may have the attributes of an atlas, but not its hash.
         return finished.has_hash(path) and ds.attrs.get(RESULT) == expected
     return False
 
 
 def _finished(plan: ScenePlan, path: Path | str) -> xr.Dataset:
-    """Open an atlas that is finished, after removing what is left of its run; BadInput if it is the result of another one."""
+    """Open a finished atlas, and remove the rest of its run; BadInput if it is the result of another run."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
     try:  # a run that was killed after it moved the file into place
         folder = RunFolder.open(_folder_of(path))
         folder.check_same(plan)
     except BadInput:
-        remove_empty(_folder_of(path))  # unless it holds something else
+        remove_empty(_folder_of(path))
     else:
         finished.form(path).verify(path)
         folder.remove()
@@ -390,8 +393,8 @@ def _run_in_memory(execution: _Execution) -> xr.Dataset:
         no_bar = Progress(scene.size, show=False)
 
         def integrate(indices: np.ndarray) -> Iterator[Part]:
-            columns, taken = columns_of(plan, no_bar, threads, execution.earlier, indices)
-            reused.update(taken)
+            columns, counts = columns_of(plan, no_bar, threads, execution.earlier, indices)
+            reused.update(counts)
             yield indices, columns
 
         with announced(progress):
@@ -411,7 +414,7 @@ def columns_of(
     earlier: Sequence[Earlier] = (),
     points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
-    """Variables and solved parameters of the points of a scene, or of some by their flat indices; the numbers of points of earlier atlases."""
+    """Variables and solved parameters of all points of a scene, or of some by their flat indices, and the counts of reused points."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
     # Refinement follows the label, whether the scene asks for it or not.
@@ -440,7 +443,7 @@ def for_each_tile(
     in_flight: int,
     stop: Event,
 ) -> None:
-    """Call compute(tile, advance) in threads; after an error or Ctrl-C, which set `stop`, abandon tiles and raise it."""
+    """Call compute(tile, advance) in threads; an error or Ctrl-C sets `stop`, abandons all tiles and is raised."""
     source, lock = iter(tiles), Lock()
 
     def advance_or_stop(points: float) -> None:
@@ -467,25 +470,25 @@ def for_each_tile(
 
 @dataclass(eq=False)
 class _Job:
-    """Some tiles of a run that this process has to compute, unless other ones do."""
+    """Some tiles of a run that this process computes unless others do."""
 
     run: RunFolder
     tiles: Tiles
-    chosen: range  # of a level all, because no shard goes on to the next one before it is complete
+    share: range  # of a level all tiles, because every shard completes it before the next one
     execution: _Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
-    totals: Totals = field(default_factory=Totals)  # of the tiles that this process wrote
-    own: set[int] = field(default_factory=set)  # these tiles, which it has read back
+    own: set[int] = field(default_factory=set)  # tiles that this process wrote and read back
+    totals: Totals = field(default_factory=Totals)  # of these tiles
 
     def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
-        """Unfinished tiles one by one, from a random one on, so that parallel processes share the work; Stopped if the time is over."""
+        """Claimed tiles among the unfinished ones, from a random one on, so that parallel processes share the work."""
         first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
         files, size_of = self.tiles, self.tiles.tiling.size_of
         tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
         pause = claims.POLL
         while tiles:
-            claimed, files.listed = [], None
+            claimed, files.listing = [], None
             for tile in tiles:
                 if files.was_written(tile):
                     bar.skip(size_of(tile))
@@ -493,10 +496,10 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        # Written since the folder was listed, perhaps with others.
+                        # It was written after the listing of the folder, maybe with others.
                         files.place.remove(files.name(tile, claims.SUFFIX))
                         bar.skip(size_of(tile))
-                        files.listed = None
+                        files.listing = None
                     else:
                         yield tile
                 else:
@@ -508,15 +511,15 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute the tiles that are not there, and again those that are not as they were written; Stopped if the time is over before."""
+        """Compute missing and damaged tiles; Stopped if the time is up before."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
-        unfinished = [tile for tile in self.chosen if tile not in written]
-        done = sum(size_of(tile) for tile in self.chosen if tile in written)
-        bar.add(sum(map(size_of, self.chosen)), done=done)
+        unfinished = [tile for tile in self.share if tile not in written]
+        done = sum(size_of(tile) for tile in self.share if tile in written)
+        bar.add(sum(map(size_of, self.share)), done=done)
         while True:
             if unfinished:
                 self._compute(unfinished, bar)
-            totals, damaged = self.tiles.check(tile for tile in self.chosen if tile not in self.own)
+            totals, damaged = self.tiles.check(tile for tile in self.share if tile not in self.own)
             if not damaged:
                 totals.add(self.totals.table())
                 return totals
@@ -525,7 +528,7 @@ class _Job:
             bar.skip(-sum(map(size_of, unfinished)))
 
     def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
-        """Compute some tiles that are not there."""
+        """Compute some missing tiles."""
         execution, run = self.execution, self.run
         if isinstance(run.place, Folder):
             path, points = run.place.path, sum(map(self.tiles.tiling.size_of, unfinished))
@@ -549,7 +552,7 @@ class _Job:
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
         def seconds() -> float:
-            """Since the tile before this one ended, because tiles overlap."""
+            """Seconds since the end of the tile before, because tiles overlap."""
             nonlocal last_end
             with lock:
                 before, last_end = last_end, stopwatch.seconds()
@@ -603,7 +606,7 @@ def _compute_tile(
 
 
 def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
-    """Raise BadInput unless this worker computes the same bits as the client of a run, which made the key."""
+    """Raise BadInput unless this worker computes the bits of the run with this key."""
     _open_cached(path, level, key, reuse)
 
 
@@ -616,7 +619,7 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 
 @lru_cache(maxsize=8)
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
-    """The source of the tiles of a run or level whose bits this process computes."""
+    """The source of the tiles of a run or level; BadInput unless this process computes its bits."""
     run = RunFolder.open(path)
     try:
         opened = None if level is None else Level.open(run, level)

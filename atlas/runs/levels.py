@@ -1,10 +1,10 @@
-"""Levels of refined runs: each is a list of points of the finest grid, computed in tiles as those of a grid.
+"""Levels of refined runs: each is a list of points of the finest grid, computed in tiles like a grid of one axis.
 
     NAME/levels/0003/points.tile    flat indices of its points in the finest grid
     NAME/levels/0003/00000012.tile  as in every run
 
-The points of a level follow from the results of those before, so that a run that is continued, and every process that shares
-it, finds the same levels; the key of a level is a hash of run, points and key before, and all its tiles carry it.
+The points of a level follow from the results of earlier levels, so that a continued run, and every process that shares it, has
+the same levels. The key of a level, in all its tiles, is a hash of the run, the points and the key of the level before.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from .run import RunFolder
 
 LEVELS, POINTS = "levels", "points.tile"
-# Measured flags of the core.
+# Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
 MEASURED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
 )  # fmt: skip
-MAX_VALUES = 32  # of those that have no flags
-TILES_PER_LEVEL = 64  # if they have enough points, so that many processes can share a level
-# Flat indices of some points in the finest grid, in order, and their variables.
+MAX_VALUES = 32  # of integers without flags
+TILES_PER_LEVEL = 64  # if it has enough points, so that many processes can share it
+# Ascending flat indices of points in the finest grid, and their variables.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 
 
@@ -47,7 +47,7 @@ def traced(scene: Scene) -> list[str]:
 
 
 class Level:
-    """Some points of the finest grid of a run, which are computed in tiles like a grid of one axis."""
+    """Some points of the finest grid of a run, in tiles."""
 
     def __init__(self, run: RunFolder, number: int, before: str, points: np.ndarray, length: int):
         self.number, self.before, self.points, self.length = number, before, points, length
@@ -64,13 +64,13 @@ class Level:
 
     @classmethod
     def of(cls, run: RunFolder, number: int, before: str, points: np.ndarray, most: int) -> Level:
-        """A level in tiles of at most so many points, which is written unless it is there."""
+        """A level in tiles of at most so many points; its list of points is written if it is missing."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)
         with suppress(BadInput, FileNotFoundError):
             if cls.open(run, number).key == level.key:
                 return level
-        run.place.inside(LEVELS).make()  # not the run, which may have been removed
+        run.place.inside(LEVELS).make()  # not the folder of the run, which may have been removed
         level.place.make()
         header = {"key": level.key, "level": number, "before": before, "length": level.length}
         level.place.write(POINTS, encode(header, {"points": points.astype("<i8")}))
@@ -78,7 +78,7 @@ class Level:
 
     @classmethod
     def open(cls, run: RunFolder, number: int) -> Level:
-        """A level that some process has begun; FileNotFoundError if none has, BadInput if it is damaged."""
+        """A level of a run; FileNotFoundError before it has begun, BadInput if it is damaged."""
         place = run.place.inside(f"{LEVELS}/{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}
@@ -105,3 +105,9 @@ class Level:
             except DamagedTile as error:
                 raise OSError(f"{self.place}: tile {tile}: {error}; run the scene again") from None
             yield self.tiles.indices(tile)[inside], {name: column[inside] for name, column in values.items()}
+
+    def fill(self, columns: Mapping[str, np.ndarray], indices: np.ndarray) -> None:
+        """Write its values into columns of the points between the first and the last of these flat indices."""
+        for points, values in self.read(indices):
+            for name, column in columns.items():
+                column.flat[points - indices[0]] = values[name]

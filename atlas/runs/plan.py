@@ -1,5 +1,5 @@
-"""The plan of a scene: a sample of its points, their steps, the work and the tiles, made once and carried; and the identity
-of a computation: programs and processor on which the bits of an atlas depend. Imports no compiler.
+"""The plan of a scene, made once: a sample of its points, their steps, the work and the tiles; and the identity of a computation:
+programs and processor on which the bits of an atlas depend. Imports no compiler.
 """
 
 from __future__ import annotations
@@ -33,15 +33,14 @@ if TYPE_CHECKING:
     from ..store.tiling import Tiling
 
 
-# Shortest run that shows most chaos: revolutions of the frame, or, where the frame does not turn, periods of the bound
-# of the fastest frequency.
+# Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound where it does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
-COSTLY_SHARE = 0.3  # of all steps, that a warning names when a hundredth of the points takes it
+COSTLY_SHARE = 0.3  # of all steps: a warning follows where a hundredth of the points takes it
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """How a scene is run."""
+    """The plan of a scene."""
 
     scene: Scene
     sample: grid.Grid  # points of the scene, from `grid.check`
@@ -53,7 +52,7 @@ class ScenePlan:
 
     @cached_property
     def points(self) -> Plan:
-        """How its points are integrated."""
+        """The plan of the integration of its points."""
         from ..label.plan import Plan
 
         return Plan.of(self.scene)
@@ -64,18 +63,18 @@ class ScenePlan:
 
     @cached_property
     def _bound(self) -> Array:
-        """Frequency bound of the sample as far as it is known without integrating."""
+        """Frequency bound of the sample, known without integration."""
         with np.errstate(all="ignore"):
             return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.duration)
 
     def step_sizes_by(self, settings: Settings) -> StepSizes:
-        """Step sizes of the sample by these settings, and the errors to expect of them."""
+        """Step sizes of the sample by these settings, with their expected errors."""
         with np.errstate(all="ignore"):
             return StepSizes.of(settings, self._bound, self.sample.duration)
 
     @cached_property
     def step_sizes(self) -> StepSizes:
-        """Those of the scene."""
+        """Step sizes of the sample by the settings of the scene."""
         return self.step_sizes_by(self.scene.settings)
 
     @cached_property
@@ -102,7 +101,7 @@ class ScenePlan:
 
     @cached_property
     def tiling(self) -> Tiling:
-        """The tiles, of similar work. They depend on the scene alone, never on timing or the number of processors."""
+        """Tiles of similar work, by the scene alone: no time or number of processors changes them."""
         from ..store import tiling
 
         least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
@@ -112,7 +111,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Number of tiles to compute at a time: two keep the processors busy, small ones give few threads a call of the kernel."""
+        """Number of tiles to compute at a time: two keep the processors busy, more if they are too small for all threads."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1
@@ -120,7 +119,7 @@ class ScenePlan:
         return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, self.tiling.count)
 
     def step_warnings(self) -> list[str]:
-        """A sentence each on points that `max_steps` cuts short, and on points whose steps are too long for a label."""
+        """Sentences about points that `max_steps` cuts short, costly points, and points with steps too long for a label."""
         exists, sizes, warnings = self.sample.exists, self.step_sizes, list[str]()
         limited = float((sizes.steps < self.step_sizes_by(self.limited(MAX_STEPS)).steps)[exists].mean())
         unresolved = float((~sizes.resolved)[exists].mean())
@@ -148,11 +147,11 @@ class ScenePlan:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What is said of a scene before it runs."""
+        """Warnings about a scene before its run."""
         return [*grid.warnings(self.scene, self.sample), *self.chaos_warnings()]
 
     def chaos_warnings(self) -> list[str]:
-        """One sentence if the runs are too short to tell regular motions from chaotic ones."""
+        """A sentence about runs too short to tell regular motions from chaotic ones."""
         exists, system = self.sample.exists, self.scene.system
         if not self.has_chaos or not exists.any():
             return []
@@ -172,7 +171,7 @@ class ScenePlan:
         ]
 
     def relative_costs(self) -> dict[str, float]:
-        """Expected processor time by each other method over that of the scene's; none where it sets a step: errors would differ."""
+        """Processor time expected of each other method over that of the scene's method; none for a given step: errors would differ."""
         if self.scene.settings.step is not None:
             return {}
         exists, costs = self.sample.exists, dict[str, float]()
@@ -183,7 +182,7 @@ class ScenePlan:
         return {name: cost / own for name, cost in costs.items()}
 
     def method_lines(self) -> list[str]:
-        """A sentence on the cost of each other method; none where the scene sets a step."""
+        """A sentence on the cost of each other method; none for a given step."""
         return [
             f'method: {self.scene.settings.method}; method = "{name}" would integrate in about {ratio:.2g}'
             f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
@@ -199,7 +198,7 @@ def identity(plan: Plan) -> dict[str, str]:
 
     from ..kernel import machine_code
 
-    # The hash is computed from source files, so before the check whether these have changed.
+    # The kernel's hash reads source files: it comes before the check whether they have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
     changed: Any = [sources.PACKAGE / name for name in sources.changed()] or [origin and origin.changed()]
     if changed[0]:
@@ -207,7 +206,7 @@ def identity(plan: Plan) -> dict[str, str]:
             f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
-    # The code of a system that is not of this package, as it was when it was registered.
+    # The code of a system of another package, as it was when it was registered.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package
@@ -229,7 +228,7 @@ def identity(plan: Plan) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """Entries that differ, in one line with the places, such as "in the run" and "in the worker"."""
+    """The different entries in one line with their places, such as "in the run" and "in the worker"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

@@ -28,29 +28,28 @@ from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan
 
-# Integrates points by their flat indices in the finest grid, and gives the variables of some of them at a time.
+# Integrates points, flat indices in the finest grid, and yields the variables of parts of them.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Points on either side of a boundary that are integrated, at each level: with 2, every point of a cell
-# whose corners differ, and the cells around it.
+# Integrated points on either side of a boundary, at each level: 2 are a cell with different corners, and the cells around it.
 BOUNDARY_WIDTH = 2
-# Expected number of nudged unstable motions that survive the run outside the points that are integrated.
+# Expected number of nudged unstable motions that survive the run at points that are not integrated.
 EXPECTED_MISSES = 0.05
 SEED = 0
 # Points of the grid on which the cost of a refined scene is estimated.
 MAX_PREDICTED = 2**18
-# Measured flag -> the prediction in its place in that estimate, whose boundaries are the expected ones.
+# Measured flag -> the prediction that gives its boundaries in that estimate.
 PREDICTIONS = {
     "label": "predicted", "label_inertial": "predicted_inertial", "geometry": "family", "status": "stable",
 }  # fmt: skip
-# Points of a box of a grid in which boundaries are sought: memory does not grow with the grid.
+# Points of a box in which boundaries are sought, so that memory does not grow with the grid.
 MAX_BOX_POINTS = 2**20
 
 
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """Compute a scene that has [refine] on its finest grid, in memory or, but for measured numbers, in a folder; its attributes."""
+    """A scene with [refine] computed on its finest grid, in memory or, without measured numbers, in a folder; and its attributes."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, threads, integrate, folder)
@@ -62,7 +61,7 @@ def refined(
 
 
 class FineGrid:
-    """The finest grid of a scene: predictions at every point, measured flags where points are integrated, else those of a neighbour."""
+    """The finest grid of a scene: predictions at every point, and measured flags, assumed from a neighbour where none is measured."""
 
     def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
@@ -77,14 +76,14 @@ class FineGrid:
         held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
         codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
         arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
-        # The flags as one number, measured where `computed` is true, assumed elsewhere; the predicted flags; two masks.
+        # The flags as one number, measured where `computed` is true, else assumed; the predicted flags; two masks.
         self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
             column.fill(np.nan)
-        # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A nudge survives
-        # if its component along the unstable motion is a smaller share of it than rate_tolerance / nudge * exp(-growth): the
-        # share of such starts among all points, in regions narrower than the spacing. Without a nudge no point drifts.
+        # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A start survives if
+        # the unstable component of its nudge is a smaller share than rate_tolerance / nudge * exp(-growth), which is also the
+        # share of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
         nudge, self.growth_needed = max(map(abs, scene.nudge.values()), default=0.0), -math.inf
         if nudge > 0:
             missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
@@ -94,7 +93,7 @@ class FineGrid:
             self._predict(chunk)
 
     def _predict(self, chunk: slice) -> None:
-        """Evaluate theory at points of the grid. Those without motion are computed: their flags are 0, but for the status."""
+        """Evaluate theory at points of the grid. Points without motion count as computed, with flags 0 but for the status."""
         points = grid.points_at_indices(self.scene, np.arange(chunk.start, chunk.stop))
         self.n_existing += int(points.exists.sum())
         self.computed.reshape(-1)[chunk] = ~points.exists
@@ -105,7 +104,7 @@ class FineGrid:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
         existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
-            # How long a motion about other axes lasts does not count here.
+            # Without labels about any axes, because the growth of motions about other axes does not matter here.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, points.subset(points.exists))
             for name in self.numbers.keys() & {"growth_rate"}:
@@ -117,19 +116,19 @@ class FineGrid:
             self.slowly_unstable.reshape(-1)[existing] = slow
 
     def trace(self, levels: int, progress: bool) -> None:
-        """Integrate near boundaries of measured flags level by level, then near those of the predictions and where instabilities are slow."""
+        """Integrate near boundaries of measured flags level by level, then near predicted boundaries and at slow instabilities."""
         for level in range(levels + 1):
             self.refine_to(level)
             if progress:
                 line = f"level {level} of {levels}: {self.n_integrated} of {self.n_existing} points"
                 say(f"{line} ({100 * self.n_integrated / self.n_existing:.2f} %)", file=sys.stderr)
         slow = (self.slowly_unstable[box] for box in Tiling.of(self.scene.shape, MAX_BOX_POINTS))
-        chosen = map(np.logical_or, self._near_boundary(self.predicted), slow)
-        self._integrate(self._not_computed(self.finest, chosen))
+        masks = map(np.logical_or, self._near_boundary(self.predicted), slow)
+        self._integrate(self._not_computed(self.finest, masks))
         self.trace_boundary(self.finest)
 
     def refine_to(self, level: int) -> None:
-        """Compute all of the grid at level 0; later, new points first assume the flags of a neighbour."""
+        """Compute the whole grid at level 0; at later levels new points assume the flags of a neighbour first."""
         steps = [[max(k * n >> level, 1) for n in self.scene.coarsening] for k in (1, 2)]
         subgrid, before = (tuple(slice(None, None, step) for step in each) for each in steps)
         if level == 0:
@@ -143,12 +142,12 @@ class FineGrid:
         self.trace_boundary(subgrid)
 
     def trace_boundary(self, subgrid: Box) -> None:
-        """Integrate near boundaries, on this part of the grid, until they run between computed points."""
+        """Integrate near boundaries on this part of the grid until both sides of each are computed."""
         while self._integrate(self._not_computed(subgrid, self._near_boundary(self.flag_code[subgrid]))):
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random share of the rest and trace boundaries; the numbers of points and surprises."""
+        """Integrate a random share of the rest, then trace boundaries; the numbers of these points and of wrong flags among them."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -156,12 +155,12 @@ class FineGrid:
             inside = slice(*np.searchsorted(places, (first, first + indices.size)))
             probed.append(indices[places[inside] - first])
             first += indices.size
-        chosen = np.concatenate(probed)
-        assumed = self.flag_code.reshape(-1)[chosen]
-        self._integrate([chosen])
-        missed = int((self.flag_code.reshape(-1)[chosen] != assumed).sum())
+        indices_probed = np.concatenate(probed)
+        assumed = self.flag_code.reshape(-1)[indices_probed]
+        self._integrate([indices_probed])
+        missed = int((self.flag_code.reshape(-1)[indices_probed] != assumed).sum())
         self.trace_boundary(self.finest)
-        return chosen.size, missed
+        return indices_probed.size, missed
 
     def _near_boundary(self, code: np.ndarray) -> Iterator[Mask]:
         """Masks, box by box, of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
@@ -173,7 +172,7 @@ class FineGrid:
             yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
     def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
-        """Flat indices, box by box, of the points of a part of the grid that are in the masks and not computed."""
+        """Flat indices, box by box, of the points in the masks of a part of the grid that are not computed."""
         computed = self.computed[subgrid]
         for box, mask in zip(Tiling.of(computed.shape, MAX_BOX_POINTS), masks, strict=False):
             along_axes = zip(np.nonzero(mask & ~computed[box]), box, subgrid, strict=True)
@@ -181,7 +180,7 @@ class FineGrid:
             yield np.ravel_multi_index(indices, self.scene.shape)
 
     def _integrate(self, parts: Iterable[np.ndarray]) -> int:
-        """Integrate points given by their flat indices; their number."""
+        """Integrate points by their flat indices; returns their number."""
         indices = np.concatenate([*parts])
         if not indices.size:
             return 0
@@ -195,7 +194,7 @@ class FineGrid:
         return indices.size
 
     def values(self, part: tuple[Any, ...]) -> dict[str, np.ndarray]:
-        """Variables and solved parameters at indices along the axes; without the measured numbers that it does not hold."""
+        """Variables and solved parameters at indices along the axes, without the measured numbers if it is in a folder."""
         columns = {name: column[part] for name, column in self.numbers.items()}
         predictions = _decode(self.predicted[part], self.predicted_counts)
         columns |= zip(self.predicted_flags, predictions, strict=True)
@@ -209,11 +208,11 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Expected number of points that `refined` integrates, from the refinement by predicted flags of at most MAX_PREDICTED points."""
+    """Expected number of points that `refined` integrates, from the refinement of a coarser grid by predicted flags."""
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
-    # Levels between the grid of the simulation, with 2^finer times the spacing, and the finest one.
+    # Levels between the simulated grid of at most MAX_PREDICTED points, with 2^finer times the spacing, and the finest grid.
     finer = next(i for i in count() if scene.size / 2 ** (n_axes * i) <= MAX_PREDICTED)
     axes = {
         name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
@@ -231,17 +230,20 @@ def expected_points(plan: ScenePlan) -> float:
     simulated = replace(scene, axes=axes, refine=coarser, outputs=tuple(traced(scene)))
     predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
     predicted.trace(simulated_levels, progress=False)
-    # Points of the finest grid near a boundary of the flags.
     near = sum(map(np.count_nonzero, predicted._near_boundary(predicted.flag_code)))
-    existing_share, expected = predicted.n_existing / predicted.scene.size, float(predicted.n_integrated)
+    existing_share, simulated_points = (
+        predicted.n_existing / predicted.scene.size,
+        float(predicted.n_integrated),
+    )
     if finer > levels:  # not even the coarse grid is small enough
         coarse = (-(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True))
-        expected = existing_share * math.prod(coarse)
-    new_share = 1 - 2.0**-n_axes  # share of the points of a level that no coarser level has
+        simulated_points = existing_share * math.prod(coarse)
+    new_share = 1 - 2.0**-n_axes  # of the points of a level
     first = max(finer - levels, 0) + 1
-    # Points near boundaries grow like the length (area, ...) of these in units of the spacing, those of slow instabilities like all.
-    expected += new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
-    expected += int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
+    # The number of points near boundaries grows with their length (area, ...) over the spacing.
+    near_boundaries = new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
+    at_slow_instabilities = int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
+    expected = simulated_points + near_boundaries + at_slow_instabilities
     existing = existing_share * scene.size
     return min(expected + scene.refine.probe * max(existing - expected, 0.0), existing)
 
@@ -269,7 +271,7 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
 
 
 def _encode(flags: Sequence[Flags], counts: Sequence[int]) -> np.ndarray:
-    """Several flags of each point as one number; counts: how many values each flag has."""
+    """Several flags of each point as one number; counts: numbers of values of the flags."""
     return np.ravel_multi_index(tuple(flags), tuple(counts), mode="clip")
 
 

@@ -1,4 +1,4 @@
-"""Points that a scene shares with earlier atlases: where all that decides on the bits is the same, values are used again."""
+"""Points of earlier atlases in a scene: values are reused where everything that decides on their bits is the same."""
 
 from __future__ import annotations
 
@@ -27,24 +27,23 @@ from .backend import open_atlas
 from .plan import differences, identity
 from .run import HISTORY, RESULT, RunFolder, result_hash
 
-SAMPLE = 2048  # points of an earlier atlas that are sought in a scene before it runs
+SAMPLE = 2048  # points of an earlier atlas sought in a scene before its run
 
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """An atlas, which may be unfinished, whose points are used again."""
+    """An atlas, finished or not, whose points are reused."""
 
     path: Path | str
     scene: Scene
     tiling: Tiling  # boxes in which it is read
     names: tuple[str, ...]  # variables to read
-    # Values in a box; FileNotFoundError or DamagedTile without them.
-    read: Callable[[int], Mapping[str, np.ndarray]]
-    history: str  # what it is and where its own points come from
+    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; else FileNotFoundError or DamagedTile
+    history: str  # its title, origin and own history
 
     @classmethod
     def of(cls, path: str | Path, scene: Scene) -> Earlier:
-        """An atlas for a scene; BadInput unless its points have the bits that this process would compute."""
+        """An atlas for a scene; BadInput unless its points have the bits that this process computes."""
         path = located(path)
         ds = open_atlas(path)
         text = ds.attrs.get("atlas_scene")
@@ -61,24 +60,10 @@ class Earlier:
             programs = "the programs or the processor, or another program wrote the file"
         if programs:
             raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
-        own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
-        if different := differences(own_facts, facts, f"in {path}", "in the scene"):
-            raise BadInput(
-                f"{path}: its points have other bits than those of the scene: it differs in {different}"
-            )
-        if missing := [
-            name for name in scene.outputs if name not in {*old.outputs, *derived_variables(scene.system)}
-        ]:
-            raise BadInput(f"{path}: has no {', '.join(missing)}, for which every point is integrated again")
-        some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
-        if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
-            raise BadInput(
-                f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
-                " equal values of all parameters"
-            )
+        _check_scenes(path, old, scene)
         names = (*(name for name in scene.outputs if name in old.outputs), *({COMPUTED.name} & ds.keys()))
-        facts_told = ("title", "source", "date_created", "atlas_cpu", RESULT)
-        history = "; ".join(attribute_text(ds.attrs, name) for name in facts_told)
+        attributes = ("title", "source", "date_created", "atlas_cpu", RESULT)
+        history = "; ".join(attribute_text(ds.attrs, name) for name in attributes)
         if HISTORY in ds.attrs:
             history += f" (of these, {attribute_text(ds.attrs, HISTORY, limit=MAX_MESSAGE)})"
         if folder is not None:
@@ -96,14 +81,14 @@ class Earlier:
     def take(
         self, scene: Scene, indices: np.ndarray, points: grid.Grid
     ) -> tuple[Mask, dict[str, np.ndarray]]:
-        """Which of some points of a scene this atlas has, and the variables of these points."""
+        """A mask of the points of a scene that are in this atlas, and their variables."""
         places = _indices_in(self.scene, scene, indices, points)
         registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
         along = np.unravel_index(np.maximum(places, 0), self.scene.shape)
         inner = [index // length for index, length in zip(along, self.tiling.tile, strict=True)]
         tiles = np.ravel_multi_index(inner, self.tiling.counts)
-        taken = np.zeros(indices.size, bool)
+        mask = np.zeros(indices.size, bool)
         for tile in np.unique(tiles[places >= 0]):
             try:
                 values = self.read(int(tile))
@@ -114,10 +99,29 @@ class Earlier:
             inside = tuple(index[here] - start for index, start in zip(along, first, strict=True))
             for name, column in columns.items():
                 column[here] = values[name][inside]
-            taken[here] = True
+            mask[here] = True
         if COMPUTED.name in columns:
-            taken &= columns.pop(COMPUTED.name) == 1
-        return taken, {name: column[taken] for name, column in columns.items()}
+            mask &= columns.pop(COMPUTED.name) == 1
+        return mask, {name: column[mask] for name, column in columns.items()}
+
+
+def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
+    """Raise BadInput unless the atlas at a path has points of a scene, with the same bits and all variables."""
+    own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
+    if different := differences(own_facts, facts, f"in {path}", "in the scene"):
+        raise BadInput(
+            f"{path}: its points have other bits than those of the scene: it differs in {different}"
+        )
+    if missing := [
+        name for name in scene.outputs if name not in {*old.outputs, *derived_variables(scene.system)}
+    ]:
+        raise BadInput(f"{path}: has no {', '.join(missing)}, for which every point is integrated again")
+    some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
+    if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
+        raise BadInput(
+            f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
+            " equal values of all parameters"
+        )
 
 
 def evaluate_at(
@@ -129,13 +133,13 @@ def evaluate_at(
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Variables and parameters of points of a scene, the number where the family exists, and those taken from earlier atlases."""
+    """Variables and parameters of points of a scene, the number of points with a motion, and the counts of reused points."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)
     for atlas in earlier:
-        taken, columns = atlas.take(scene, indices[remaining], points.subset(remaining))
-        where, remaining = remaining[taken], remaining[~taken]
+        mask, columns = atlas.take(scene, indices[remaining], points.subset(remaining))
+        where, remaining = remaining[mask], remaining[~mask]
         if where.size:
             part = points.subset(where)
             missing = [name for name in scene.outputs if name not in columns]
@@ -155,7 +159,7 @@ def evaluate_at(
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """All but its parameters and its duration on which the bits of a point depend."""
+    """All that the bits of a point depend on, apart from its parameters and its duration."""
     return {
         "system": plan.system.name,
         **{f.name: getattr(plan.settings, f.name) for f in fields(Settings)},
@@ -168,7 +172,7 @@ def _facts(plan: Plan) -> dict[str, Any]:
 
 
 def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Grid) -> np.ndarray:
-    """Flat indices in another scene of points of a scene that are computed and have the same bits there, else -1."""
+    """Flat indices in another scene of the computed points of a scene that have the same bits there, else -1."""
     along = np.unravel_index(indices, scene.shape)
     values = grid.parameter_values(scene, indices)
     values |= {axis.dim: axis.values[i] for axis, i in zip(scene.axes.values(), along, strict=True)}

@@ -1,14 +1,14 @@
-"""Runs: a scene computed in tiles in a folder or below an address of an object store, so that it can be interrupted and continued.
+"""Runs: a scene computed in tiles in a folder or below an address of an object store; a run can be interrupted and continued.
 
-    NAME/manifest.json               what is computed, by which programs, in which tiles; created once
+    NAME/manifest.json               scene, programs and tiles; created once
     NAME/tiles/00000012.tile         variables of one tile
     NAME/tiles/00012/00012345.tile   the same in runs of more than 1000 tiles
     NAME/levels/                     of a refined run; see `levels`
     NAME/progress-PROCESS.json       progress of a process, for people and scripts
-    NAME/notes.json                  what only the finished run has: attributes, and sums over its tiles
+    NAME/notes.json                  attributes and sums over the tiles of a finished run
 
-Nothing is locked: contents appear whole, and a tile computed twice has the same values. Every content but those of progress, on
-which nothing computed depends, carries a hash.
+Nothing is locked: contents appear whole, and a tile computed twice has the same values. All carry a hash, except the progress,
+which no computation reads.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ from .plan import ScenePlan, differences, identity
 FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
-CREATION, JOINING = "manifest.claim", "joining.claim"  # of the process that creates the manifest, or joins
-# As long as the longest name in a run folder, so that a path that is too long is refused before anything is computed.
+CREATION, JOINING = "manifest.claim", "joining.claim"  # claims to create the manifest, and to join
+# As long as the longest name in a run folder, so that too long a path is refused before the run.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
-# Names of what may be left of a run that was removed, or be there before it is created.
+# Names that may be left after the removal of a run, or exist before its creation.
 REMNANT = re.compile("|".join([PROGRESS.pattern, *map(re.escape, (CREATION, JOINING, CLOCK))]))
 PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
     ("points", "done", "points_per_second"), int | float
@@ -61,16 +61,16 @@ PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | d
 ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run
-RESULT = "atlas_result"  # attribute of an atlas with its `result_hash`
-HISTORY = "atlas_history"  # attribute of an atlas with points of earlier ones: which these are
+RESULT = "atlas_result"  # attribute of an atlas: its `result_hash`
+HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 
 
 class RunFolder:
-    """One run, which other processes open themselves when it is sent to them."""
+    """A run; another process that receives it opens it anew."""
 
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path, self.place, self.manifest = path, place_at(path), manifest
-        self.key = str(manifest["key"])  # hash of scene, programs and tiling; every tile carries it
+        self.key = str(manifest["key"])  # hash of scene, programs and tiling, in every tile
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
@@ -128,7 +128,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str) -> RunFolder:
-        """Create the run of a scene, or open it to be continued; BadInput for anything else in its place."""
+        """Create or open the run of a scene; BadInput if its place holds anything else."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -138,24 +138,7 @@ class RunFolder:
                 files.check_folder(path / MANIFEST if path.exists() else path)
             if not all(REMNANT.fullmatch(name) or files.TEMPORARY.fullmatch(name) for name in names):
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
-            scene, kernel = plan.scene, plan.points.kernel_hash
-            attributes = dataset.provenance(
-                scene.system, scene.settings, kernel, scene=scene, points=scene.size, warnings=plan.warnings, seconds=0.0
-            )  # fmt: skip
-            # The tiles of a refined atlas are written, not computed.
-            finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
-            manifest = {
-                "format": FORMAT,
-                "scene": scene.toml(),
-                "identity": identity(plan.points),
-                "tile": (plan.tiling if scene.refine is None else finest).tile,
-                "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-                "provenance": {  # JSON has no nan
-                    name: None if isinstance(value, float) and math.isnan(value) else value
-                    for name, value in attributes.items()
-                },
-            }
-            manifest["key"] = _key(manifest)
+            manifest = _new_manifest(plan)
             place.make()
             while MANIFEST not in place.names():  # of several processes one creates it
                 if not claims.claim(place, CREATION):
@@ -195,7 +178,7 @@ class RunFolder:
         run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
-        """Raise BadInput, listing the differences, unless this process computes the same bits for the scene."""
+        """Raise BadInput with the differences unless this process computes the same bits for the scene."""
         stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flattened(tomllib.loads(plan.scene.toml())) | identity(plan.points)
         different = differences(stored, current, "in the folder", "now")
@@ -206,7 +189,7 @@ class RunFolder:
             )
 
     def check_kept(self) -> None:
-        """Raise OSError if another process has removed the run, or replaced it by another one."""
+        """Raise OSError if another process has removed or replaced the run."""
         with suppress(FileNotFoundError, NotADirectoryError, ValueError):
             if files.parsed(self.place.read(MANIFEST), is_sealed=True).get("key") == self.key:
                 return
@@ -224,7 +207,7 @@ class RunFolder:
                 yield name, content, progress.state(content, partial(self.place.age, name))
 
     def levels(self) -> Iterator[Level]:
-        """The levels that have begun, without damaged ones, which are logged and written anew by the next run."""
+        """The levels up to the first damaged one, which is logged; the next run writes it anew."""
         for number in count():
             try:
                 yield Level.open(self, number)
@@ -234,7 +217,7 @@ class RunFolder:
                 logging.getLogger("atlas").warning("%s", error)
 
     def tile_sets(self) -> dict[str, Tiles]:
-        """The tiles that are integrated, by the name of their part of the run."""
+        """The integrated tiles, by the name of their part of the run."""
         if self.scene.refine is None:
             return {"": self.tiles}
         return {f"level {level.number}: ": level.tiles for level in self.levels()}
@@ -253,7 +236,7 @@ class RunFolder:
                     self.place.remove(name)
 
     def progress_text(self) -> str:
-        """Number of the tiles that are written, as text; empty if the folder has been removed."""
+        """Number of tiles in the run, as text; empty if its folder has been removed."""
         path, sets = str(self.path), self.tile_sets().values()
         if isinstance(self.path, Path):
             if not self.path.is_dir():
@@ -285,13 +268,13 @@ class RunFolder:
         return ds
 
     def template(self) -> xr.Dataset:
-        """The atlas with zeros, which take no memory, in place of its values."""
+        """The atlas with zeros, which take no memory, for values."""
         shape, types = self.scene.shape, self.types.items()
         zeros = {name: np.broadcast_to(np.zeros((), kind), shape) for name, kind in types}
         return dataset.dataset(self.scene, zeros, self.tiling.tile)
 
     def attributes(self, totals: Totals) -> dict[str, Any]:
-        """Attributes of the atlas whose tiles have these sums."""
+        """Attributes of the atlas, given the sums over its tiles."""
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -300,20 +283,20 @@ class RunFolder:
         computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= history_text(totals.reused)
-        # All levels of a refined run are there when it is read.
+        # A refined run is read when all its levels are complete.
         tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
         shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]
         attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])
         return attributes | self.notes()[0]
 
     def save_notes(self, attributes: dict[str, Any], totals: Totals) -> None:
-        """Save what only the finished run has: attributes, and sums over its tiles."""
+        """Save the attributes of the finished run, and the sums over its tiles."""
         self.check_kept()
         content = {"key": self.key, "attributes": attributes, "totals": totals.table()}
         self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
-        """What `save_notes` saved, or nothing; BadInput if it is damaged."""
+        """The attributes and sums from `save_notes`, empty before it; BadInput if they are damaged."""
         file = f"{self.place}/{NOTES}"
         try:
             content = files.parsed(self.place.read(NOTES), is_sealed=True)
@@ -332,19 +315,25 @@ class RunFolder:
             raise BadInput(files.damaged_message(file, error)) from None
 
     def join(self, out: Path | str) -> None:
-        """Write the atlas as a NetCDF file or a Zarr store, box by box, in memory of constant size; an error keeps what is there."""
+        """Write the atlas as a NetCDF file or a Zarr store, box by box, in memory of constant size; an error keeps an earlier file."""
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
-        ds = self.template().assign_attrs(self.notes()[0])  # damaged ones end it before it begins
+        ds, (notes, saved), totals = self.template(), self.notes(), Totals()
+
+        def attributes() -> dict[str, Any]:
+            # The tiles of a refined atlas do not contain the cost of its levels.
+            return notes | self.attributes(totals if self.scene.refine is None else saved or totals)
+
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
         lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
-        finished.form(out).write_blocks(ds, chunk, self.types, self._blocks(ds, lengths), out)
+        blocks = self._blocks(lengths, totals)
+        finished.form(out).write_blocks(ds, chunk, self.types, blocks, attributes, out)
 
-    def _blocks(self, ds: xr.Dataset, lengths: tuple[int, ...]) -> Iterator[Block]:
-        """All points in boxes of these lengths, with the values of the tiles; then the dataset gets its attributes."""
-        boxes, types, tiles, totals = Tiling(self.scene.shape, lengths), self.types, count(), Totals()
-        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # what was read beyond a box
+    def _blocks(self, lengths: tuple[int, ...], totals: Totals) -> Iterator[Block]:
+        """All points in boxes of these lengths with the values of the tiles, which are added to the totals."""
+        boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, count()
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values beyond a box
         points = 0  # in the parts
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
@@ -360,12 +349,10 @@ class RunFolder:
             flat = {name: np.concatenate([values[name].ravel() for values in parts]) for name in types}
             yield boxes.slices(box), {name: values[:size].reshape(shape) for name, values in flat.items()}
             parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
-        # The tiles of a refined atlas do not tell what its levels took.
-        ds.attrs |= self.attributes(totals if self.scene.refine is None else self.notes()[1] or totals)
 
     def remove(self) -> None:
-        """Remove the run, and its folder if nothing else is in it; the manifest last."""
-        # Tiles go by one move, so that a process which still computes some cannot leave any behind.
+        """Remove the run, the manifest last, and its folder if nothing else is in it."""
+        # One move removes all tiles, so that a process at work cannot leave any behind.
         for part in (TILES, LEVELS):
             with suppress(OSError):
                 self.place.inside(part).clear()
@@ -375,7 +362,7 @@ class RunFolder:
 
 
 def remove_empty(path: Path | str) -> None:
-    """Remove what is left of a run that was removed, but for temporary files of processes at work."""
+    """Remove the rest of a removed run, except temporary files of processes at work."""
     place = place_at(path)
     names = [name for name in place.names() if not files.TEMPORARY.fullmatch(name)]
     if all(map(REMNANT.fullmatch, names)):
@@ -388,14 +375,36 @@ def remove_empty(path: Path | str) -> None:
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
-    """Hash of everything on which the bits of an atlas depend: the text of its scene, and its `identity`."""
+    """Hash of all that the bits of an atlas depend on: the text of its scene, and its `identity`."""
     return files.hash_of({"scene": scene, "identity": programs})
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute with the numbers of points from earlier atlases, by what these are; none without such points."""
+    """The attribute with the numbers of points from earlier atlases; none without such points."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
+
+
+def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
+    """The manifest of a run of a scene."""
+    scene, kernel = plan.scene, plan.points.kernel_hash
+    attributes = dataset.provenance(
+        scene.system, scene.settings, kernel, scene=scene, points=scene.size, warnings=plan.warnings, seconds=0.0
+    )  # fmt: skip
+    # The tiles of a refined atlas take no time: its levels are computed.
+    finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
+    manifest = {
+        "format": FORMAT,
+        "scene": scene.toml(),
+        "identity": identity(plan.points),
+        "tile": (plan.tiling if scene.refine is None else finest).tile,
+        "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
+        "provenance": {  # JSON has no nan
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in attributes.items()
+        },
+    }
+    return manifest | {"key": _key(manifest)}
 
 
 def _key(manifest: dict[str, Any]) -> str:

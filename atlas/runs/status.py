@@ -14,7 +14,7 @@ from .run import RunFolder
 
 
 def status(path: str | Path, *, verify: bool = False) -> str:
-    """State of a run or finished atlas, all of which is read to `verify` it; BadInput if a finished one is not as it was written."""
+    """State of a run or finished atlas, which `verify` reads as a whole; BadInput if a finished atlas was changed."""
     place = located(path)
     if isinstance(place, Path):
         check_name(place)

@@ -1,4 +1,4 @@
-"""Checks of single input values: each returns the value or raises BadInput with one line; some know their JSON Schema."""
+"""Checks of input values: each returns the value or raises BadInput with one line; many have a JSON Schema."""
 
 from __future__ import annotations
 
@@ -19,18 +19,16 @@ from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
 from .expressions import RESERVED, Expression
 
-# Characters of a name that a scene makes up.
-MAX_NAME = 60
-MAX_THREADS = 1024  # and processes, of a run
-# Numbers in a list of a scene.
-MAX_LISTED_NUMBERS = 200_000
+MAX_NAME = 60  # characters of a name that is no parameter
+MAX_THREADS = 1024  # threads or processes of a run
+MAX_LISTED_NUMBERS = 200_000  # in a list of a scene
 
 T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
 class Check(Generic[T]):
-    """A check with the JSON Schema of the values that it accepts."""
+    """A check with the JSON Schema of its values."""
 
     read: Callable[[str, Any], T]
     schema: dict[str, Any]
@@ -60,7 +58,7 @@ def number(key: str, value: object) -> float:
 
 @accepts(type=["number", "string"], pattern=rf"^([-+*/().0-9\s]|[0-9][eE]|{'|'.join(sorted(RESERVED))})+$")
 def quantity(key: str, value: object) -> float:
-    """The value as a float, if it is a finite number or arithmetic in numbers, such as "90 * deg"."""
+    """The value as a float, if it is a finite number or arithmetic with numbers, such as "90 * deg"."""
     if not isinstance(value, str):
         return number(key, value)
     expression = Expression(key, value)
@@ -211,7 +209,7 @@ def check_range(parameter: Parameter, key: str, low: float, high: float) -> None
         )
 
 
-# Types in the annotations of public functions: the classes of their values, and the name for a message.
+# Type in the annotations of public functions -> the classes of its values, and its name in messages.
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "None": ((type(None),), "None"),
     "str": ((str,), "a text"),
@@ -241,8 +239,8 @@ def typed(target: Annotated) -> Annotated:
             allowed[name] = [_TYPES[each] for each in types]
 
     @functools.wraps(target)
-    def checked_function(*arguments: Any, **more: Any) -> Any:
-        for name, value in signature.bind(*arguments, **more).arguments.items():
+    def checked_function(*arguments: Any, **options: Any) -> Any:
+        for name, value in signature.bind(*arguments, **options).arguments.items():
             kinds = allowed.get(name)
             if kinds and not any(
                 isinstance(value, classes) and (bool in classes or not isinstance(value, bool))
@@ -250,7 +248,7 @@ def typed(target: Annotated) -> Annotated:
             ):
                 words = " or ".join(words for _, words in kinds if words != "None")
                 raise BadInput(f"{name} = {shown(value)}: must be {words}")
-        return target(*arguments, **more)
+        return target(*arguments, **options)
 
     return checked_function  # type: ignore[return-value]
 
@@ -275,7 +273,7 @@ Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made b
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Dataclass field read from a table (`section`, if of several); without a default its key is needed."""
+    """Dataclass field read from a table, of several from `section`; without a default its key is needed."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 

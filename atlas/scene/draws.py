@@ -1,4 +1,4 @@
-"""Random numbers of ties: functions of a key and of values, so that they depend on no order, tile or thread."""
+"""Random numbers of ties: functions of a key and of values, independent of order, tiles and threads."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def mixed(counter: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def uniform(key: str, *values: Array) -> Array:
-    """Numbers evenly distributed between 0 and 1, both excluded, one for each key and values; nan unless these are finite."""
+    """Uniform random numbers between 0 and 1, both excluded, by the key and the values; nan where a value is not finite."""
     bits: NDArray[np.uint64] = np.frombuffer(blake2b(key.encode(), digest_size=8).digest(), "<u8")[0]
     no_number = np.asarray(0.0)
     for value in values:
@@ -29,7 +29,7 @@ def uniform(key: str, *values: Array) -> Array:
 
 
 def normal(key: str, *values: Array) -> Array:
-    """The same of mean 0 and standard deviation 1, normally distributed."""
+    """Normal random numbers of mean 0 and standard deviation 1, as `uniform`."""
     from scipy.special import ndtri  # slow to import, and most scenes do not need it
 
     return np.asarray(ndtri(uniform(key, *values)))

@@ -19,7 +19,7 @@ from ..systems.base import Array
 from .draws import DRAWS
 
 MAX_LENGTH = 500  # characters
-MAX_DEPTH = 200  # of parts within parts
+MAX_DEPTH = 200  # of nested parts
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -53,9 +53,9 @@ _ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 
 
 class Expression:
-    """Arithmetic in names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`.
+    """Arithmetic of names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`.
 
-    With a seed the arithmetic may contain DRAWS of any values, by the seed, the key, and the number of the draw in the text.
+    With a seed it may contain DRAWS of any values, by the seed, the key, and the number of the draw in the text.
     """
 
     def __init__(self, key: str, text: str, seed: int | None = None):
@@ -64,7 +64,7 @@ class Expression:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # Python only warns of texts such as 1if
+                warnings.simplefilter("error")  # for texts such as 1if
                 tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
@@ -75,13 +75,13 @@ class Expression:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
         calls = [] if seed is None else [part for part in ast.walk(tree) if isinstance(part, ast.Call)]
         draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
-        # Numbers, names, and functions with the number of their arguments, each after its arguments.
+        # Numbers, names and functions, each after its arguments, with their number.
         self._program, self.drawn = list[tuple[Any, int]](), set[str]()
         self._compile(tree, draws)
         self.names = frozenset(part for part, _ in self._program if isinstance(part, str))
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Value for values of the names; inf or nan where the arithmetic has no finite one."""
+        """Value of the expression, where the names have these values; it may be inf or nan."""
         stack: list[Any] = []
         with np.errstate(all="ignore"):
             for part, count in self._program:
@@ -140,7 +140,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """Ties so ordered that each uses known names and earlier ties; BadInput for circles and unknown names."""
+    """An order of ties in which each uses known names and earlier ties; BadInput for circles and unknown names."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(
@@ -155,7 +155,7 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():
-        # Ties that are ready together stay in the order of the scene, so that a resolved scene keeps it.
+        # Ties that are ready at the same time keep the order of the scene, and so does a resolved scene.
         ready = sorted(sorter.get_ready(), key=list(ties).index)
         order += ready
         sorter.done(*ready)

@@ -14,7 +14,6 @@ from ..systems.base import (
     MAX_MAGNITUDE,
     NO_RIGID_BODY,
     Array,
-    Family,
     Flags,
     Mask,
     Points,
@@ -27,26 +26,22 @@ from ..systems.base import (
     within_range,
 )
 from .checks import check_range
+from .family import ON_FAMILY as ON_FAMILY
+from .family import check_solution, solved
 from .model import Duration, Scene
 
-# Points of a tile: a constant, so that results never depend on the tiles.
+# Most points of a tile: a constant, so that results never depend on the tiles.
 MAX_POINTS_PER_TILE = 65536
-# Bodies, and starts on a family, that are checked before a run; the others are checked with their tile.
+# Bodies, and starts on a family, checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# Points checked one by one before a run, in about a tenth of a second, to count the ones not computed.
+# Most points of a grid that are all checked before a run, in about a tenth of a second, to count the reasons.
 MAX_COUNTED = 2**19
-# Points at which the formulas of an impossible family are tried for an error message.
+# Points at which the formulas of a family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
-# Values tried for a parameter where its formula gives none; not 0, where angles have no meaning.
-TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
-# Changes of a solved parameter; a family that holds after each of them leaves the parameter free.
-TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
-# A solved point counts as on its family if its largest condition residual is below this.
-ON_FAMILY = 1e-9
 
 
 class Reason(IntEnum):
-    """Why a point of a grid is not computed: the first that applies."""
+    """Why a point of a grid is not computed: the first reason that applies."""
 
     NONE = 0  # it is computed
     NO_VALUE = 1  # a tie has no finite value
@@ -60,14 +55,11 @@ class Reason(IntEnum):
 class Grid:
     """Some points of a scene."""
 
-    # Parameter -> values before the nudge, to which theory applies; float64 of shape (points,)
-    base: dict[str, Array]
+    base: dict[str, Array]  # parameter -> values before the nudge, for theory; float64 of shape (points,)
     points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
     reason: Flags  # int8 of shape (points,), values of `Reason`: why a point is not computed
     duration: Array  # length of the run in time units; float64 of shape (points,), nan where nothing turns
-    step: Array | None = (
-        None  # length of a step in time units instead of that of the settings; float64 of shape (points,)
-    )
+    step: Array | None = None  # length of a step in time units, in place of `settings.step`
 
     @property
     def exists(self) -> Mask:
@@ -93,7 +85,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # One number in memory for all points, except for ties: NumPy rounds some powers with such an exponent otherwise.
+    # One number in memory for all points, but an array for ties: NumPy rounds some powers otherwise with a scalar exponent.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -111,10 +103,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points at flat C-order indices of the grid: ties evaluated, family solved, offsets and nudge added.
-
-    Raises BadInput for ties out of range, and for starts or fields given incompletely or twice.
-    """
+    """Points at flat C-order indices: ties, family, offsets and nudge; BadInput for ties out of range and incomplete starts."""
     base, reason, duration = _before_nudge(scene, indices)
     base = {name: np.ascontiguousarray(values) for name, values in base.items()}
     with np.errstate(all="ignore"):
@@ -135,7 +124,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
         no_motion = no_value
         if scene.family is not None:
             family = system.families[scene.family]
-            base = _solved(family, scene.solve, base)
+            base = solved(family, scene.solve, base)
             exists = on_family(family, base) < ON_FAMILY
             possible = possible_body(system, base)
             for name in scene.solve:
@@ -169,7 +158,7 @@ def reasons(
 
 
 def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
-    """Points of a scene at any values along its axes, also off its grid; BadInput as `points_at_indices`."""
+    """Points of a scene at any values along its axes, on its grid or not; BadInput as `points_at_indices`."""
     axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(coordinates[name], return_inverse=True)
@@ -198,14 +187,14 @@ def durations(system: System, duration: Duration, points: Points, key: str = "du
 
 
 def check(scene: Scene) -> Grid:
-    """At most MAX_CHECKED_STARTS points, evenly spaced over the grid, at least one of which is computed.
+    """At most MAX_CHECKED_STARTS points, evenly spaced over the grid, among which some point is computed.
 
-    Raises BadInput if no body, start, tie, family or duration makes sense at any point, for a solved
-    parameter that the family leaves free, and for a derived variable without meaning.
+    Raises BadInput if no point has a body, start, tie, family or duration, for a solved parameter that the family leaves free,
+    and for a derived variable without meaning.
     """
     try:
         bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
-        # The ranges of all ties are checked with the values.
+        # This checks the ranges of all ties as well.
         possible = bodies[possible_body(scene.system, parameter_values(scene, bodies))]
         indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
         grid = points_at_indices(scene, indices)
@@ -222,7 +211,13 @@ def check(scene: Scene) -> Grid:
             )
         check_possible(scene.system, {name: column[defined] for name, column in grid.base.items()})
         if scene.family is not None:
-            _check_family(scene, indices, grid.reason)
+            exists = (grid.reason == Reason.NONE) | (grid.reason == Reason.NO_TURN)
+            candidates = indices[exists if exists.any() else grid.reason == Reason.NO_MOTION]
+            chosen = candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)]
+            values = parameter_values(scene, chosen)
+            base = {name: values[name] for name in scene.system.parameters}
+            family = scene.system.families[scene.family]
+            check_solution(family, scene.solve, base, exists=bool(exists.any()))
         if not grid.exists.any():
             raise BadInput(
                 f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"
@@ -286,14 +281,14 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
-    """Points of a grid that have another value than one of those within a window around them, of this size along each axis."""
+    """Points of a grid with different values in a window around them, of this size along each axis."""
     from scipy.ndimage import maximum_filter, minimum_filter  # slow to import, and most runs do not need it
 
     return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))
 
 
 def system_warnings(system: System, points: Points) -> list[str]:
-    """Warnings of the system about points that are computed, and some about numbers that are hardly meant."""
+    """Warnings of the system about points that are computed, and about angles in degrees and numbers out of range."""
     messages = system.warnings(points)
     for name, parameter in system.parameters.items():
         largest = np.abs(points[name]).max(initial=0.0, where=np.isfinite(points[name]))
@@ -313,71 +308,3 @@ def system_warnings(system: System, points: Points) -> list[str]:
 def _evenly_spaced(size: int, count: int) -> np.ndarray:
     """At most `count` of the indices 0 .. size - 1."""
     return np.linspace(0, size - 1, min(size, count)).round().astype(np.int64)
-
-
-def _solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
-    """The points with the parameters of `solve` from the family's formulas, in that order."""
-    solved = dict(points)
-    for name in solve:
-        solved[name] = np.asarray(family.solve[name](solved), np.float64)
-    return solved
-
-
-def _check_family(scene: Scene, indices: np.ndarray, reason: Flags) -> None:
-    """Raise BadInput if the family exists at none of the points, or leaves a solved parameter free."""
-    assert scene.family is not None
-    family = scene.system.families[scene.family]
-    exists = (reason == Reason.NONE) | (reason == Reason.NO_TURN)
-    candidates = indices[exists if exists.any() else reason == Reason.NO_MOTION]
-    values = parameter_values(scene, candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)])
-    base = {name: values[name] for name in scene.system.parameters}
-    with np.errstate(all="ignore"):
-        solved = _solved(family, scene.solve, base)
-        for i, name in enumerate(scene.solve):
-            if np.isfinite(solved[name]).any():
-                changed = _with_values(family, scene.solve[:i], solved, name, solved[name] + TRIAL_CHANGES)
-                _check_not_free(family, name, changed)
-            else:
-                trials = _with_values(
-                    family, scene.solve[:i], base, name, np.zeros_like(base[name]) + TRIAL_VALUES
-                )
-                trials = _solved(family, scene.solve[i + 1 :], trials)
-                _check_not_free(family, name, trials)
-                best = trials[name].flat[np.argmin(on_family(family, trials))]
-                limits = f"; its limits: {family.exists}" if family.exists else ""
-                raise BadInput(
-                    f"family.name = {shown(family.name)}: no {name} puts any point of the scene on it;"
-                    f" {_failure_text(family, trials)} at {name} = {best:g}, the best of some values tried{limits}"
-                )
-        if not exists.any():
-            raise BadInput(
-                f"family.name = {shown(family.name)}: {_failure_text(family, solved)} at the nearest point of the scene"
-            )
-
-
-def _with_values(
-    family: Family, solve: Sequence[str], points: Points, name: str, values: Array
-) -> dict[str, Array]:
-    """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
-    repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
-    return _solved(family, solve, repeated) | {name: values}
-
-
-def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if the points, which differ in one parameter, are all on the family, unless its motions fill regions."""
-    if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
-        raise BadInput(
-            f"family.solve = {shown(name)}: the family {family.name} leaves it free here, every value is one;"
-            " give it in [fixed], [axes] or [ties]"
-        )
-
-
-def _failure_text(family: Family, points: Points) -> str:
-    """The condition that fails most at the point nearest to the family, and by how much."""
-    residual = on_family(family, points)
-    nearest = np.unravel_index(np.argmin(residual), residual.shape)
-    if not np.isfinite(residual[nearest]):
-        return f"it needs {'; '.join(c.text for c in family.conditions)}, which have no value"
-    amounts = [abs(float(condition.residual(points)[nearest])) for condition in family.conditions]
-    worst = int(np.argmax(amounts))
-    return f"it needs {family.conditions[worst].text}, which fails by {amounts[worst]:.3g} (relative)"

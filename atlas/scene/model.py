@@ -4,35 +4,35 @@ from __future__ import annotations
 
 import html
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
 import tomli_w
 
-from ..errors import MAX_TEXT, BadInput, printable
+from ..errors import MAX_TEXT, printable
 from ..kernel.tableaux import METHODS
 from ..measure.instrument import Tolerances
 from ..systems.base import Array, System
 from . import checks
 from .checks import checked
 from .expressions import PointColumn, Tie
+from .text import Source
 
 SCHEMA = 1
-# Largest `max_steps`: more steps than a run can take in practice, and their sums fit into an int64.
+# Largest `max_steps`: more than any run takes in practice; sums of such numbers fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
-# Axes, parameters and ties that the text of a scene shows.
+# Most axes, parameters or ties in the short text of a scene.
 MAX_SHOWN = 8
 MAX_TIE_SHOWN = 30  # characters
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How points are integrated and labelled; durations come with the points. BadInput for a value out of range."""
+    """Settings of integration and labels, durations apart. BadInput for a value out of range."""
 
     method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
     # Beyond a phase error of 1 the phase means nothing.
@@ -57,7 +57,7 @@ class Settings:
     drift_tolerance: float = checked(
         checks.positive, 1e-5, "labels", "largest relative change of a first integral"
     )
-    # None, and observables that are left out: see `systems.base.Observable.tolerance`.
+    # Default, also of each observable without an entry: see `systems.base.Observable.tolerance`.
     std_tolerance: Mapping[str, float] | None = checked(
         checks.positive_numbers, None, "labels",
         "largest standard deviation with which an observable counts as constant, by its name, for systems with"
@@ -74,7 +74,7 @@ class Settings:
 
     @property
     def cylinder(self) -> float:
-        """Radius in rad of the polar cap, called cylinder, in which the third axis counts as vertical."""
+        """Radius in rad of the cylinder, the cap about the vertical in which the third axis counts as vertical."""
         return self.rate_tolerance if self.cylinder_tolerance is None else self.cylinder_tolerance
 
     @property
@@ -92,7 +92,7 @@ class Axis:
 
     name: str  # a parameter, or a name that ties refer to
     values: Array  # values along the axis, all different; float64 of shape (count,)
-    offset_from_family: bool = False  # the values are distances from what the family's formula gives
+    offset_from_family: bool = False  # the values are distances from the solution of the family's formula
     long_name: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
     units: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
     table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
@@ -141,7 +141,7 @@ class Refine:
 
 @dataclass(frozen=True)
 class Creator:
-    """Who is responsible for an atlas."""
+    """The person or institution responsible for an atlas."""
 
     name: str = checked(checks.text, "")
     email: str = checked(checks.text, "")
@@ -160,20 +160,20 @@ def creator(key: str, value: object) -> Creator:
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas but its title, by the names of ACDD-1.3."""
+    """Global attributes of an atlas except its title, by their names in ACDD-1.3."""
 
     summary: str = checked(checks.text, "")  # a paragraph about the content
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
     keywords: tuple[str, ...] = checked(checks.texts, ())
-    references: tuple[str, ...] = checked(checks.texts, ())  # references come before that of the system
+    references: tuple[str, ...] = checked(checks.texts, ())  # before the reference of the system
     acknowledgement: str = checked(checks.text, "")
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
-    id: str = checked(checks.text, "")  # `id` is an identifier that is unique, such as a DOI
+    id: str = checked(checks.text, "")  # unique identifier, such as a DOI
     creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
-        """Global attributes of ACDD-1.3 that are not empty, but for the references."""
+        """Global attributes of ACDD-1.3 that are not empty, without the references."""
         attributes = {f.name: getattr(self, f.name) for f in fields(self)}
         del attributes["references"]
         attributes |= {f"creator_{name}": value for name, value in vars(attributes.pop("creator")).items()}
@@ -181,7 +181,7 @@ class About:
         return {name: value for name, value in attributes.items() if value}
 
     def table(self) -> dict[str, Any]:
-        """The table [about] of a scene, without what is empty."""
+        """The table [about] of a scene, without empty entries."""
         table = {
             name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()
         }
@@ -194,30 +194,27 @@ EMPTY_ABOUT = About()
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """One job, checked: everything that decides on the content of an atlas."""
+    """A checked scene: everything that decides on the content of an atlas."""
 
     title: str  # free text, kept in the atlas
     system: System  # equations, parameters and families
     fixed: Mapping[str, float]  # parameters, and names that ties refer to, with one value
-    # The dimensions of the atlas in order; the single axis "point" for a scene with [points]
-    axes: Mapping[str, Axis]
-    ties: Mapping[str, Tie]  # names computed from other names, in an order in which they can be evaluated
+    axes: Mapping[str, Axis]  # the dimensions of the atlas in order; the single axis "point" with [points]
+    ties: Mapping[str, Tie]  # names computed from other names, in the order of their evaluation
     family: str | None = None  # family of steady motions on which every point starts
-    solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order in which these are used
+    solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order of their use
     nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
     duration: Duration = Duration()  # length of the runs
     settings: Settings = DEFAULTS  # integration and labels
-    outputs: tuple[str, ...] = ()  # variables that the atlas holds
-    # The one of them that its map and its page show unless another is named; empty: see
-    # `analysis.metadata.map_variable`
-    map: str = ""
+    outputs: tuple[str, ...] = ()  # variables of the atlas
+    map: str = (
+        ""  # the variable of its map and its page by default; empty: see `analysis.metadata.map_variable`
+    )
     seed: int = 0  # of the random numbers in ties
     refine: Refine | None = None  # refinement at borders
-    # The table [points] that stands instead of axes, with the numbers of a file in it
-    points: Mapping[str, Any] | None = None
+    points: Mapping[str, Any] | None = None  # the table [points] in place of axes, with the numbers of a file
     about: About = EMPTY_ABOUT  # attributes of the atlas: summary, creator, licence and the like
-    # The file that the scene was read from, for error messages; None: a text
-    source: Source | None = field(default=None, compare=False)
+    source: Source | None = field(default=None, compare=False)  # the file of the scene, for error messages
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -231,61 +228,47 @@ class Scene:
 
     @property
     def nudges_angles(self) -> bool:
-        """Whether the nudge is one of angles and their rates, not of the optional start values of the system."""
+        """Whether the nudge changes angles and their rates, not the optional start values of the system."""
         return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
 
     @property
     def coarsening(self) -> tuple[int, ...]:
-        """Distance of the coarse grid's points along each axis, where the scene is refined."""
+        """Distance of two points of the coarse grid of a refined scene along each axis."""
         assert self.refine is not None
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """Parameters that are 0 or absent, and pairs equal, at every point: kernels leave terms out."""
-        varying = {*self.axes, *self.ties, *self.solve}
-        values = {name: p.default for name, p in self.system.parameters.items()} | dict(self.fixed)
-        zero = {
-            name
-            for name in self.system.parameters
-            if name not in varying and (values[name] == 0 or math.isnan(values[name]))
+        """Parameters that are 0 or absent, and pairs that are equal, at every point: kernels leave terms out."""
+        parameters, varying = self.system.parameters, {*self.axes, *self.ties, *self.solve}
+        constants = {
+            name: self.fixed.get(name, parameters[name].default) for name in parameters if name not in varying
         }
-
-        def are_equal(pair: tuple[str, str]) -> bool:
-            match [name for name in pair if name in varying]:
-                case []:
-                    return values[pair[0]] == values[pair[1]]
-                case [name] if name in self.ties:
-                    return self.ties[name].text in pair
-            return False
-
-        return frozenset(zero), frozenset(filter(are_equal, self.system.equal_parameters))
+        zero, equal = zero_and_equal(self.system, constants)
+        copies = {(name, tie.text) for name, tie in self.ties.items() if tie.text in constants}
+        return zero, equal | {(a, b) for a, b in self.system.equal_parameters if {(a, b), (b, a)} & copies}
 
     def toml(self) -> str:
         """The scene with every default written out; `load_scene` of this text gives the same scene."""
         settings, duration = self.settings, self.duration
         table: dict[str, Any] = {
+            "seed": self.seed,
+            "about": self.about.table(),
+            "axes": {} if self.points else {axis.name: dict(axis.table) for axis in self.axes.values()},
+            "points": self.points and dict(self.points),
+            "refine": self.refine and vars(self.refine),
+            "family": self.family and {"name": self.family, "solve": list(self.solve)},
+            "nudge": dict(self.nudge),
+        }
+        table = {
             "schema": SCHEMA,
             "title": self.title,
             "system": self.system.name,
             "fixed": dict(self.fixed),
             "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, PointColumn)},
+            **{name: value for name, value in table.items() if value},
+            "integration": {"duration": str(duration) if duration.unit else duration.amount},
+            "labels": {},
         }
-        if self.seed:
-            table["seed"] = self.seed
-        if about := self.about.table():
-            table["about"] = about
-        if self.points is None:
-            table["axes"] = {axis.name: dict(axis.table) for axis in self.axes.values()}
-        else:
-            table["points"] = dict(self.points)
-        if self.refine is not None:
-            table["refine"] = vars(self.refine)
-        if self.family is not None:
-            table["family"] = {"name": self.family, "solve": list(self.solve)}
-        if self.nudge:
-            table["nudge"] = dict(self.nudge)
-        table["integration"] = {"duration": str(duration) if duration.unit else duration.amount}
-        table["labels"] = {}
         for f in fields(settings):
             value = settings.cylinder if f.name == "cylinder_tolerance" else getattr(settings, f.name)
             if value is not None:
@@ -303,21 +286,18 @@ class Scene:
         ]
         if len(self.axes) > MAX_SHOWN:
             lines.append(f"and {len(self.axes) - MAX_SHOWN} axes more")
-        columns = [name for name, tie in self.ties.items() if isinstance(tie, PointColumn)]
-        ties = [
-            f"{name} = {printable(tie.text, MAX_TIE_SHOWN)}"
-            for name, tie in self.ties.items()
-            if name not in columns
-        ]
-        numbers = {
-            title: [f"{name} = {value:g}" for name, value in values.items()]
-            for title, values in (("fixed", self.fixed), ("nudge", self.nudge))
+        columns = {name for name, tie in self.ties.items() if isinstance(tie, PointColumn)}
+        ties = {name: printable(tie.text, MAX_TIE_SHOWN) for name, tie in self.ties.items()}
+        sections = {
+            "columns": [name for name in ties if name in columns],
+            "fixed": [f"{name} = {value:g}" for name, value in self.fixed.items()],
+            "nudge": [f"{name} = {value:g}" for name, value in self.nudge.items()],
+            "ties": [f"{name} = {text}" for name, text in ties.items() if name not in columns],
         }
-        listed = {"columns": columns} | numbers | {"ties": ties}
-        for title, items in listed.items():
+        for title, items in sections.items():
             if items:
-                more = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
-                lines.append(f"{title}: {', '.join([*items[:MAX_SHOWN], *more])}")
+                rest = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
+                lines.append(f"{title}: {', '.join([*items[:MAX_SHOWN], *rest])}")
         if self.family is not None:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
@@ -329,79 +309,15 @@ class Scene:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
+def zero_and_equal(
+    system: System, constants: Mapping[str, float]
+) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+    """The parameters among some constants that are 0 or absent (nan), and the pairs that are equal."""
+    zero = {name for name, value in constants.items() if value == 0 or math.isnan(value)}
+    pairs = (pair for pair in system.equal_parameters if constants.keys() >= {*pair})
+    return frozenset(zero), frozenset((a, b) for a, b in pairs if constants[a] == constants[b])
+
+
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:
-    """Those of the names that a start need not give, because other start values can replace them."""
+    """Start values among the names that other start values can replace, so that a start need not give them."""
     return [name for name in names if math.isnan(system.parameters[name].default)]
-
-
-MAX_KEY = 300  # characters of a line in which a key is looked for
-_KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
-_HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")
-# What is wrong in a line that TOML's parser cannot read: a pattern of the line -> what was meant.
-_TOML_HINTS = {
-    r"^[^\"]*[^\x00-\x7f][^\"]*$": "names are ASCII letters, digits and _",
-    r"=\s*(True|False)\b": "true and false have small letters",
-    r"=\s*[-+]?\d+,\d": "the decimal sign is a point",
-    r"=\s*[^\s\"'=\[{]*\s*[A-Za-z*/(^]": 'texts and arithmetic are quoted, such as "sigma * A"',
-}
-_TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
-
-
-@dataclass(frozen=True)
-class Source:
-    """The file that a scene was read from."""
-
-    path: str  # as the user named it
-    text: str
-
-    def located(self, error: BadInput) -> BadInput:
-        """The error with file and line before the key with which its message begins."""
-        message = str(error)
-        if message.startswith(self.path):
-            return error
-        key = _KEY.match(message)
-        line = None if key is None else line_of(self.text, key[0])
-        return self.at_line(line, message)
-
-    def of_toml(self, message: str) -> BadInput:
-        """The error for a message of the TOML parser, whose position comes before it."""
-        position = _TOML_POSITION.search(message)
-        line = int(position[1]) if position and position[1] else None
-        message = f"not valid TOML: {_TOML_POSITION.sub('', message)}"
-        if line is not None and line <= len(self.text.splitlines()):
-            content = self.text.splitlines()[line - 1].partition("#")[0]
-            hints = [hint for pattern, hint in _TOML_HINTS.items() if re.search(pattern, content[:MAX_KEY])]
-            message = "; ".join([message, *hints[:1]])
-        return self.at_line(line, message)
-
-    def at_line(self, line: int | None, message: str) -> BadInput:
-        """An error with file and line; None: the line is not known."""
-        return BadInput(f"{self.path}, line {line}: {message}" if line else f"{self.path}: {message}")
-
-
-def line_of(text: str, key: str) -> int | None:
-    """Line, from 1, of a dotted key in a TOML text, or of the innermost table that contains it, or None."""
-    lines: dict[str, int] = {}
-    table = ""
-    for number, whole_line in enumerate(text.splitlines(), 1):
-        line = whole_line[:MAX_KEY]
-        if header := _HEADER.match(line):
-            table = _plain(header[1])
-            lines.setdefault(table, number)
-        elif assignment := _ASSIGNMENT.match(line):
-            name = _plain(assignment[1])
-            lines.setdefault(f"{table}.{name}" if table else name, number)
-    while key:
-        if key in lines:
-            return lines[key]
-        within = [number for name, number in lines.items() if name.startswith(f"{key}.")]
-        if within:
-            return min(within)
-        key = key.rpartition(".")[0]
-    return None
-
-
-def _plain(key: str) -> str:
-    """A dotted key of a TOML text without quotes and blanks."""
-    return ".".join(part.strip().strip("\"'") for part in key.split("."))

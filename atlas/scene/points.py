@@ -22,13 +22,9 @@ from .text import read_text
 SAMPLES = ("latin_hypercube", "sobol")
 # Points of a sample, and its numbers: points times ranges.
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
-# Names that get values from a table or file of points.
-MAX_COLUMNS = 100
-# Bytes of a file of points that a scene reads.
-MAX_FILE_BYTES = 50_000_000
-# Fields of a CSV file that a scene reads, including columns that name points.
-MAX_FILE_FIELDS = 5 * checks.MAX_LISTED_NUMBERS
-
+MAX_COLUMNS = 100  # of a table or file of points
+# Bytes of a file of points in a scene, and fields of a CSV file, names of points included.
+MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
 SEED = checks.whole(0, 2**63 - 1)
 RANGES = checks.Check(
@@ -66,10 +62,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """The table [points] as the resolved scene contains it, and its columns by name; BadInput if it is bad.
-
-    A NetCDF file's coordinate is a column if a tie refers to it. Without a folder no file is read.
-    """
+    """The table [points] of the resolved scene, and its columns by name; without a folder no file is read."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
@@ -114,7 +107,7 @@ def read_points(
 
 
 def file_of(scene: Path) -> list[Path]:
-    """The file of points that a scene file names, if any; it need not exist."""
+    """The file of points of a scene file, if any; it need not exist."""
     if not scene.is_file():  # a pipe could not be read again
         return []
     try:
@@ -125,19 +118,19 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Numbers that fill the unit cube, (dimensions, count), of this SciPy; "sobol" suits powers of two."""
+    """Numbers that fill the unit cube, (dimensions, count); "sobol" suits powers of two."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":
         points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
     else:
-        # SciPy warns of a count that is no power of two: these are the first points of the next power.
+        # SciPy warns about a count that is no power of two: take the first points of the next power.
         points = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())[:count]
     return np.ascontiguousarray(points.T)
 
 
 def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
-    """The sample, stretched over the range of each name."""
+    """The columns of a sample: quasi-random numbers stretched over the range of each name."""
     if not sample.ranges:
         raise BadInput(
             "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"

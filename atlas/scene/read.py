@@ -29,22 +29,20 @@ from .model import (
     Refine,
     Scene,
     Settings,
-    Source,
     optional_start_values,
 )
 from .points import SEED, read_points
-from .text import MAX_CHARACTERS, read_text
+from .text import MAX_CHARACTERS, Source, read_text
 
-# With these limits any text is read and checked as a scene within a few seconds and 500 MB. They are checked before
-# anything of that size is allocated.
+# Limits with which any text is read and checked as a scene within a few seconds and 500 MB; no larger object is allocated.
 MAX_TABLES = 2000
 MAX_JOINED_NAMES = 16  # as in a.b.c
-MAX_NAMES = 200  # that get values
+MAX_NAMES = 200  # of names with values
 MAX_TIE_CHARACTERS = 10_000  # of all ties together
 MAX_AXES = 32
 MAX_AXIS_COUNT = 10**7
 MAX_POINTS = 10**11
-# Points of the fine grid of a refined scene, at all of which theory is evaluated.
+# Points of the fine grid of a refined scene, each with a prediction.
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
@@ -106,10 +104,9 @@ def parse_scene(
     *,
     of_atlas: bool = False,
 ) -> Scene:
-    """Read the text of a scene, `path`, titled `name`; BadInput with one line that names file, line and key.
+    """The scene of a text; BadInput names its path, line and key. Without a folder, as for atlases, no points file is read.
 
-    Without a folder no points file is read: an atlas contains its points, and its text may come from anyone. Of a finished
-    atlas, outputs that nothing installed here gives are left out.
+    Of a finished atlas, outputs that nothing installed here gives are left out.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -171,24 +168,11 @@ def scene_from(
         axes[POINT] = Axis(POINT, np.arange(count, dtype=np.float64), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    expressions, seed = {}, SEED("seed", table.get("seed", 0))
-    for key, value in section["ties"].items():
-        checks.identifier(f"ties.{key}", key)
-        if not isinstance(value, str):
-            raise BadInput(
-                f'ties.{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"'
-            )
-        expressions[key] = Expression(f"ties.{key}", value, seed)
-    if (length := sum(len(tie.text) for tie in expressions.values())) > MAX_TIE_CHARACTERS:
-        raise BadInput(f"ties: {length} characters in all; allowed: at most {MAX_TIE_CHARACTERS}")
+    seed = SEED("seed", table.get("seed", 0))
+    expressions = _expressions(section["ties"], seed)
     family, solve = _family(system, section["family"]) if "family" in table else (None, ())
     ties: dict[str, Tie] = expressions | columns
-    _check_solved(axes, expressions, solve)
-    for name in {name for tie in expressions.values() for name in tie.drawn} & axes.keys():
-        if refine is not None and axes[name].can_be_refined:
-            raise BadInput(
-                f"axes.{name}: its values number draws, between which [refine] can interpolate nothing; list them as values = [...]"
-            )
+    _check_ties(axes, expressions, solve, is_refined=refine is not None)
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
     names: dict[str, Iterable[str]] = {
         "fixed": fixed,
@@ -223,6 +207,21 @@ def scene_from(
     )
 
 
+def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
+    """Ties of the table [ties] as expressions."""
+    expressions = {}
+    for key, value in table.items():
+        checks.identifier(f"ties.{key}", key)
+        if not isinstance(value, str):
+            raise BadInput(
+                f'ties.{key} = {shown(value)}: must be a string of arithmetic, such as "sigma * A"'
+            )
+        expressions[key] = Expression(f"ties.{key}", value, seed)
+    if (length := sum(len(tie.text) for tie in expressions.values())) > MAX_TIE_CHARACTERS:
+        raise BadInput(f"ties: {length} characters in all; allowed: at most {MAX_TIE_CHARACTERS}")
+    return expressions
+
+
 def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
     """Variables in the order of the registry, of an atlas those that are known, and the one that maps show; empty if none is named."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
@@ -240,7 +239,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
     return outputs, checks.choice("outputs.map", table["map"], allowed) if "map" in table else ""
 
 
-# Keys of a table [axes.NAME] with evenly spaced values, with listed ones, and of both.
+# Keys of a table [axes.NAME]: of evenly spaced values, of listed values, of both.
 SPACED: checks.Keys = {
     "from": checks.INTERVAL["from"],
     "to": checks.INTERVAL["to"],
@@ -260,7 +259,7 @@ OF_BOTH: checks.Keys = {
 
 
 def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> dict[str, Axis]:
-    """Axes of the table [axes], on the grid of the finest level; their sizes are checked before their values are made."""
+    """Axes of the table [axes] on the grid of the finest level; sizes are checked before values are allocated."""
     if len(tables) > MAX_AXES:
         raise BadInput(f"axes: {len(tables)} of them; allowed: at most {MAX_AXES}")
     if POINT in tables:
@@ -322,7 +321,7 @@ def _spaced(key: str, table: Mapping[str, Any], count: int) -> Array:
 
 
 def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    """Name of the family, and the parameters it is solved for in the order of its formulas."""
+    """Name of the family, and its solved parameters in the order of its formulas."""
     checks.check_keys(table, "family.", ("name", "solve"))
     if "name" not in table:
         raise BadInput(f"family.name is missing; {allowed_text(None, system.families)}")
@@ -361,7 +360,7 @@ def _check_names(
         is_offset = given_in == ["axes", "solve"] and axes[name].offset_from_family
         if len(given_in) > 1 and not is_offset:
             raise BadInput(f"{name} is given in {' and in '.join(given_in)}: a name has one value")
-    # In a dataset a name is only one of variable, parameter and dimension.
+    # In a dataset a name is either a variable, a parameter or a dimension.
     variables_of_file = data_variables(system)
     for name, given_in in sections.items():
         if name in variables_of_file:
@@ -378,19 +377,23 @@ def _check_names(
                 f" choose another name for axes.{axis.dim}"
             )
         dims[axis.dim] = key
-    used = {name for tie in ties.values() for name in tie.names}
+    names_in_ties = {name for tie in ties.values() for name in tie.names}
     for name, given_in in sections.items():
-        if name not in system.parameters and name not in used:
+        if name not in system.parameters and name not in names_in_ties:
             raise BadInput(
                 f"{given_in[0]}.{name}: not a parameter of the {system.name}, and no tie uses it;"
                 f" {allowed_text(name, system.parameters)}"
             )
 
 
-def _check_solved(
-    axes: Mapping[str, Axis], expressions: Mapping[str, Expression], solve: tuple[str, ...]
+def _check_ties(
+    axes: Mapping[str, Axis],
+    expressions: Mapping[str, Expression],
+    solve: tuple[str, ...],
+    *,
+    is_refined: bool,
 ) -> None:
-    """Raise BadInput for a tie to a solved parameter, and for an offset from one that is not solved."""
+    """Raise BadInput for a tie to a solved parameter, an offset from one that is not solved, and draws along refined axes."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
@@ -400,6 +403,11 @@ def _check_solved(
         if axis.offset_from_family and name not in solve:
             raise BadInput(
                 f"axes.{name}.offset_from_family: {name} must be solved by [family], but solve = {list(solve)}"
+            )
+    for name in {name for tie in expressions.values() for name in tie.drawn} & axes.keys():
+        if is_refined and axes[name].can_be_refined:
+            raise BadInput(
+                f"axes.{name}: its values number draws, between which [refine] can interpolate nothing; list them as values = [...]"
             )
 
 
@@ -444,7 +452,7 @@ def _integration(
 def check_std_tolerance(
     system: System, tolerances: Mapping[str, float] | None, key: str = "std_tolerance"
 ) -> None:
-    """Raise BadInput for a tolerance of something that is no observable of the system."""
+    """Raise BadInput for a tolerance without an observable of the system."""
     names = [observable.name for observable in system.observables]
     for name in tolerances or ():
         if name not in names:

@@ -1,4 +1,4 @@
-"""JSON Schema of scenes, from the registries of parameters, families, methods and variables: editors complete from it."""
+"""JSON Schema of scenes for editors, from the registries of parameters, families, methods and variables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Schema = dict[str, Any]
 
 
 def scene_schema() -> Schema:
-    """JSON Schema (draft 2020-12) of scene files; only `load_scene` checks how keys depend on each other."""
+    """JSON Schema (draft 2020-12) of scene files; dependencies between keys are left to `load_scene`."""
     systems = list(all_systems.available().values())
     text = {"type": "string", "description": "free text, kept in the atlas; the title of its figures"}
     names = {"type": "object", "propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
@@ -105,7 +105,7 @@ def scene_schema() -> Schema:
 
 
 def _without(*keys: str) -> Schema:
-    """Schema of a table that has none of these keys."""
+    """Schema of a table without these keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
 
 
@@ -132,7 +132,7 @@ POINTS: Schema = {
 
 
 def _properties_of(system: System) -> Schema:
-    """What is particular to one system: its parameters, families and variables."""
+    """Schemas of the tables that depend on the system: its parameters, families and variables."""
     fixed, axes, ties, nudge, families = {}, {}, {}, {}, []
     for name, parameter in system.parameters.items():
         description, limits = {"description": f"{parameter.meaning} ({parameter.unit})"}, {}
@@ -168,7 +168,7 @@ def _properties_of(system: System) -> Schema:
     names = {"type": "string", "enum": list(registry)}
     meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in registry.items())
     optional = ", ".join(name for name, variable in registry.items() if variable.optional) or "none"
-    listed = f"variables of the atlas (default: all but {optional}). {meanings}"
+    variables_text = f"variables of the atlas (default: all but {optional}). {meanings}"
     schema: Schema = {
         "fixed": {"properties": fixed},
         "axes": {"properties": axes},
@@ -176,7 +176,7 @@ def _properties_of(system: System) -> Schema:
         "nudge": {"properties": nudge, "additionalProperties": False},
         "outputs": {
             "properties": {
-                "variables": {"items": names, "minItems": 1, "description": listed},
+                "variables": {"items": names, "minItems": 1, "description": variables_text},
                 "map": names | {"description": "the variable that the map and the page show first"},
             }
         },

@@ -34,8 +34,8 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
     """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings or a DataFrame.
 
-    Those of a Dataset are DataArrays; of its coordinates only `names` are columns, and the others belong to these arrays. A
-    single dimension that is none of `names` is called "point" and loses the coordinate that numbers it.
+    Columns of a Dataset are DataArrays: its data variables, and its coordinates among `names`; other coordinates stay with the
+    arrays. A single dimension that is not among `names` becomes "point" and loses the coordinate that numbers it.
     """
     import xarray as xr
 
@@ -112,7 +112,7 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Columns that name the points: texts, IDENTIFIERS and `keep`; other names may be those of parameters, mistyped."""
+    """Columns that name the points: texts, IDENTIFIERS and `keep`; any other column may be a mistyped parameter."""
     import xarray as xr
 
     for name in keep:
@@ -120,50 +120,50 @@ def kept_columns(
             raise BadInput(f"keep: {shown(name)} is no column of the points")
         if name in system.parameters:
             raise BadInput(f"keep: {shown(name)} is a parameter, which the result contains anyhow")
-    kept = {}
+    result = {}
     for name, values in ((name, table[name]) for name in table if name not in system.parameters):
         column = values if isinstance(values, xr.DataArray) else np.asarray(values)
         is_text = column.dtype.kind in "UT"
-        if column.dtype.kind == "O":  # also among missing values
+        if column.dtype.kind == "O":  # texts among missing values
             is_text = any(isinstance(value, str) for value in np.ravel(column))
         if is_text or name in keep or name.lower() in IDENTIFIERS:
             if isinstance(column, xr.DataArray) and column.ndim:
-                kept[name] = column
+                result[name] = column
             elif column.ndim == 1:
-                kept[name] = xr.DataArray(column, dims="point")
-    return kept
+                result[name] = xr.DataArray(column, dims="point")
+    return result
 
 
 def parameter_arrays(
-    system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **more: Any
+    system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **others: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Names of the parameters in a table; their arrays of float64, aligned, and those of `more`; and the columns that are kept."""
+    """Names of the parameters in a table; aligned arrays of float64 of these and `others`; and the columns to keep."""
     import xarray as xr
 
-    kept = kept_columns(system, columns, keep)
-    names, arrays = tuple(name for name in columns if name not in kept), []
+    name_columns = kept_columns(system, columns, keep)
+    names, arrays = tuple(name for name in columns if name not in name_columns), []
     for name in names:
         if name not in system.parameters:
             file = f"{columns.source}: " if isinstance(columns, CsvColumns) else ""
             raise BadInput(
                 f"{file}{name}: not a parameter of the {system.name}; {allowed_text(name, system.parameters)}"
             )
-    for name, values in [*((name, columns[name]) for name in names), *more.items()]:
+    for name, values in [*((name, columns[name]) for name in names), *others.items()]:
         array = _numbers(name, values)
         array = array.drop_vars(array.coords.keys() & system.parameters.keys() - array.indexes.keys())
         if array.dims == (name,):
             array = array.drop_vars(name, errors="ignore").assign_coords({name: array.data})
         arrays.append(array)
-    every = zip((*names, *more, *kept), (*arrays, *kept.values()), strict=True)
+    every = zip((*names, *others, *name_columns), (*arrays, *name_columns.values()), strict=True)
     common_size({name: array.sizes["point"] for name, array in every if "point" in array.dims})
     try:
-        return names, xr.align(*arrays, join="exact"), kept
+        return names, xr.align(*arrays, join="exact"), name_columns
     except ValueError as error:
         raise BadInput(f"arrays of different points: {one_line(error)}") from None
 
 
 def _numbers(name: str, values: Any) -> xr.DataArray:
-    """A number, a 1-D array or a DataArray as one of float64; BadInput for anything else. Arrays of dask stay lazy."""
+    """A number, a 1-D array or a DataArray as a DataArray of float64, lazy if it is one of dask; else BadInput."""
     import xarray as xr
 
     try:
@@ -194,10 +194,10 @@ def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
 def flat_columns(
     system: System, names: Sequence[str], values: Sequence[Array], shape: tuple[int, ...], source: Any
 ) -> dict[str, Array]:
-    """Checked columns of every parameter from arrays that NumPy broadcasts to a shape; messages locate values in `source`."""
-    columns, given = {}, dict(zip(names, values, strict=True))
+    """Checked columns of every parameter from arrays that broadcast to a shape; source: the table, for messages."""
+    columns, by_name = {}, dict(zip(names, values, strict=True))
     for name, parameter in system.parameters.items():
-        column = given.get(name, np.asarray(parameter.default))
+        column = by_name.get(name, np.asarray(parameter.default))
         if column.ndim:
             column = np.broadcast_to(column, shape).ravel()
         _check_column(parameter, column, source)
@@ -206,7 +206,7 @@ def flat_columns(
 
 
 def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any] | None) -> None:
-    """Raise BadInput with the location of a value that is out of range, or not finite and not allowed to be missing."""
+    """Raise BadInput with the location of a value that is out of range, or neither finite nor an optional start value."""
     name = parameter.name
     missing = np.isnan(column) & np.isnan(parameter.default)
     if missing.all():
@@ -233,7 +233,7 @@ def _location(source: Mapping[str, Any] | None, column: Array, point: np.integer
 
 
 def common_size(sizes: Mapping[str, int]) -> int:
-    """Length of the columns, 1 if there are only numbers; BadInput if they differ or are empty."""
+    """Length of the columns, 1 without any; BadInput if they differ or are empty."""
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
         raise BadInput(f"points: columns of different lengths ({lengths})")
@@ -251,9 +251,9 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
         )
 
 
-SEPARATORS = ("\t", ";", ",")  # the first one in the line of names
-INDEX = "index"  # name of a first column without name, as pandas writes it
-# Characters of a line, because a file that is no table may be one line, and of all, because a pipe may have no end.
+SEPARATORS = ("\t", ";", ",")  # the first of them in the line of names separates fields
+INDEX = "index"  # name of a first column without name, as in files of pandas
+# Characters of a line, because a file that is no table may be one line, and of a table, because a pipe may have no end.
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
 
 
@@ -272,7 +272,7 @@ class CsvColumns(dict[str, Any]):
 
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
-    number = size = 0  # of the last line read, and of all in characters
+    number = size = 0  # of the last line; of all lines, in characters
 
     def content_lines() -> Iterator[str]:
         """The lines without empty ones and comments."""
@@ -294,7 +294,11 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
     try:
         header = _header(source, next(rows([first]), []))
         columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
-        cells = [(name, columns[name].append, _number if name in numeric else str.strip) for name in header]
+
+        def number_in(field: str) -> float:
+            return float(field.strip() or "nan")
+
+        cells = [(name, columns[name].append, number_in if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
         for row in rows(content):
             if len(row) != len(header):
@@ -347,13 +351,8 @@ def _header(source: str, fields: list[str]) -> list[str]:
     return header
 
 
-def _number(field: str) -> float:
-    """The number in a field, nan if it is empty."""
-    return float(field.strip() or "nan")
-
-
 def _numbers_if_possible(texts: list[str]) -> np.ndarray:
-    """The texts of a column, as numbers if all are."""
+    """The texts of a column, as numbers if all of them are numbers."""
     if all(text.isdecimal() and len(text) < 19 for text in texts):
         return np.array([int(text) for text in texts])
     try:

@@ -1,23 +1,37 @@
-"""Texts of users, from files or standard input."""
+"""Texts of users, from files or standard input, and the lines of scenes that messages name."""
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 from ..errors import BadInput
 
 MAX_CHARACTERS = 6_000_000  # of a scene
+MAX_KEY = 300  # characters at the beginning of a line that may contain its key
+_KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
+_HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
+_ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")
+# Pattern of a line that TOML's parser cannot read -> a hint.
+_TOML_HINTS = {
+    r"^[^\"]*[^\x00-\x7f][^\"]*$": "names are ASCII letters, digits and _",
+    r"=\s*(True|False)\b": "true and false have small letters",
+    r"=\s*[-+]?\d+,\d": "the decimal sign is a point",
+    r"=\s*[^\s\"'=\[{]*\s*[A-Za-z*/(^]": 'texts and arithmetic are quoted, such as "sigma * A"',
+}
+_TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
 
 
 @contextmanager
 def open_text(path: Path | None) -> Iterator[TextIO]:
-    """Open a file in UTF-8, or standard input, for reading; BadInput if it cannot be read, also while it is."""
+    """Open a file in UTF-8, or standard input; BadInput if it cannot be opened or read."""
     name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # its number may be that of another file now
+    if path is None and sys.__stdin__ is None:  # another file may have its number now
         raise BadInput(f"{name}: is closed")
     try:
         with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:
@@ -33,6 +47,65 @@ def open_text(path: Path | None) -> Iterator[TextIO]:
 
 
 def read_text(path: Path | None) -> str:
-    """Text in UTF-8, cut where it is longer than a scene may be, as of a device; BadInput if it cannot be read."""
+    """Text in UTF-8, cut at the length of the longest scene, because a device may have no end; BadInput if it cannot be read."""
     with open_text(path) as file:
         return file.read(MAX_CHARACTERS + 1)
+
+
+@dataclass(frozen=True)
+class Source:
+    """The file that a scene was read from."""
+
+    path: str  # as the user named it
+    text: str
+
+    def located(self, error: BadInput) -> BadInput:
+        """The error with file and line in front of its message, which begins with a key."""
+        message = str(error)
+        if message.startswith(self.path):
+            return error
+        key = _KEY.match(message)
+        line = None if key is None else line_of(self.text, key[0])
+        return self.at_line(line, message)
+
+    def of_toml(self, message: str) -> BadInput:
+        """The error for a message of the TOML parser, its position in front."""
+        position = _TOML_POSITION.search(message)
+        line = int(position[1]) if position and position[1] else None
+        message = f"not valid TOML: {_TOML_POSITION.sub('', message)}"
+        if line is not None and line <= len(self.text.splitlines()):
+            content = self.text.splitlines()[line - 1].partition("#")[0]
+            hints = [hint for pattern, hint in _TOML_HINTS.items() if re.search(pattern, content[:MAX_KEY])]
+            message = "; ".join([message, *hints[:1]])
+        return self.at_line(line, message)
+
+    def at_line(self, line: int | None, message: str) -> BadInput:
+        """An error with file and line; None: the line is not known."""
+        return BadInput(f"{self.path}, line {line}: {message}" if line else f"{self.path}: {message}")
+
+
+def line_of(text: str, key: str) -> int | None:
+    """Line, from 1, of a dotted key in a TOML text, else of the innermost table that contains it, else None."""
+    lines: dict[str, int] = {}
+    table = ""
+    for number, whole_line in enumerate(text.splitlines(), 1):
+        line = whole_line[:MAX_KEY]
+        if header := _HEADER.match(line):
+            table = _plain(header[1])
+            lines.setdefault(table, number)
+        elif assignment := _ASSIGNMENT.match(line):
+            name = _plain(assignment[1])
+            lines.setdefault(f"{table}.{name}" if table else name, number)
+    while key:
+        if key in lines:
+            return lines[key]
+        within = [number for name, number in lines.items() if name.startswith(f"{key}.")]
+        if within:
+            return min(within)
+        key = key.rpartition(".")[0]
+    return None
+
+
+def _plain(key: str) -> str:
+    """A dotted key of a TOML text without quotes and blanks."""
+    return ".".join(part.strip().strip("\"'") for part in key.split("."))

@@ -1,4 +1,4 @@
-"""The atlas as a Dataset: its variables, its parameters, and the attributes that state where it comes from."""
+"""The atlas as a Dataset: its variables, its parameters, and its provenance in attributes."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from ..scene.model import About, Scene, Settings
 from ..systems.base import System
 from ..variables import COMPUTED, data_variables
 
-HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of all that it holds, written last
+HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
 VERSION = "atlas_version"  # attribute of every atlas
 METADATA = "zarr.json"  # of a Zarr store
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
-# A parameter with more values than this becomes a dask array, computed chunk by chunk when it is used.
+# A parameter with more values is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000
 Box: TypeAlias = tuple[slice, ...]
-# Points in a box of the grid: the box, and the values of some variables by their names.
+# A box of the grid, and the values of variables in it by name.
 Block: TypeAlias = tuple[Box, Mapping[str, np.ndarray]]
 
 
@@ -61,7 +61,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
-    """Attributes of a data variable in a dataset with some variables; labels name what qualifies them."""
+    """Attributes of a data variable in a dataset with some variables; a label refers to status and error."""
     attributes = data_variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
@@ -70,7 +70,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter or its offset; an axis that is no parameter keeps its own name."""
+    """long_name and units of a parameter or its offset; for another axis its name."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -81,7 +81,7 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
 def with_parameters(
     ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
 ) -> xr.Dataset:
-    """A dataset with the parameters of a system as coordinates; BadInput if an index with the name of one has other values."""
+    """A dataset with the parameters of a system as coordinates; BadInput if an index of the same name has other values."""
     for name, parameter in system.parameters.items():
         if name in leave_out:
             continue
@@ -95,7 +95,7 @@ def with_parameters(
             ds[name].attrs = attributes
         elif array.chunks is not None or not np.isnan(array).all():
             ds = ds.assign_coords({name: (array.dims, array.data, attributes)})
-    # A dimension without coordinate gets the values of the only array in memory along it.
+    # A dimension without coordinate gets the values of its only array, if that is in memory.
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
             case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:
@@ -106,11 +106,11 @@ def with_parameters(
 
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
-    """Axes, by number, on which a fixed or tied parameter depends, and its values along them; chunks: see `dataset`."""
+    """Numbers of the axes that a fixed or tied parameter depends on, and its values along them; chunks: see `dataset`."""
     names, pending = {name}, {name}
     while pending:
-        used = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
-        names, pending = names | used, used - names
+        sources = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
+        names, pending = names | sources, sources - names
     axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 
     def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
@@ -129,7 +129,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
     edges = [np.cumsum([0, *along]) for along in lengths]
 
-    def chunk(block_id: Any = None) -> np.ndarray:  # block_info would be made of all blocks at once
+    def chunk(block_id: Any = None) -> np.ndarray:  # dask makes block_info for all blocks at once
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
@@ -145,7 +145,10 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, points: int, warnings: list[str],
     seconds: float | None = None, title: str = "", scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """CF and ACDD-1.3 attributes, and the program's own, of a scene, or of points given with a title and their wall-clock time if known."""
+    """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title.
+
+    seconds: wall-clock time, if known.
+    """
     from ..kernel.machine_code import cpu
 
     about = About() if scene is None else scene.about

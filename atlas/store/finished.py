@@ -18,22 +18,22 @@ from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION
 from .place import Folder, Place, place_at
 
 SUFFIX = ".zarr"
-# Names in a store; those of the group `atlas` are of version 0.1.0.
+# Names in a store; the group `atlas` is of version 0.1.0.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 
 
 def is_store(path: Path | str) -> bool:
-    """Whether what `located` gives has the name of a Zarr store."""
+    """Whether a result of `located` has the name of a Zarr store."""
     return str(path).lower().endswith(SUFFIX)
 
 
 def is_finished(path: Path | str) -> bool:
-    """Whether what `located` gives is read as a finished atlas: it is a file, or a store of any name; else as a run."""
+    """Whether a result of `located` is a finished atlas, a file or a store of any name, and not a run."""
     return (isinstance(path, Path) and path.is_file()) or METADATA in place_at(path).names()
 
 
 def form(path: Path | str) -> Any:
-    """The module that reads and writes an atlas, as a NetCDF file or a Zarr store; BadInput if the package zarr is not installed."""
+    """The module for an atlas in a NetCDF file or a Zarr store; BadInput if the package zarr is not installed."""
     if isinstance(path, Path) and not is_store(path) and not path.is_dir():
         return netcdf
     try:
@@ -44,7 +44,7 @@ def form(path: Path | str) -> Any:
 
 
 def attributes_of(place: Place) -> dict[str, Any]:
-    """Attributes of a Zarr store; none without one, or if they cannot be read."""
+    """Attributes of a Zarr store, empty if there is none, or if they cannot be read."""
     try:
         return dict(json.loads(place.read(METADATA))["attributes"])
     except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
@@ -52,7 +52,7 @@ def attributes_of(place: Place) -> dict[str, Any]:
 
 
 def has_hash(path: Path | str) -> bool:
-    """Whether an atlas has the hash that is written last; a copy by xarray has none."""
+    """Whether an atlas has its hash, unlike a copy by xarray."""
     if form(path) is not netcdf:
         return HASH in attributes_of(place_at(path))
     with netcdf.NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
@@ -60,7 +60,7 @@ def has_hash(path: Path | str) -> bool:
 
 
 def stamp(path: Path | str) -> object:
-    """A value that changes when an atlas is replaced; None if there is none, or a part of one."""
+    """A value that changes when an atlas is replaced; None without a whole atlas."""
     if is_store(path):
         place, attributes = place_at(path), attributes_of(place_at(path))
         is_whole = HASH in attributes or not EARLIER_HASHES.isdisjoint(attributes)
@@ -71,8 +71,8 @@ def stamp(path: Path | str) -> object:
 def writable(
     path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path | str:
-    """Check the place of an atlas, also of a part of one; BadInput as `files.writable`, also if it holds anything else."""
-    form(path)  # is installed
+    """Check the place of an atlas to write; BadInput as `files.writable`, and if the place holds anything but an atlas or a part."""
+    form(path)  # BadInput if it is not installed
     if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
         return netcdf.writable(path, suffixes, force=force, inputs=inputs)
     if not is_store(path):
@@ -81,7 +81,7 @@ def writable(
     place, contents = place_at(path), place_at(path).walk()
     is_own = not contents or f"atlas/{METADATA}" in contents
     with suppress(FileNotFoundError, ValueError):
-        # Damaged metadata name this attribute as well.
+        # Damaged metadata contain the name of this attribute as well.
         is_own = VERSION.encode() in place.read(METADATA)
     if not is_own or not all(
         OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents

@@ -1,8 +1,7 @@
 """The finished atlas as a NetCDF file, with one hash of all that it holds.
 
-NetCDF-4 stores a Fletcher checksum with each chunk, which any program compares when it reads, and HDF5 one with each header of an
-object; what is left are the tables in which chunks are looked up, and scalars. The attribute HASH, which is written last, is a hash
-of dimensions, attributes and values as they read back; `verify` compares it.
+Any program that reads the file compares the Fletcher checksums of its chunks and headers; the index tables of chunks, and scalars,
+have none. The attribute HASH, written last, is a hash of dimensions, attributes and values as they read back, for `verify`.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -29,19 +28,20 @@ from ..files import atomic_write, check_claim, disk_error, foreign_message
 from .dataset import HASH, VERSION, Block
 from .tiling import Tiling
 
-GROUP = "checksums"  # of files of version 0.1.0
+GROUP = "checksums"  # in files of version 0.1.0
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
-ROW_VALUES = 1 << 16  # read at a time of a variable that is not stored in chunks
+ROW_VALUES = 1 << 16  # values read at a time from a variable without chunks
 # The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
 NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
     """Write a Dataset as one compressed NetCDF file, which appears whole or not at all."""
-    encoding: dict[str, dict[str, Any]] = {}
-    for name, variable in ds.variables.items():
-        fill_value = np.nan if name in ds.data_vars and variable.dtype.kind == "f" else None
-        encoding[str(name)] = {"_FillValue": fill_value} | (COMPRESSION if variable.ndim else {})
+    floats = {name for name, variable in ds.data_vars.items() if variable.dtype.kind == "f"}
+    encoding: dict[str, dict[str, Any]] = {
+        str(name): {"_FillValue": np.nan if name in floats else None} | (COMPRESSION if variable.ndim else {})
+        for name, variable in ds.variables.items()
+    }
     with _hashed(path) as temporary:
         ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
@@ -59,9 +59,14 @@ def _hashed(path: Path) -> Iterator[Path]:
 
 
 def write_blocks(
-    ds: xr.Dataset, chunk: Mapping[str, int], names: Collection[str], blocks: Iterator[Block], path: Path
+    ds: xr.Dataset,
+    chunk: Mapping[str, int],
+    names: Collection[str],
+    blocks: Iterator[Block],
+    attributes: Callable[[], Mapping[str, Any]],
+    path: Path,
 ) -> None:
-    """Write an atlas larger than memory, whole or not at all: blocks hold `names`, and may set the attributes of the dataset."""
+    """Write an atlas larger than memory, whole or not at all: blocks of `names`, then the attributes."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
     with _hashed(path) as temporary, NETCDF_LOCK, netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
         for dim, length in ds.sizes.items():
@@ -82,13 +87,13 @@ def write_blocks(
         for box, values in blocks:
             for name, part in values.items():
                 file[name][box] = part
-        file.setncatts(ds.attrs)
+        file.setncatts(attributes())
 
 
 def writable(
     name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
-    """Check a path as `files.writable`; BadInput also if it holds NetCDF data of another program."""
+    """Check a path as `files.writable`; BadInput also for NetCDF data of another program."""
     path = files.writable(name, suffixes, force=force, inputs=inputs)
     if path.suffix.lower() == ".nc":
         check_path(path)
@@ -113,7 +118,7 @@ def verify(path: Path) -> None:
 
 
 def check_path(path: Path) -> None:
-    """Raise BadInput for a path that the NetCDF library takes for another one, or cannot take."""
+    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another one."""
     whole = os.path.abspath(path)
     if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
         raise BadInput(
@@ -122,13 +127,13 @@ def check_path(path: Path) -> None:
 
 
 def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
-    """Cache two chunks of a variable: each is used once, and the library would keep up to 64 MB of every variable."""
+    """Cache two chunks of a variable: each is used once, and the library's own cache is up to 64 MB for every variable."""
     if isinstance(chunks := variable.chunking(), list):
         variable.set_var_chunk_cache(size=16 * math.prod(chunks))
 
 
 def _hash(file: netCDF4.Dataset) -> str:
-    """Hash of dimensions, attributes but HASH, and variables of a file, in memory of one chunk of it."""
+    """Hash of the dimensions, attributes (HASH apart) and variables of a file, which is read chunk by chunk."""
     digest = hashlib.sha256()
 
     def add(*facts: Any) -> None:
@@ -154,7 +159,7 @@ def _hash(file: netCDF4.Dataset) -> str:
 
 
 def _attributes(owner: Any) -> dict[str, Any]:
-    """Attributes of a file or variable, but its hash, as lists of texts, types and exact numbers."""
+    """Attributes of a file or variable except HASH, as lists of kind, size and exact value."""
     values = {name: np.asarray(owner.getncattr(name)) for name in owner.ncattrs() if name != HASH}
     return {name: [v.dtype.kind, v.dtype.itemsize, repr(v.tolist())] for name, v in values.items()}
 
@@ -188,7 +193,7 @@ def open_dataset(path: Path) -> xr.Dataset:
         with ExitStack() as stack:
             store = _Store.open(str(path))
             stack.callback(store.close)
-            file = store.ds  # which takes the lock as well
+            file = store.ds  # this takes the lock as well
             with NETCDF_LOCK:
                 variables = [v for group in (file, *file.groups.values()) for v in group.variables.values()]
                 claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)

@@ -1,6 +1,6 @@
-"""Where runs and atlases are kept: contents by name in a folder of the file system, or below an address of an object store.
+"""Places of runs and atlases: contents by name in a folder of the file system, or below an address of an object store.
 
-Both have the same methods. A content appears whole or not at all; `create` never replaces one, on which claims are built.
+Both have the same methods. A content appears whole or not at all; claims rest on `create`, which never replaces one.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ from ..errors import BadInput, one_line
 from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
-# Seconds for which a request is repeated that an object store does not answer, between the first two attempts, the longest
-# pause, and before a warning.
+# Seconds for which a request without an answer is repeated, of the first and of the longest pause, and before a warning.
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
-# Answers of a server that another attempt would not change.
+# Final answers of a server, which another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
-CLOCK = "clock"  # content whose time is that of the storage
+CLOCK = "clock"  # content whose time shows the clock of the storage
 
 
 def located(path: str | Path) -> Path | str:
@@ -41,7 +40,7 @@ def located(path: str | Path) -> Path | str:
 
 
 def place_at(path: Path | str) -> Place:
-    """The place at what `located` gives."""
+    """The place of a result of `located`."""
     return Folder(path) if isinstance(path, Path) else Objects(path)
 
 
@@ -52,11 +51,11 @@ class Folder:
         self.path = path
 
     def inside(self, name: str) -> Folder:
-        """The part with names that begin so."""
+        """The part of the place below a name."""
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """A content; FileNotFoundError without one, ValueError if it is longer than allowed or no regular file."""
+        """A content, else FileNotFoundError; ValueError if it is longer than allowed or no regular file."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
@@ -65,14 +64,14 @@ class Folder:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """Whether this call writes a content, because there was none; others may see a part of it."""
+        """Write a content unless there is one, and return whether there was none; others may see a part of it."""
         with suppress(FileExistsError), self._file(name).open("xb") as file:
             file.write(content)
             return True
         return False
 
     def _file(self, name: str) -> Path:
-        """Path of a content, whose folder is made, but not this one, which another process may have removed."""
+        """Path of a content, whose folder is made inside this one, unless another process has removed this one."""
         path = self.path / name
         if not path.parent.is_dir() and self.path.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +88,7 @@ class Folder:
         return []
 
     def walk(self) -> list[str]:
-        """Names of all contents, also those of folders inside."""
+        """Names of all contents, also in folders inside."""
         start = len(str(self.path)) + 1
         return [f"{where}/{name}"[start:] for where, _, names in os.walk(self.path) for name in names]
 
@@ -98,14 +97,14 @@ class Folder:
         (self.path / name).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Remove everything, at once, so that a process at work cannot leave anything behind."""
+        """Remove everything in one move, so that a process at work cannot leave anything behind."""
         removed = temporary_path(self.path)
         with suppress(FileNotFoundError):
             os.rename(self.path, removed)
             shutil.rmtree(removed, ignore_errors=True)
 
     def stamp(self, name: str) -> object:
-        """A value that changes when a content is replaced; None without it."""
+        """A value that changes when a content is replaced; None without one."""
         with suppress(OSError):  # also one for a path that is too long
             status = os.stat(self.path / name)
             return status.st_ino, status.st_mtime_ns
@@ -126,7 +125,7 @@ class Folder:
 
 @lru_cache
 def _store(address: str) -> Any:
-    """An object store, which all parts of a process share; `Objects._answer` repeats its requests."""
+    """The object store of an address, one for a process; `Objects._answer` repeats its requests."""
     try:
         from obstore.store import MemoryStore, from_url
     except ImportError:
@@ -173,15 +172,15 @@ class Objects:
         return False
 
     def walk(self) -> list[str]:
-        listed = self._answer(lambda path, obstore: obstore.list(self.store, path).collect())
-        return [each["path"].removeprefix(self.prefix) for each in listed]
+        listing = self._answer(lambda path, obstore: obstore.list(self.store, path).collect())
+        return [each["path"].removeprefix(self.prefix) for each in listing]
 
     def remove(self, name: str) -> None:
         with suppress(FileNotFoundError):
             self._answer("delete", name)
 
     def clear(self, *, but: str = "") -> None:
-        """Remove everything, or all other contents."""
+        """Remove all contents, except one by its name."""
         if names := [self.prefix + name for name in self.walk() if name != but]:
             self._answer(lambda path, obstore: obstore.delete(self.store, names))
 
@@ -189,8 +188,8 @@ class Objects:
         pass
 
     def names(self, folder: str = "") -> list[str]:
-        listed = self._answer("list_with_delimiter", folder)
-        return [each["path"].rpartition("/")[2] for each in listed["objects"]]
+        listing = self._answer("list_with_delimiter", folder)
+        return [each["path"].rpartition("/")[2] for each in listing["objects"]]
 
     def stamp(self, name: str) -> object:
         with suppress(FileNotFoundError):
@@ -204,7 +203,7 @@ class Objects:
         return float((now - written).total_seconds())
 
     def remove_leftovers(self) -> None:
-        pass  # a put that was not finished leaves no object
+        pass  # an unfinished put leaves no object
 
     def __str__(self) -> str:
         return f"{self.address}/{self.prefix}".rstrip("/")
@@ -212,7 +211,7 @@ class Objects:
     def _answer(
         self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
     ) -> Any:
-        """What a function of obstore gives, which is repeated while the store does not answer; FileNotFoundError, FileExistsError or another OSError."""
+        """The result of a function of obstore, which is repeated while the store does not answer; or an OSError, such as FileNotFoundError."""
         import obstore
 
         path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False

@@ -15,18 +15,18 @@ from typing import Any
 from ..kernel import compiling
 from ..process import is_running, process_name
 
-# Seconds between two plain lines, two updates of the live line, and two of the file.
+# Seconds between two plain lines, two updates of the live line, two writes of the file.
 PLAIN_INTERVAL = 10.0
 LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
-# Seconds after which a process of another machine that has not written its file is taken for dead.
+# Seconds without a write after which a process of another machine counts as dead.
 SILENCE = 600.0
 AT_WORK = "at work"
 
 
 @dataclass(eq=False)
 class Progress:
-    """Counter of finished points, for any thread, that reports points per second and the time left, without compilation of kernels."""
+    """Counter of finished points for all threads: reports points per second and the time left, without compilation of kernels."""
 
     points: int
     _: KW_ONLY
@@ -44,13 +44,13 @@ class Progress:
         self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
-        """Add points of which some were done before."""
+        """Add points, some of them already done."""
         self.points += points
         self.skip(done)
         self._save(running=True)
 
     def advance(self, points: float) -> None:
-        """Add finished points; fractions too, because a tile reports after each block of its points."""
+        """Add finished points, maybe a fraction: a tile reports after each block of its points."""
         with self._lock:
             self._done = min(self._done + points, self.points)
             now = time.perf_counter()
@@ -67,7 +67,7 @@ class Progress:
                 self._save(running=True)
 
     def skip(self, points: float) -> None:
-        """Add points that this process did not have to compute; they do not count for the speed."""
+        """Add points that were not computed here, which do not count for the speed."""
         with self._lock:
             self._done_at_no_cost += points
             self._done += points
@@ -95,13 +95,13 @@ class Progress:
             **self.facts, "points": self.points, "done": done, "points_per_second": speed, "seconds_left": seconds_left,
             "running": running, "process": process_name(), "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }  # fmt: skip
-        # On a full disk the run fails where it writes a tile, with a better message.
+        # On a full disk writing a tile fails with a better message.
         with suppress(OSError):
             self.save(json.dumps(content, indent=1).encode())
 
 
 def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
-    """AT_WORK or why the writer of a progress file ended; on other machines the file's age decides, by the clock of its storage."""
+    """AT_WORK or the reason why the writer of a progress file ended; age: of the file, which decides about other machines."""
     if not content["running"]:
         return "ended"
     running = is_running(str(content["process"]))

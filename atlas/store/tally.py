@@ -1,4 +1,4 @@
-"""What the summary of a run needs of its tiles: numbers that are added or compared, tile by tile."""
+"""Numbers for the summary of a run, added or compared tile by tile."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ..flags import Label
 COUNTED = (
     "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
 )  # fmt: skip
-# Groups of points whose expected errors are printed apart: drifting motions amplify errors, steady ones do not.
+# Groups of points with separate histograms of errors: drifting motions amplify errors, steady ones do not.
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
 # Histogram of errors: quarters of a decade from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
 class Tally:
-    """What the summary of a run prints of its points: numbers that are added or compared, tile by tile."""
+    """Counts of flags and of errors, and largest values."""
 
     def __init__(self) -> None:
         # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group.
@@ -29,7 +29,7 @@ class Tally:
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
-        """Tally of some points, whose variables are of the same shape; other variables are ignored."""
+        """Tally of points by their variables, arrays of one shape."""
         tally = cls()
         counted = {name: columns[name] for name in COUNTED if name in columns}
         if "error_estimate" in columns and "label" in columns:
@@ -49,7 +49,7 @@ class Tally:
         return tally
 
     def add(self, counts: Mapping[str, Mapping[str, int]], largest: Mapping[str, float]) -> None:
-        """Add the entries of the tally of other points."""
+        """Add the tally of other points."""
         for name, number in counts.items():
             self.counts[name].update({flag: int(n) for flag, n in number.items()})
         for name, value in largest.items():
@@ -67,7 +67,7 @@ class Totals:
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:
-        """Add a tile by its header, or other totals by their `table`."""
+        """Add a tile by its header, or other totals by `table`."""
         self.points += header["points"]
         self.seconds += header["seconds"]
         self.by.update([header["by"]] if isinstance(header["by"], str) else header["by"])
@@ -75,6 +75,6 @@ class Totals:
         self.tally.add(**header["tally"])
 
     def table(self) -> dict[str, Any]:
-        """The sums as JSON has them."""
+        """The sums as entries of JSON."""
         counts = {name: dict(sorted(number.items())) for name, number in sorted(self.tally.counts.items())}
         return vars(self) | {"tally": {"counts": counts, "largest": dict(sorted(self.tally.largest.items()))}}

@@ -1,10 +1,10 @@
-"""The tile, the one object of which a run is made: some columns and a line of facts about them, whole or not at all.
+"""The tile, a part of a run in one object: some columns, and a line of facts about them.
 
     {"key": ..., "tile": 12, "points": 8192, ..., "columns": {"label": ["|i1", 371], ...}}
-    the columns one after the other, each compressed by itself: the first bytes of all values, then the second ones, and so on
-    SHA-256 of all that
+    the columns, each compressed by itself: the first bytes of all values, then the second bytes, and so on
+    SHA-256 of these
 
-A tile that is there is written. Whoever reads it finds out whether it is as it was written.
+A tile exists as a whole or not at all, and each reader checks whether it is as it was written.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from .tally import Tally, Totals
 from .tiling import Tiling
 
 SUFFIX = ".tile"
-LEVEL = 1  # of zlib: higher ones take more time than they save room
+LEVEL = 1  # of zlib: higher levels take much time and save little room
 HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# Number of points where the family exists, time, what computed the tile, numbers of points of earlier atlases by what these are.
+# Number of points with a motion, seconds, processes that computed the tile, numbers of points by their earlier atlas.
 HEADER_TYPES = {"computed": int, "seconds": (int, float), "by": str, "reused": dict, "tally": dict}
-# Tiles of fewer points in a folder are read one after the other: threads would take turns.
+# Tiles of fewer points in a folder are read one by one: threads would wait for each other.
 MIN_PARALLEL_POINTS = 4096
 
 
@@ -47,7 +47,7 @@ class DamagedTile(Exception):
 
 
 def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> bytes:
-    """A tile of flat columns of one length."""
+    """The content of a tile of flat columns of one length."""
     parts, table = list[bytes](), {}
     for name, values in columns.items():
         planes = np.ascontiguousarray(values).view(np.uint8).reshape(values.size, -1).T
@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> byte
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and columns of these types; DamagedTile if a tile was changed, has other facts in its header, or more than so many points."""
+    """Header, and columns of these types; DamagedTile if the tile was changed, has other facts in its header or too many points."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -89,21 +89,21 @@ def decode(
 
 
 def tile_types(scene: Scene) -> dict[str, str]:
-    """Names and types of the columns of a tile: its variables, and the parameters the family is solved for."""
+    """Names and types of the columns of a tile: its variables, and the solved parameters."""
     registry = variables(scene.system)
     return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
 
 
 @dataclass(eq=False)
 class Tiles:
-    """The tiles of a run, or of one level of it. Of two processes that write the same tile the last one wins."""
+    """The tiles of a run, or of one of its levels. Of two processes that write the same tile the last one wins."""
 
     place: Place
     key: str
     types: Mapping[str, str]
     tiling: Tiling
-    points: np.ndarray | None = None  # flat indices in the grid, where the tiles do not cover all of it
-    listed: tuple[int, set[int]] | None = None  # number of a folder, and the tiles written in it
+    points: np.ndarray | None = None  # flat indices in the grid, if the tiles cover a part of it
+    listing: tuple[int, set[int]] | None = None  # number of a folder, and the tiles in it
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
         """Name of a tile, or of its claim."""
@@ -116,7 +116,7 @@ class Tiles:
         return indices if self.points is None else self.points[indices]
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
-        """Write a tile and give its header, with facts of HEADER_TYPES; OSError if it reads back otherwise."""
+        """Write a tile with facts of HEADER_TYPES, and return its header; OSError if it reads back otherwise."""
         columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
         header = {"key": self.key, "tile": tile, "host": socket.gethostname(), "reused": {}, **facts}
         header["tally"] = vars(Tally.of(columns))
@@ -129,7 +129,7 @@ class Tiles:
     def read(
         self, tile: int, names: Collection[str] | None = None
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Header and some variables of a tile, default all; FileNotFoundError, DamagedTile if it is not as it was written."""
+        """Header and variables of a tile, by default all; else FileNotFoundError or DamagedTile."""
         types = self.types if names is None else {name: self.types[name] for name in names}
         size = self.tiling.size_of(tile)
         facts = {"key": self.key, "tile": tile, "points": size}
@@ -146,7 +146,7 @@ class Tiles:
         return header, {name: column.reshape(shape) for name, column in columns.items()}
 
     def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
-        """Read tiles: totals of those that are as they were written, and the reasons why others are not; absent ones count for nothing."""
+        """Read tiles: totals of the sound ones, and the reasons why others are damaged; missing tiles do not count."""
         totals, damaged = Totals(), dict[int, str]()
 
         def header(tile: int) -> dict[str, Any] | None:
@@ -165,11 +165,11 @@ class Tiles:
         return totals, dict(sorted(damaged.items()))
 
     def written(self) -> set[int]:
-        """Tiles that are written."""
+        """Numbers of the tiles in the place."""
         return {int(match[1]) for name in self.place.walk() if (match := TILE.fullmatch(name))}
 
     def missing(self) -> list[int]:
-        """Tiles that are not written."""
+        """Numbers of the other tiles, in order."""
         return sorted({*range(self.tiling.count)} - self.written())
 
     def is_written(self, tile: int) -> bool:
@@ -177,9 +177,9 @@ class Tiles:
         return self.place.stamp(self.name(tile)) is not None
 
     def was_written(self, tile: int) -> bool:
-        """Whether a tile was there when its folder was last listed; this needs no look at each tile."""
+        """Whether a tile was in the last listing of its folder, which spares a look at each tile."""
         part = tile // TILES_PER_FOLDER
-        if self.listed is None or self.listed[0] != part:
+        if self.listing is None or self.listing[0] != part:
             names = self.place.names(self.name(tile).rpartition("/")[0])
-            self.listed = part, {int(match[1]) for name in names if (match := TILE.fullmatch(name))}
-        return tile in self.listed[1]
+            self.listing = part, {int(match[1]) for name in names if (match := TILE.fullmatch(name))}
+        return tile in self.listing[1]

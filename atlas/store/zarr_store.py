@@ -1,8 +1,8 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
-Each object has a CRC-32C, which any program compares when it reads. The attribute HASH is written last, so that a part of a store is
-never taken for an atlas: a hash of the root metadata, which is compared when the store is opened, and one of all other objects by
-their names, which `verify` compares: an object that is gone reads as fill values elsewhere, and one in the place of another as data.
+Each object has a CRC-32C, which any program compares when it reads. The attribute HASH is written last, so that a part of a store
+is never taken for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other
+objects by their names, for `verify`: other programs read a lost object as fill values, and a misplaced one as data.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import hashlib
 import json
 import math
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import accumulate
@@ -37,12 +37,12 @@ from .place import Folder, Place, place_at
 
 MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
 MAX_OBJECT_BYTES = 1 << 31
-MAX_WHOLE = 1 << 20  # values of a coordinate in one object, so that a store with a long axis opens at once
+MAX_WHOLE = 1 << 20  # values of a coordinate in one object: a store with a long axis opens at once
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
 
 class PlaceStore(WrapperStore[Any]):
-    """Contents of a place for the package zarr; of a whole store a missing object is an error, no fill values."""
+    """A place as a store of the package zarr; in a whole store a missing object is an error, not fill values."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        # Whether no object may be missing; where objects are those of CODECS, bytes of the numbers in each, by array.
+        # Whether no object may be missing; with objects by CODECS the bytes of the numbers in each, by array.
         self.is_whole, self.sizes = is_whole, sizes
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
@@ -69,7 +69,7 @@ class PlaceStore(WrapperStore[Any]):
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
         if self.sizes is not None and "/c" in key:
-            # The errors of codecs would not name the object. Blosc begins with four bytes and the size of what it unpacks to.
+            # The errors of codecs would not name the object. Blosc begins with four bytes and the unpacked size.
             size, checksum = (int.from_bytes(part, "little") for part in (content[4:8], content[-4:]))
             if checksum != crc32c(content[:-4]) or size != self.sizes.get(key.partition("/")[0], size):
                 raise BadInput(damaged)
@@ -93,9 +93,10 @@ def write_blocks(
     chunk: Mapping[str, int],
     names: Collection[str],
     blocks: Iterator[Block],
+    attributes: Callable[[], Mapping[str, Any]],
     path: Path | str,
 ) -> None:
-    """Write an atlas as `netcdf.write_blocks` does, whole or, on an object store, so that a part of it is known."""
+    """Write an atlas as `netcdf.write_blocks`; on an object store a part of it is recognised as unfinished."""
     with (
         atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
         warnings.catch_warnings(),
@@ -103,9 +104,9 @@ def write_blocks(
     ):
         warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
         place = place_at(where)
-        # First of all what is there is a part of an atlas, whenever this process ends: also while earlier objects are removed.
-        attributes: dict[str, Any] = {VERSION: __version__}
-        metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
+        # The mark of an unfinished atlas comes first, before earlier objects are removed: this process may end at any time.
+        unfinished: dict[str, Any] = {VERSION: __version__}
+        metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": unfinished}
         place.write(METADATA, json.dumps(metadata).encode())
         if not isinstance(place, Folder):
             place.clear(but=METADATA)
@@ -117,7 +118,7 @@ def write_blocks(
             encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
             if name in names or variable.chunks is not None:
                 lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
-        template = ds.drop_attrs(deep=False).assign_attrs(attributes).assign(lazy)
+        template = ds.drop_attrs(deep=False).assign_attrs(unfinished).assign(lazy)
         template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
         group = zarr.open_group(store, mode="r+", use_consolidated=False)
         for name, variable in ds.variables.items():  # parameters too large for memory
@@ -131,7 +132,7 @@ def write_blocks(
                     write.result()
         zarr.consolidate_metadata(store)
         metadata = json.loads(place.read(METADATA))
-        for name, value in ds.attrs.items():
+        for name, value in attributes().items():
             plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
             metadata["attributes"][str(name)] = plain
         metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
@@ -139,18 +140,18 @@ def write_blocks(
 
 
 def _root_hash(metadata: dict[str, Any]) -> str:
-    """Hash of the root metadata but HASH."""
+    """Hash of the root metadata without HASH."""
     attributes = {name: value for name, value in metadata["attributes"].items() if name != HASH}
     return hash_of(metadata | {"attributes": attributes})
 
 
 def _objects_hash(hashes: Mapping[str, str]) -> str:
-    """One hash of all objects but the root metadata by their names."""
+    """Hash of all objects by their names, the root metadata apart."""
     return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
 def open_dataset(path: Path | str) -> xr.Dataset:
-    """Open a store, also of another program, lazily; BadInput if it is none, unfinished, damaged or too large for its objects."""
+    """Open a store of any program lazily; BadInput if it is none, unfinished, damaged, or claims more than its objects can hold."""
     place = place_at(path)
     try:
         metadata = json.loads(place.read(METADATA))
@@ -198,7 +199,7 @@ def open_dataset(path: Path | str) -> xr.Dataset:
 
 
 def verify(path: Path | str) -> None:
-    """Read all objects of a store; BadInput if one is not what was written, or if the store has no hash."""
+    """Read all objects of a store; BadInput if one was changed, or if the store has no hash."""
     with open_dataset(path) as ds:  # compares its metadata
         expected, place = ds.encoding[HASH], place_at(path)
     if expected is None:

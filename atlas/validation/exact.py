@@ -1,13 +1,13 @@
 """Exact motions of rigid bodies and gyrostats, by elliptic functions.
 
-Nothing here uses the equations or the statistics of the engine, so that these motions check both. A motion is
-made for one point and called with an array of times. The angles are Euler's: gamma = (sin theta sin phi, sin
-theta cos phi, cos theta) is the vertical in body axes, and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin
-phi, 0) the angular velocity. Any consistent units; angles in rad.
+They check the equations and the statistics of the kernel, and use neither. A motion is made for one point and called with an
+array of times. The angles are Euler's: gamma = (sin theta sin phi, sin theta cos phi, cos theta) is the vertical in body axes,
+and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0) the angular velocity. Any consistent units; angles in rad.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..systems.base import Array, Points, System
 from ..systems.gyrostat.plane import Mean, PlaneMotions
 from ..systems.satellite import SATELLITE
 
-# Samples, over one period, of the precession of a free body about its angular momentum.
+# Samples of the precession of a free body about its angular momentum, over one period.
 FOURIER_SAMPLES = 1024
 
 
@@ -29,13 +29,13 @@ class EulerMotion(NamedTuple):
     psi_dot: Array
     phi_dot: Array
     normal_rate: Array  # w'.gamma
-    cos_theta_dot: Array  # -theta' sin theta, smooth where the axis passes near the vertical, too
+    cos_theta_dot: Array  # -theta' sin theta, smooth even where the axis passes near the vertical
 
 
 class Motion(Protocol):
     """An exact motion of one body from one start."""
 
-    rate: float  # about the fastest angular frequency, rad per time unit
+    rate: float  # approximate fastest angular frequency, rad per time unit
     period: float  # period of theta and of all rates, time units; inf if there is none
 
     def __call__(self, time: Array) -> EulerMotion:
@@ -61,33 +61,25 @@ def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
 
 
 class SymmetricTop:
-    """Heavy symmetric gyrostat about a fixed point: cos theta by Jacobi's functions, psi' and phi' from it.
+    """Heavy symmetric gyrostat about a fixed point, not in a steady motion: cos theta by Jacobi's functions, psi' and phi' from it.
 
     With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
 
-    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). Distances from the
-    vertical are computed as 1 - u and 1 + u, which keeps their digits. The potential is -weight cos theta, n
-    and m are psi' and phi' at the start, and psi' is relative to a frame that turns at frame_rate. The motion
-    must not be a steady one. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). The distances from the vertical, 1 - u
+    and 1 + u, keep their digits. The potential is -weight cos theta; n and m are psi' and phi' at the start, psi' relative to a
+    frame that turns at frame_rate. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
-        self,
-        A: float,
-        C: float,
-        rotor: float,
-        weight: float,
-        theta0: float,
-        theta_dot0: float,
-        n: float,
-        m: float,
-        frame_rate: float = 0.0,
+        self, A: float, C: float, rotor: float, weight: float, start: Sequence[float], frame_rate: float = 0.0
     ):
+        """start: theta, theta', psi' and phi' there."""
         self.frame_rate = frame_rate
+        theta0, theta_dot0, n, m = start
         n = n + frame_rate
-        # 1 - u and 1 + u at the start; upside down where the weight pulls the axis the other way.
+        # 1 - u and 1 + u at the start, exchanged where the weight pulls the axis upwards.
         low, high = 2 * np.sin(theta0 / 2) ** 2, 2 * np.cos(theta0 / 2) ** 2
         self.spin = m + n * np.cos(theta0)
         self.a = (C * self.spin + rotor) / A
@@ -159,18 +151,16 @@ class SymmetricTop:
 
 
 class FreeGyrostat:
-    """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot.
+    """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot, not in a steady motion.
 
-    With the rotor's axis as the third one, energy and magnitude of the angular momentum give A (A - B) w1^2
-    and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. From a root s of it
+    The rotor's axis is the third one; the moments across it must differ. Energy and magnitude of the angular momentum give
+    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of it
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
-    with P Weierstrass' function, here by Jacobi's. About the fixed angular momentum the body turns by an
-    angle whose rate is a periodic function of r alone: its Fourier series is integrated term by term. The
-    moments across the rotor's axis (without a rotor: across the third axis) must differ, and the motion must
-    not be a steady one. psi' is relative to a frame that turns at frame_rate. V. Volterra, Acta Math. 22
-    (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
+    where P is Weierstrass' function, computed by Jacobi's. The body turns about the fixed angular momentum at a rate that is a
+    periodic function of r alone: its Fourier series is integrated term by term. psi' is relative to a frame that turns at
+    frame_rate. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
     def __init__(self, inertia: Array, rotor: Array, w: Array, gamma: Array, frame_rate: float = 0.0):
@@ -196,10 +186,10 @@ class FreeGyrostat:
         if np.abs(series[-8:]).max() > 1e-13 * np.abs(series[0]):
             raise ValueError("the precession about the angular momentum has too narrow peaks")
         self.mean_precession = series[0].real
-        used = np.flatnonzero(np.abs(series) > 1e-16 * np.abs(series[0]))
-        used = used[used > 0]
-        self.harmonics = 2 * np.pi * used / self.turn
-        self.series = 2 * series[used] / (1j * self.harmonics)
+        terms = np.flatnonzero(np.abs(series) > 1e-16 * np.abs(series[0]))
+        terms = terms[terms > 0]
+        self.harmonics = 2 * np.pi * terms / self.turn
+        self.series = 2 * series[terms] / (1j * self.harmonics)
         self.rate = float(np.abs(w).max() + self.momentum / inertia.min() + 2 * np.pi / self.turn)
         self.period = np.inf
         axis, node, across = self._directions(np.zeros(1), w[:, None])
@@ -221,7 +211,7 @@ class FreeGyrostat:
         self.a2, self.a3 = float(curvature / 12), float(slope / 4)
         values = [(self.a2 / 2 + self.a3 / (root - self.root), i) for root, i in roots]
         values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # of a root at infinity
-        self.both_turn = False  # whether w1 has a zero at one turn of r and w2 at the other
+        self.both_turn = False  # whether w1 is 0 at one turn of r and w2 at the other
         if all(value.imag == 0 for value, _ in values):
             (e1, far), (e2, _), (e3, _) = sorted(((v.real, i) for v, i in values), reverse=True)
             self.roots_real, self.scale, self.shift = True, e1 - e3, e3 - self.a2 / 2
@@ -272,7 +262,7 @@ class FreeGyrostat:
         rest, squares = self.momentum**2 - (C * r + self.rotor) ** 2, self.energy - C * r**2
         squared = ((rest - B * squares) / (A * (A - B)), (rest - A * squares) / (B * (B - A)))
         first, second = (np.sqrt(np.maximum(squared[i], 0.0)) for i in (self.zero_of, self.other))
-        # The larger component from its square, the smaller one from r' = (A - B) w1 w2 / C, which has its sign.
+        # The larger component follows from its square, the smaller one, with its sign, from r' = (A - B) w1 w2 / C.
         product = C * slope / (A - B)
         second_sign = self.sign * np.where(cn < 0, -1.0, 1.0) if self.both_turn else self.sign
         first_sign = np.where(product * second_sign < 0, -1.0, 1.0)
@@ -309,7 +299,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Angles and rates of a body whose axis is off gamma; the frame's rate is part of w, not of psi'."""
+    """Angles and rates of a body whose axis is not along gamma; w contains the frame's rate, psi' does not."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -338,9 +328,6 @@ class PlanarLibration:
         return EulerMotion(zero, zero, nan, nan, rate, zero)
 
 
-# The exact motions of points of a system, by the names that stress cases use.
-
-
 def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     """Exact motion of a point: "symmetric top", "free gyrostat" or "planar libration"; else ValueError."""
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
@@ -359,9 +346,8 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
         others = [p["N"] * np.ptp(inertia)]
     only_weight = not any(others)  # no other torque acts
     if kind == "symmetric top" and only_weight and p["A"] == p["B"] and not any([*rotor[:2], *weight[:2]]):
-        return SymmetricTop(
-            p["A"], p["C"], float(rotor[2]), float(weight[2]), p["theta0"], p["theta_dot0"], p["n"], p["m"], frame_rate
-        )  # fmt: skip
+        start = p["theta0"], p["theta_dot0"], p["n"], p["m"]
+        return SymmetricTop(p["A"], p["C"], float(rotor[2]), float(weight[2]), start, frame_rate)
     if kind == "free gyrostat" and only_weight and not any(weight):
         state, constants = system.initial_state(points), system.constants(points)
         motion = np.array(system.equations.frame_motion(state, constants))[:, 0]
@@ -372,14 +358,14 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 
-# Nodes and weights of an interval of the quadrature. Intervals are halved until the sum over the halves differs by
-# no more than QUADRATURE_RTOL of the integral; no motion needs MAX_INTERVALS intervals.
+# Nodes and weights of an interval of the quadrature, which is halved until the sum changes by at most QUADRATURE_RTOL of the
+# integral; no motion needs MAX_INTERVALS intervals.
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
 
 def statistics(motion: Motion, duration: float) -> dict[str, float]:
-    """Exact statistics over [0, duration], also of incomplete periods; nan for psi', phi' on the vertical."""
+    """Exact statistics over [0, duration], whole periods or not; nan for psi' and phi' on the vertical."""
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
@@ -393,7 +379,7 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
         is_low = motion(middle).cos_theta_dot * sign > 0
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
-    if turns:  # every whole period counts alike; then the rest
+    if turns:  # all whole periods are equal; the rest follows
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
     result = moments(motion(time), weight / duration)
@@ -412,14 +398,14 @@ def moments(motion: EulerMotion, weight: Array) -> dict[str, float]:
 
 
 def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
-    """Nodes in ascending order, and weights, that integrate the rates and their squares over [0, duration]."""
+    """Ascending nodes, and weights, of integrals of the rates and their squares over [0, duration]."""
     edges = np.linspace(0.0, duration, 9 + int(motion.rate * duration))
     while edges.size <= MAX_INTERVALS:
         middle = 0.5 * (edges[:-1] + edges[1:])
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # Rates are compared with the fastest one; a variation of 1e-6 of that is still measured.
+        # Errors of rates count relative to the fastest rate; a variation of 1e-6 of it is still accurate.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)

@@ -1,4 +1,4 @@
-"""A sample of a scene's points integrated again at half the step, and the changes that this makes."""
+"""A sample of a scene's points integrated again at half the step, and the changes."""
 
 from __future__ import annotations
 
@@ -38,10 +38,7 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """One index from each of `count` equal parts of range(size), ascending, the same for the same size.
-
-    A hash gives the position in a part, so that the sample follows no period of the grid.
-    """
+    """An index from each of `count` equal parts of range(size), ascending, by a hash that follows no period of the grid."""
     count = min(size, count)
     fraction = (mixed(np.arange(count, dtype=np.uint64)) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]
@@ -50,17 +47,14 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 
 
 def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | None = None) -> dict[str, Any]:
-    """Attributes of a sample of a scene's points integrated at the scene's step and at half of it, see docs/accuracy.md.
-
-    The sample depends on the number of points alone, and has the bits of the run.
-    """
+    """Attributes of a sample of points integrated at the scene's step and at half of it, see docs/accuracy.md."""
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     part = grid.points_at_indices(scene, indices)
     plan = (plan or Plan.of(scene)).without_derived()
     full, half = (evaluate(plan, part, halved=halved, threads=threads) for halved in (False, True))
-    # Points that have a label at the full step and another one, or none, at half the step.
+    # Points with a label at the full step and a different one, or none, at half the step.
     changed = np.zeros(indices.size, bool)
     for name in ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial"):
         if name in full:
@@ -89,7 +83,7 @@ def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | N
 
 
 def half_step_text(attributes: Mapping[str, Any]) -> str:
-    """One line of text about the attributes that `half_step_sample` returns."""
+    """One line of text about the attributes from `half_step_sample`."""
     a = attributes
     text = (
         f"labels that may be wrong: at most {a['atlas_labels_may_change']} of {a['atlas_points']} points"

@@ -18,7 +18,7 @@ from ..systems.base import Array, Flags, Mask, Points, System, subset
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
 
-# Sums of the rates, which are integrated beside the states, in this order.
+# Sums of the rates, integrated beside the states in this order.
 RATE_SUMS = (
     Row.THETA_DOT_SQUARED, Row.THETA_DOT_CHANGE, Row.THETA_DOT_CHANGE_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
     Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
@@ -27,11 +27,11 @@ RATE_SUMS = (
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
 # Uncertainty of a component of the state because of rounding alone.
 ROUNDING = 1e-15
-# A start whose residual is rounding follows the closed form of its family.
+# Largest residual, rounding, of a start that follows the closed form of its family.
 EXACT_RESIDUAL = 1e-14
 # DOP853 runs in Python and takes too long for more radians than this at the frequency bound.
 MAX_RADIANS = 1e5
-# Points whose runs differ in length by no more than this factor are integrated as one system.
+# Points are integrated as one system if their runs differ in length by at most this factor.
 GROUP_FACTOR = 1.5
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
@@ -47,14 +47,14 @@ class Reference:
     """Reference solution of some points and its uncertainty."""
 
     state: Array  # at the end of the run, (state, points)
-    # By the names of the main instrument; NaN where psi' and phi' have no meaning (polar cap)
+    # By the names of the main instrument; NaN inside the cylinder, where psi' and phi' have no meaning
     statistics: dict[str, Array]
     label: Flags
-    label_inertial: Flags | None  # none if the system has one frame only
+    label_inertial: Flags | None  # None for a system with one frame
     exact: Mask  # true where the closed form of a family is used
     state_error: Array  # uncertainty of the state as `state_distance` measures it
     statistics_error: dict[str, Array]  # uncertainty of each statistic, in its own units
-    label_certain: Mask  # true where both determinations give the same labels
+    label_certain: Mask  # whether both runs give the same labels
 
 
 class ReferenceFailure(BadInput):
@@ -68,12 +68,11 @@ class ReferenceFailure(BadInput):
 def reference(
     system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
 ) -> Reference:
-    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853.
+    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853; ReferenceFailure.
 
-    SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as
-    quadratures. The uncertainty is SAFETY times the difference of the two runs, or of the closed form and the
-    first run: where the motion is unstable, rounding of an exact start grows, so that the closed form is no
-    more certain than this difference. Raises ReferenceFailure with the points where a run fails.
+    SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as quadratures. The
+    uncertainty is SAFETY times the difference of the two runs, or of the closed form and the first run: along an unstable motion
+    rounding of an exact start grows, so that the closed form is no more certain.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
@@ -120,7 +119,7 @@ def reference(
 def reference_where_possible(
     system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
-    """The reference of the points at which it can be computed, and their indices; None if there is no such point."""
+    """The reference at the points where it can be computed, None without any, and their indices."""
     indices = np.arange(duration.size)
     while indices.size:
         try:
@@ -139,7 +138,7 @@ def largest_sine(theta_min: Array, theta_max: Array) -> Array:
 
 
 def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
-    """The steady motion of each start by the family's closed form, and a mask of the starts exactly on a family."""
+    """The steady motion of each start by the closed form of its family, and a mask of the starts exactly on a family."""
     flags, _ = system.identify_family(points)
     motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
     exact = (condition_residual(system, points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
@@ -158,10 +157,7 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
 
 
 def euler_rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
-    """theta', psi', phi' and the rate about the vertical of what `frame_motion` of the equations returns, and theta.
-
-    Before theta: 1.0 outside the polar cap and 0.0 inside, where psi' and phi' are 0.
-    """
+    """theta', psi', phi', the rate about the vertical, 1.0 outside the cylinder, and theta; inside psi', phi' and the 1.0 are 0."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside = np.where(sine >= cylinder, 1.0, 0.0)
@@ -175,7 +171,7 @@ def euler_rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
 def _dop853(
     system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance
 ) -> tuple[Run, Mask]:
-    """Integrate every point by DOP853; returns the run, NaN at the points where that fails, and a mask of these."""
+    """Runs by DOP853, NaN at the points where one fails, and a mask of these points."""
     with np.errstate(all="ignore"):
         radians = system.frequency_bound(points) * duration
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
@@ -261,10 +257,9 @@ def _final_and_range(
     duration: Array,
     advance: Advance,
 ) -> tuple[Array, Array, Array] | None:
-    """States and sums at the end of the unit of time, and the smallest and largest of some values; None if a step fails.
+    """States and sums after the unit of time, and the range of some values; None if a step fails.
 
-    values_along: the values along states (states, points, instants) and their derivatives, per time unit. The range comes from cubics
-    between five instants of every step.
+    values_along: values at states (states, points, instants), and their derivatives per time unit, for cubics in every step.
     """
     states, size = start.shape
     # The quadratures follow the steps of the states and shorten them only where a rate has a peak.
@@ -285,7 +280,7 @@ def _final_and_range(
     return solver.y.reshape(-1, size), lowest, highest
 
 
-# Imaginary change of the state from which the derivative of an observable along the motion is computed.
+# Imaginary change of the state that gives the derivative of an observable along the motion.
 COMPLEX_STEP = 1e-30
 
 
@@ -331,7 +326,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # the instants of all points, and which of them are those of each
+    if periods is not None:  # the ends of the periods of all points, nan where they are not a point's own
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(

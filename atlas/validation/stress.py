@@ -29,14 +29,13 @@ from ..variables import main_instrument, variables
 from .reference import reference_where_possible
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
 
-# The levels, coarse to fine: fixed steps as a share of the stability limit at the frequency bound, then
-# the automatic step at tolerances down to the default one.
+# Levels, coarse to fine: steps as shares of the stability limit at the frequency bound; automatic steps by tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
-# A point that takes more steps than this at a level is left out there.
+# Most steps of a point at a level, which leaves others out.
 MAX_STEPS = 10_000_000
-# The unsteadiness is accurate within this share of itself, or of the rate tolerance if that is larger.
+# Largest error of an accurate unsteadiness, relative to itself, or to the rate tolerance if that is larger.
 ACCURATE = 0.01
 
 
@@ -55,13 +54,13 @@ def stress(
     """Run stress cases, or `generic_cases`, by every method at every level and compare each label with the true one."""
     if isinstance(system, str):
         system = systems.get(system)
-    given = system.stress_cases() if cases is None else cases
+    own_cases = system.stress_cases() if cases is None else cases
     parts, truths = [], []
-    for case in given:
+    for case in own_cases:
         part = case_points(system, case)
         parts.append(part)
         truths.append(true_labels(system, part.points, part.duration, Settings(), part.truth, part.base))
-    for case in generic_cases(system) if cases is None and not given else ():
+    for case in generic_cases(system) if cases is None and not own_cases else ():
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())
         if known.any():
@@ -78,19 +77,19 @@ def stress(
 def _run_levels(
     system: System, points: Points, duration: Array, threads: int | None
 ) -> dict[str, np.ndarray]:
-    """Label, status and the measured numbers that are compared, each (method, level, point)."""
+    """Label, status and the measured numbers to compare, each (method, level, point)."""
     shape = len(METHODS), len(LEVELS), duration.size
     numbers = ("step_ratio", "error_estimate", "unsteadiness", *EXACT_STATISTICS)
     results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
     results |= {name: np.full(shape, np.nan) for name in numbers}
     for name in METHODS:
-        kernel(system, name)  # loaded here, so that no two threads load it at once
+        kernel(system, name)  # loaded before the threads
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
     grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
-        """Run the points of a method and a level that take no more than MAX_STEPS, and have a step where one is given."""
+        """Run the points of a method and a level with at most MAX_STEPS steps, and with positive steps if they are fixed."""
         where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
         tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):
@@ -98,18 +97,17 @@ def _run_levels(
             unlimited = StepSizes.of(
                 replace(settings, max_steps=model.MAX_STEPS), bound[where], tile.duration, tile.step
             )
-        # Points whose numbers overflow would take any number of steps; a few steps show the overflow.
+        # A few steps show an overflow, which would take any number of steps.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
-        for max_steps, chosen in runs.items():
-            if chosen.any():
+        for max_steps, mask in runs.items():
+            if mask.any():
                 plan = Plan(system, replace(settings, max_steps=max_steps))
-                values = evaluate(plan, tile.subset(chosen), threads=1)
+                values = evaluate(plan, tile.subset(mask), threads=1)
                 values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, settings)
-                # Exact motions are those of bodies.
-                values = dict.fromkeys(EXACT_STATISTICS, np.full(chosen.sum(), np.nan)) | values
+                values = dict.fromkeys(EXACT_STATISTICS, np.full(mask.sum(), np.nan)) | values
                 for name, column in results.items():
-                    column[(*cell, where[chosen])] = values[name]
+                    column[(*cell, where[mask])] = values[name]
 
     # The kernel releases the interpreter lock; one level is seldom large enough for two threads.
     with ThreadPoolExecutor(threads or blocks.available_threads()) as pool:
@@ -125,7 +123,7 @@ def _run_levels(
         try:
             for job in jobs:
                 job.result()
-        finally:  # no further job begins after an error or Ctrl-C
+        finally:  # no job begins after an error or Ctrl-C
             pool.shutdown(wait=False, cancel_futures=True)
     return results
 
@@ -147,11 +145,10 @@ def _dataset(
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
         error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
-        errors = [np.abs(results[name] - truth.statistics[name]) for name in EXACT_STATISTICS]
+        errors = np.abs(np.stack([results[name] for name in EXACT_STATISTICS], axis=2) - truth.statistics)
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
-        for statistic_error, name in zip(errors, EXACT_STATISTICS, strict=True):
-            statistic_error /= 1.0 if name in ("theta_min", "theta_max") else bound
+        errors /= np.array([np.where(name.startswith("theta_m"), 1.0, bound) for name in EXACT_STATISTICS])
     names = [(part, name) for part in parts for name in part.names]
     ds = xr.Dataset(
         coords={
@@ -167,7 +164,7 @@ def _dataset(
     )
     for name in ("label", "status", "step_ratio", "error_estimate"):
         ds[name] = dims, results[name], registry[name].attributes()
-    ds["statistic_error"] = (*dims[:2], "statistic", "point"), np.stack(errors, axis=2), {
+    ds["statistic_error"] = (*dims[:2], "statistic", "point"), errors, {
         "long_name": "error of a statistic against the exact motion", "units": "1",
         "comment": "of a rate in units of the frequency bound, of an angle in rad; nan where the motion is not known exactly",
     }  # fmt: skip
@@ -197,13 +194,13 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`; in at most 1 % it may be."""
+    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, as at most 1 % may be."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
 
 def estimate_fails(ds: xr.Dataset) -> bool:
-    """Whether more than 1 % of the runs that are compared with an exact motion are beyond ten times their estimate."""
+    """Whether more than 1 % of the runs along exact motions are beyond ten times their estimate."""
     return bool(beyond_estimate(ds).sum() > 0.01 * _estimated(ds).sum())
 
 
@@ -235,7 +232,7 @@ def report(ds: xr.Dataset) -> str:
         conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
         signs = np.select(conditions, ["X", "-", "u", "U"], ".")
         rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
-    # For each method and level: the number of true labels with an accurate unsteadiness, and with a known one.
+    # For each method and level: numbers of true labels with accurate and with known unsteadiness.
     accuracy = []
     for name, verdict, error in zip(
         ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
@@ -317,9 +314,7 @@ class CasePoints:
     points: Points
     base: Points  # before the additions of the case
     duration: Array  # time units
-    names: tuple[
-        str, ...
-    ]  # of the points: values of the parameters, and of the duration, that vary within the case
+    names: tuple[str, ...]  # of the points: the parameters, and the duration, that vary within the case
     may_stay_unresolved: str
     truth: str  # as in StressCase
 
@@ -330,12 +325,12 @@ class CasePoints:
             points=subset(self.points, where),
             base=subset(self.base, where),
             duration=self.duration[where],
-            names=tuple(name for name, kept in zip(self.names, where, strict=True) if kept),
+            names=tuple(name for name, is_inside in zip(self.names, where, strict=True) if is_inside),
         )
 
 
 def case_points(system: System, case: StressCase) -> CasePoints:
-    """Points of a case: columns and defaults, the parameter of the family solved, then the additions."""
+    """Points of a case: columns and defaults, the solved parameter of the family, then the additions."""
     varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
     size = max((values.size for values in varying.values()), default=1)
     points, _ = point_columns(
@@ -353,21 +348,21 @@ def case_points(system: System, case: StressCase) -> CasePoints:
     return CasePoints(case.name, points, base, duration, tuple(names), case.may_stay_unresolved, case.truth)
 
 
-# Powers of 10 by which a parameter is multiplied, and a start value is.
+# Powers of 10 by which parameters, and start values, are multiplied.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
 HUGE = 1e200
-# Value of the other start values whose default is 0, so that the state changes.
+# Value of other start values whose default is 0, so that the state changes.
 START = 0.1
 # Length of a run in radians of its frequency at the start, and its limit in time units.
 RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """For each parameter its default times powers of 10, its bounds and a huge value, in runs that are short where it is fast."""
+    """Cases with each parameter at its default times powers of 10, at its bounds and at a huge value, fast motions in short runs."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:
-            moderate[name] = START  # so that the state changes
+            moderate[name] = START
     cases = [_case(system, "defaults", {}), _case(system, "beside the defaults", moderate)]
     for name in moderate:
         p = system.parameters[name]
@@ -382,7 +377,7 @@ def generic_cases(system: System) -> list[StressCase]:
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
-    """A case of some columns, each run with a duration that follows from its frequency at the start."""
+    """A case of some columns, each run as long as its frequency at the start allows."""
     meaning = system.parameters[name].meaning if name in system.parameters else "one motion"
     case = StressCase(name, meaning, 1.0, columns)
     points = case_points(system, case).points
@@ -396,7 +391,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 
 
 def generic_true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
-    """Labels by the reference integrator, and where they are known: not where the start is not finite."""
+    """Labels by the reference integrator, and a mask of the points with a label, all of finite starts."""
     size = part.duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
@@ -422,10 +417,10 @@ def _final_states(system: System, method: str, points: Points, step_size: Array,
 
 
 def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
-    """Largest y = (angular frequency) x (step), to 1e-4, at which the amplitude does not grow.
+    """Largest y = (angular frequency) x (step), to 1e-4, without growth of the amplitude; in theory `method.stability`.
 
-    The motions contain one frequency each: a free sphere, whose gamma turns at |w| ("turning"), and a sphere
-    with a rotor, whose small w turns about it at l3 / A ("nutation"). In theory y is `method.stability`.
+    Two motions with one frequency each: gamma of a free sphere turns at |w| ("turning"), the small w of a sphere with a rotor
+    turns about it at l3 / A ("nutation").
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)
@@ -448,8 +443,8 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 def constraint_bound(method: Method, y: float, steps: int) -> float:
     """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
 
-    A turn at constant rate multiplies the turning part by |R(i y)| each step, with R the method's stability
-    function: 1 - dissipation y^p to leading order (rk4: y^6 / 144). Rounding adds at most one ulp a step.
+    Each step multiplies the turning part by |R(i y)|, 1 - dissipation y^p to leading order, with R the method's stability
+    function. Rounding adds at most one ulp.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 

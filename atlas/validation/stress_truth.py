@@ -21,11 +21,9 @@ from ..variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# The reference integrates a run of at most MAX_RADIANS_WHOLE radians at the frequency bound whole, of a longer run the
-# first RADIANS_OF_PART.
+# The reference integrates a whole run of at most MAX_RADIANS_WHOLE radians at the frequency bound, else RADIANS_OF_PART.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# Statistics of an exact motion that are compared, and the accuracy of their values (of a rate: in units of the frequency
-# bound).
+# Statistics of an exact motion to compare, and their accuracy (of a rate: over the frequency bound).
 EXACT_STATISTICS = (
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
@@ -40,28 +38,21 @@ class TrueLabels:
     """True labels of some points; arrays of shape (points,)."""
 
     label: Flags  # `Label.UNRESOLVED` where rounding decides or numbers overflow
-    # Largest rms or standard deviation of the rates, rad per time unit; NaN where unknown
-    unsteadiness: Array
-    # How the label was determined: "theory", "exact motion", "departure", "reference", "part of the run" or
-    # "overflow"
-    source: np.ndarray
-    statistics: dict[str, Array]  # EXACT_STATISTICS by name; NaN but for exact motions
+    unsteadiness: (
+        Array  # largest rms or standard deviation of the rates, rad per time unit; NaN where unknown
+    )
+    source: np.ndarray  # "theory", "exact motion", "departure", "reference", "part of the run" or "overflow"
+    statistics: Array  # EXACT_STATISTICS, (statistics, points); NaN but for exact motions
 
     @classmethod
     def join(cls, parts: Sequence[TrueLabels]) -> TrueLabels:
         """The labels of several sets of points, one after the other."""
-        return cls(
-            np.concatenate([part.label for part in parts]),
-            np.concatenate([part.unsteadiness for part in parts]),
-            np.concatenate([part.source for part in parts]),
-            {name: np.concatenate([part.statistics[name] for part in parts]) for name in EXACT_STATISTICS},
-        )
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*(np.concatenate(each, axis=-1) for each in columns))
 
     def subset(self, where: Mask) -> TrueLabels:
         """The labels where a mask is true."""
-        return TrueLabels(
-            self.label[where], self.unsteadiness[where], self.source[where], subset(self.statistics, where)
-        )
+        return TrueLabels(*(each[..., where] for each in vars(self).values()))
 
 
 def true_labels(
@@ -72,10 +63,7 @@ def true_labels(
     truth: str = "",
     base: Points | None = None,
 ) -> TrueLabels:
-    """True label of each point, from the sources in docs/stress.md, and the unsteadiness of its motion.
-
-    Points whose numbers overflow have no label. ValueError for a label that cannot be decided: such a point is no stress case.
-    """
+    """True label of each point, by the sources in docs/stress.md, and its unsteadiness; ValueError where no source decides."""
     if truth == "departure":
         rest, constants = system.initial_state(points if base is None else base), system.constants(points)
         offset = system.initial_state(points) - rest
@@ -118,9 +106,9 @@ def true_labels(
     return TrueLabels(label, unsteadiness, source, no_statistics(duration.size))
 
 
-def no_statistics(size: int) -> dict[str, Array]:
-    """Statistics of `size` points for which none is known: nan."""
-    return {name: np.full(size, np.nan) for name in EXACT_STATISTICS}
+def no_statistics(size: int) -> Array:
+    """Statistics of `size` points without exact motions: nan."""
+    return np.full((len(EXACT_STATISTICS), size), np.nan)
 
 
 def _labels_of_runs(
@@ -130,7 +118,7 @@ def _labels_of_runs(
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Labels from the statistics of a run of each point: of an exact motion, or of a departure with a relative error."""
+    """Labels from the statistics of exact motions, or of departures with a relative error."""
     measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:
@@ -146,7 +134,7 @@ def _labels_of_runs(
     if undecided.any():
         raise ValueError(f"the {source} cannot decide the labels of points {np.flatnonzero(undecided)}")
     unsteadiness = main_instrument(system).unsteadiness(system, measured, settings)
-    statistics = {name: measured[name] for name in EXACT_STATISTICS}
+    statistics = np.array([measured[name] for name in EXACT_STATISTICS])
     return TrueLabels(
         label,
         unsteadiness,
@@ -160,8 +148,8 @@ def _departure(
 ) -> dict[str, float]:
     """Statistics of a run that starts at a tiny offset from an equilibrium.
 
-    With the state x + e d (x: equilibrium, e: size of the offset) the equations, whose right-hand side is
-    quadratic in the state and 0 at x, become d' = J d + e Q(d), without cancellation for any size of e.
+    The right-hand side is quadratic in the state and 0 at the equilibrium x: with the state x + e d, e the size of the offset,
+    d' = J d + e Q(d), without cancellation for any e.
     """
     rhs, size = system.equations.rhs, float(np.abs(offset).max())
 
@@ -217,9 +205,9 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels from a reference solution of the despun points, whose phi' is larger by `excess`, and a mask of the undecided ones.
+    """Labels by the reference for despun points, whose phi' is larger by `excess`, and a mask of undecided points.
 
-    Of a run of more than MAX_RADIANS_WHOLE a part is integrated: a drift in it by sqrt(whole / part) tolerances is one in the whole.
+    Of a long run a part is integrated: where it drifts by sqrt(whole / part) tolerances, the whole drifts.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

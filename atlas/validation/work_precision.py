@@ -37,13 +37,12 @@ from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
-# A level that takes more point-steps than this for the sample is not run.
-MAX_POINT_STEPS = 5e8
+MAX_POINT_STEPS = 5e8  # of the sample at a level
 POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
-# Points tried for each point of the sample, because a family need not exist at every point.
+# Points tried for each point of the sample, because the family may not exist there.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample), the last over (method, level), but for error_NAME of statistics: type, long name and units.
+# Variables over (method, level, sample), the last over (method, level): type, long name and units.
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -80,7 +79,7 @@ def scene_level(settings: Settings) -> int:
     return int(np.abs(np.log(np.array(values) / value)).argmin())
 
 
-# What one method gives at one level: arrays (points,) by the names of the dataset's variables, and `seconds_per_point`.
+# Results of a method at a level: arrays (points,) by the names of the dataset's variables, and `seconds_per_point`.
 Columns: TypeAlias = dict[str, Any]
 
 
@@ -93,11 +92,11 @@ class _Sample:
     grid: grid.Grid
     reference: Reference
     bound: Array  # frequency bound, rad per time unit
-    left_out: str  # which points have no reference, in words
+    left_out: str  # text about the points without a reference
 
     @property
     def rates_uncertainty(self) -> Array:
-        """Uncertainty of the reference's least certain statistic of a rate or an observable, see `worst`."""
+        """Uncertainty of the least certain statistic of the reference, see `worst`."""
         return self.worst(self.reference.statistics_error)
 
     def worst(self, errors: Mapping[str, Array]) -> Array:
@@ -107,10 +106,7 @@ class _Sample:
 
 
 def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> xr.Dataset:
-    """Errors and run times of a sample of a scene's points, by every method at many levels, see docs/accuracy.md.
-
-    BadInput for fewer than 2 points with a reference solution, or if the family exists at none of the points tried.
-    """
+    """Errors and run times of a sample of points of a scene by every method at many levels, see docs/accuracy.md."""
     if count < 2:
         raise BadInput(f"points = {count}: must be at least 2")
     stopwatch = Stopwatch()
@@ -145,7 +141,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
 
 
 def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sample:
-    """The points that have a reference solution, with it; BadInput if there are fewer than 2."""
+    """The points with a reference solution; BadInput for fewer than 2."""
     system, method, left_out = scene.system, METHODS[scene.settings.method], ""
     part = grid.points_at_indices(scene, indices)
     part = replace(part, duration=whole_periods(system, system.constants(part.points), part.duration)[1])
@@ -167,7 +163,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
 
 
 def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tuple[int, Columns]]:
-    """Index and result of the levels of one method, coarse to fine, until smaller steps no longer reduce the error."""
+    """Index and result of each level of a method, coarse to fine, until smaller steps no longer reduce the error."""
     settings, part = sample.scene.settings, sample.grid
     name, values = levels(settings)
     at_levels = [replace(settings, method=method, **{name: value}) for value in values]  # type: ignore[arg-type]
@@ -177,7 +173,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # One level for each distinct set of steps, the scene's own or else the finest, unless it takes long.
+    # Of levels with equal steps the scene's own one or else the finest, unless it takes long.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -192,7 +188,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
         advance(sample.indices.size / len(selected))
         error = max(nanmedian(result["error_state"]), nanmedian(result["error_rates"]))
         without_gain = without_gain + 1 if error > 0.5 * smallest_error else 0
-        # Rounding and the uncertainty of the reference limit what smaller steps can show.
+        # Rounding and the uncertainty of the reference limit the gain of smaller steps.
         if level > own and without_gain >= (1 if error < 3 * uncertainty else 3):
             return
         smallest_error = min(smallest_error, error)
@@ -207,7 +203,7 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
     module = _kernel(sample.scene, settings.method)
     final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
     solution, label = sample.reference, measured["label"]
-    # Errors of the final states and of the statistics, none below the uncertainty of the reference.
+    # No error is below the uncertainty of the reference.
     with np.errstate(invalid="ignore"):
         not_finite = ~np.isfinite(final).all(0)
         distance = np.where(not_finite, np.inf, state_distance(system, final, solution.state, sample.bound))
@@ -239,10 +235,7 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
 
 
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
-    """Mean processor time of a point to the end of its run, seconds; of each timing the median of several runs.
-
-    Each number of steps per sample is timed in full blocks, because samples that are closer together cost more.
-    """
+    """Mean processor time of a point, the median of several runs, for each number of steps per sample."""
     counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
@@ -264,7 +257,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
 
 
 def _kernel(scene: Scene, method: str) -> ModuleType:
-    """The kernel that the points of a scene get with a method."""
+    """The kernel for the points of a scene with a method."""
     return kernel(scene.system, method, Plan.of(scene).specialization)
 
 
@@ -310,12 +303,12 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
         for cell, result in results.items():
             column[cell] = result[variable]
         ds[variable] = dims[:rank], column, {"long_name": long_name, "units": units}
-    # Median over the points of log(error ratio) / log(step ratio); NaN where too few show it.
+    # Observed order: median over the points of log(error ratio) / log(step ratio); NaN where too few have one.
     error, step = ds["error_state"].values, ds["step_length"].values
     order = np.full(error.shape[:2], np.nan)
     with np.errstate(all="ignore"):
         ratio = np.log(error[:, :-1] / error[:, 1:]) / np.log(step[:, :-1] / step[:, 1:])
-    # Errors near the uncertainty of the reference, or of a run far from convergence, show no order.
+    # Errors near the uncertainty of the reference, or far from convergence, show no order.
     usable = (error[:, 1:] > 10 * solution.state_error) & (error[:, :-1] < 1e-2) & np.isfinite(ratio)
     for i, j in np.argwhere(usable.sum(2) >= max(2, error.shape[2] / 2)):
         order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
@@ -350,7 +343,7 @@ def nanmedian(values: Array) -> float:
 
 
 def summary(ds: xr.Dataset) -> list[dict[str, Any]]:
-    """Medians, largest values and counts over the points, one row for each method and level that was run."""
+    """Medians, largest values and counts over the points, a row for each method and level that was run."""
     name, rows = ds.attrs["ladder"], []
     for method in ds["method"].values:
         for level in range(ds.sizes["level"]):
@@ -474,10 +467,7 @@ def _error_texts(at: xr.Dataset, quantity: str) -> tuple[str, str]:
 
 
 def advice(ds: xr.Dataset) -> str:
-    """Which method and level reach the scene's tolerance at the least cost, in one sentence.
-
-    A scene with a step has no tolerance; the target is then the median error of its own setting.
-    """
+    """Which method and level reach the scene's tolerance, or the error of its own step, at the least cost."""
     name, rows, measured = ds.attrs["ladder"], summary(ds), ds.attrs["measured"]
     own = next((row for row in rows if row["own_setting"]), None)
     if name == "tolerance":
@@ -488,7 +478,7 @@ def advice(ds: xr.Dataset) -> str:
     else:
         target = _median_error(own)
         target_text = f"the scene's own median error in states and {measured}, {target:.2g}"
-    # A setting must not lose a label, nor get one wrong, that another setting gives.
+    # A setting must not lose a label, nor get it wrong, if another setting has it right.
     label_errors = [(row["labels_unresolved"], row["labels_wrong"]) for row in rows]
     fewest = tuple(min(numbers) for numbers in zip(*label_errors, strict=True))
     adequate = [
@@ -511,14 +501,14 @@ def advice(ds: xr.Dataset) -> str:
 
 
 def _median_error(row: Mapping[str, Any]) -> float:
-    """The larger one of the median errors of states and rates."""
+    """The larger of the median errors of states and rates."""
     return max(row["error_state"], row["error_rates"])
 
 
 def _cheapest_text(
     ds: xr.Dataset, row: Mapping[str, Any], own: Mapping[str, Any] | None, target: float, target_text: str
 ) -> str:
-    """Advice where some settings reach the target: the cheapest one."""
+    """Advice to use the cheapest setting."""
     name = ds.attrs["ladder"]
     text = (
         f"Cheapest for {target_text}: {row['method']} with {name} = {row[name]:.3g},"
@@ -544,7 +534,7 @@ def _cheapest_text(
 
 
 def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: int = 3) -> tuple[int, str]:
-    """Number of points whose error in states or rates (or observables) is above the target, and the worst of them in words."""
+    """Number of points with an error in states or rates (or observables) above the target, and the worst of them in words."""
     at = _at_row(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     above = np.flatnonzero(error > target)

@@ -84,7 +84,7 @@ def large_store(path: Path, gigabytes: float) -> None:
     first = {name: value.reshape(lengths.shape_of(0)) for name, value in values.items()}
     blocks = iter([(lengths.slices(0), first)])
     finished.form(path).write_blocks(
-        run.template().assign_attrs(run.attributes(Totals())), chunk, names, blocks, path
+        run.template(), chunk, names, blocks, lambda: run.attributes(Totals()), path
     )
     objects = [
         "/".join(str(part.start // size) for part, size in zip(box, lengths.tile, strict=True))

@@ -11,8 +11,8 @@ from atlas import BadInput, load_scene
 from atlas.errors import allowed_text, messages_for_shell, option, shown
 from atlas.files import exists_message
 from atlas.scene import grid
-from atlas.scene.model import line_of
 from atlas.scene.read import parse_duration
+from atlas.scene.text import line_of
 
 # Old text, new text, line of the small scene that is blamed, and how the message goes on.
 LOCATED = [

@@ -83,7 +83,7 @@ def test_symmetric_top(seed):
     run, expected = gyrostat_run(
         np.array([A, A, C]), np.array([0, 0, rotor]), np.array([0, 0, weight]), start, duration, frame_rate
     )
-    motion = exact.SymmetricTop(A, C, rotor, weight, theta, theta_dot, n, m, frame_rate)
+    motion = exact.SymmetricTop(A, C, rotor, weight, (theta, theta_dot, n, m), frame_rate)
     assert_same_motion(motion, run, expected, duration)
 
 
@@ -95,7 +95,7 @@ def test_symmetric_top_beside_the_vertical(weight, sine, part):
     A, C, rotor = 1.0, 0.7, 0.4
     start = sine, 0.0, 0.3 / sine, -0.3 / sine
     if part != "starts":  # the same motion from a moment before the passage
-        before = exact.SymmetricTop(A, C, rotor, weight, *start)(np.array([-1.5]))
+        before = exact.SymmetricTop(A, C, rotor, weight, start)(np.array([-1.5]))
         start = tuple(float(values[0]) for values in before[:4])
     duration = 3.0 if part == "passes" else 1.5
     theta, theta_dot, n, m = start
@@ -104,7 +104,7 @@ def test_symmetric_top_beside_the_vertical(weight, sine, part):
         gyrostat_start(theta, 0.3, theta_dot, n, m), duration,
     )  # fmt: skip
     assert expected["theta_min"] == pytest.approx(sine, rel=1e-6)
-    motion = exact.SymmetricTop(A, C, rotor, weight, *start)
+    motion = exact.SymmetricTop(A, C, rotor, weight, start)
     assert_same_motion(motion, run, expected, duration, tolerance=1e-12 / sine**2)
 
 
@@ -122,7 +122,7 @@ def test_free_gyrostat_beside_the_vertical(sine, rotor):
 def test_free_sphere(theta_dot):
     """A free sphere turns about a fixed w: its third axis by Rodrigues' formula, psi from its direction."""
     theta0, n, m, duration = 1e-3, 0.5, -0.5, 2.0
-    measured = exact.statistics(exact.SymmetricTop(1, 1, 0, 0, theta0, theta_dot, n, m), duration)
+    measured = exact.statistics(exact.SymmetricTop(1, 1, 0, 0, (theta0, theta_dot, n, m)), duration)
     # In space, with the node along x: gamma = z, e3 = (0, -sin theta, cos theta), w = n z + m e3 + theta' x.
     axis = np.array([0.0, -np.sin(theta0), np.cos(theta0)])
     w = np.array([theta_dot, 0.0, n]) + m * axis
@@ -228,7 +228,7 @@ def test_departure_from_the_unstable_direction(offset):
 def test_whole_periods_count_alike(kind):
     """A run of many periods and a part, as the sum of its parts."""
     motion = {
-        "top": exact.SymmetricTop(1.0, 0.7, 0.4, -0.8, 0.3, 0.2, 1.0, -0.5),
+        "top": exact.SymmetricTop(1.0, 0.7, 0.4, -0.8, (0.3, 0.2, 1.0, -0.5)),
         "libration": planar_libration(1.0, 1.3, 1.2, 1.0, 0.4, 0.5),
         "rotation": planar_libration(1.0, 1.3, 1.2, 1.0, 0.4, 2.5),
     }[kind]

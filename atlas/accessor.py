@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -16,14 +16,13 @@ import xarray as xr
 from .errors import MAX_MESSAGE, BadInput, attribute_text, shown, text_table
 from .extension import load, parts
 from .faces import Questions
+from .plotting.options import takes_map_options
 from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-    from .plotting.style import Width
     from .plotting.trajectory import Film
 
 MAX_LINES = 1000  # of the spectrum of a signal
@@ -52,27 +51,8 @@ class Atlas(Questions):
         rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
         return text_table(rows)
 
-    def map(
-        self,
-        variable: str | None = None,
-        *,
-        x: str | None = None,
-        y: str | None = None,
-        row: str | None = None,
-        col: str | None = None,
-        select: Mapping[str, float] | None = None,
-        ax: Axes | None = None,
-        title: str | None = None,
-        cmap: str | Colormap | None = None,
-        colors: Mapping[str, str] | None = None,
-        labels: Mapping[str, str] | None = None,
-        boundary: bool = True,
-        legend: bool = True,
-        width: Width = "column",
-        size: tuple[float, float] | None = None,
-        dpi: float = 300,
-        caption: bool = False,
-    ) -> Figure:
+    @takes_map_options
+    def map(self, variable: str | None = None, **options: Any) -> Figure:
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
         Flags have one colour each in every figure. Positive numbers that span more than two decades get a logarithmic scale,
@@ -84,38 +64,7 @@ class Atlas(Questions):
         variable : str, optional
             Default: what the scene names by `map` in [outputs], else the first flags of the atlas that are not the same at
             all points, else label.
-        x, y : str, optional
-            Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
-            parameters or other coordinates along them; default the two with the most values.
-        row, col : str, optional
-            Axes whose values become panels, at most `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from
-            left to right. Default: one more axis than x and y becomes panels row by row.
-        select : mapping of str to float, optional
-            Axis -> value for other axes; the nearest value is taken.
-        ax : matplotlib.axes.Axes, optional
-            Axes to draw into, with the fonts and the size that they have; default a figure of its own. Its
-            `get_legend_handles_labels` returns the entries of the legend, also of one that is not drawn.
-        title : str, optional
-            Title of the figure.
-        cmap : str or Colormap, optional
-            Colour map of a variable of numbers.
-        colors : mapping of str to str, optional
-            Name of a flag -> colour, for a variable of flags.
-        labels : mapping of str to str, optional
-            Text instead of the names of flags, of x and y, and of the variable at its colour bar.
-        boundary : bool, optional
-            Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
-            atlas, and hatch unstable motions that had no time to drift.
-        legend : bool, optional
-            Draw the legend.
-        width : {"column", "page"}, optional
-            88 mm or 180 mm.
-        size : (float, float), optional
-            Width and height in mm, instead of `width`.
-        dpi : float, optional
-            Resolution at which `savefig` writes the figure.
-        caption : bool, optional
-            Print under the map what it shows and how it was computed.
+        **options
 
         Returns
         -------
@@ -124,10 +73,7 @@ class Atlas(Questions):
         """
         from .plotting.maps import atlas_map
 
-        return atlas_map(
-            self._ds, variable, x=x, y=y, row=row, col=col, select=select, ax=ax, title=title, cmap=cmap, colors=colors,
-            labels=labels, boundary=boundary, legend=legend, width=width, size=size, dpi=dpi, caption=caption,
-        )  # fmt: skip
+        return atlas_map(self._ds, variable, **options)
 
     def select(self, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
         """The points with the flags named.

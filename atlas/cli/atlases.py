@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack, suppress
+from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import atlas
 from .. import systems
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, say
 from ..files import atomic_write, without_suffix, writable
+from ..plotting.options import MapOptions
 from ..scene.model import DEFAULTS, Duration
 from ..scene.text import open_text
 from .options import (
@@ -22,6 +24,7 @@ from .options import (
     STANDARD_INPUT,
     THREADS,
     VERBOSE,
+    Argument,
     argument,
     assignment_option,
     assignments,
@@ -189,6 +192,18 @@ def print_comparison(options: argparse.Namespace) -> None:
             say(f"wrote {out}")
 
 
+def map_option(option: Field[Any]) -> Argument:
+    """The option of the command for an option of maps: a switch for a Boolean, NAME=VALUE for a mapping."""
+    name, settings = f"--{option.name}", dict[str, Any]({"default": option.default} | option.metadata)
+    if option.default is True:
+        return argument(f"--no-{option.name}", dest=option.name, action="store_false", help=settings["help"])
+    if option.default is False:
+        return argument(name, action="store_true", help=settings["help"])
+    if "=" in settings.get("metavar", ""):
+        return assignment_option(name, settings["metavar"], settings["help"])
+    return argument(name, **settings)
+
+
 @command(
     "map",
     ATLAS,
@@ -196,21 +211,7 @@ def print_comparison(options: argparse.Namespace) -> None:
         "FIGURE", ".png, .pdf or .svg (default: ATLAS.png and ATLAS.pdf)", replaces="existing figures"
     ),
     argument("--variable", metavar="NAME", help="what to map (default: what the scene is about)"),
-    argument("--x", metavar="AXIS", help="horizontal axis (default: the first)"),
-    argument("--y", metavar="AXIS", help="vertical axis (default: the second)"),
-    argument("--row", metavar="AXIS", help="axis of panels from top to bottom"),
-    argument("--col", metavar="AXIS", help="axis of panels from left to right"),
-    assignment_option("--select", "AXIS=VALUE", "values of the other axes, one or several"),
-    argument("--width", choices=("column", "page"), default="column", help="journal width"),
-    argument("--size", metavar="WIDTHxHEIGHT", help="size in mm, such as 120x90"),
-    argument("--dpi", type=float, metavar="N", help="resolution (default: 600)"),
-    argument("--title", metavar="TEXT", help="title of the figure"),
-    argument("--cmap", metavar="NAME", help="Matplotlib's colour map for a variable of numbers"),
-    assignment_option("--colors", "FLAG=COLOUR", "colours of flags, one or several"),
-    assignment_option("--labels", "NAME=TEXT", "texts for flags, axes and the variable, one or several"),
-    argument("--no-boundary", dest="boundary", action="store_false", help="draw no theory"),
-    argument("--no-legend", dest="legend", action="store_false", help="draw no legend"),
-    argument("--caption", action="store_true", help="print a caption for the figure"),
+    *(map_option(each) for each in fields(MapOptions) if each.metadata),
 )
 def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
@@ -219,20 +220,19 @@ def draw_map(options: argparse.Namespace) -> None:
     stem = without_suffix(options.atlas, ".nc", ".zarr")
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
-    same = ("x", "y", "row", "col", "title", "cmap", "boundary", "legend", "width")
-    arguments = {name: getattr(options, name) for name in same}
+    given = {each.name: getattr(options, each.name) for each in fields(MapOptions) if each.metadata}
     for name in ("colors", "labels"):
-        arguments[name] = assignments(f"--{name}", getattr(options, name), "NAME=TEXT")
-    select = axis_values("--select", options.select)
-    size, dpi = None, 600 if options.dpi is None else options.dpi
+        given[name] = assignments(f"--{name}", given[name], "NAME=TEXT")
+    given["select"] = axis_values("--select", options.select)
+    given["dpi"], given["caption"] = 600 if options.dpi is None else options.dpi, False
     if options.size is not None:
         try:
             width, height = map(float, options.size.lower().split("x"))
         except ValueError:
             raise BadInput(f"--size {options.size}: must be WIDTHxHEIGHT in mm, such as 120x90") from None
-        size = width, height
+        given["size"] = width, height
     with atlas.open_atlas(options.atlas) as ds:
-        figure = maps.atlas_map(ds, options.variable, select=select, size=size, dpi=dpi, **arguments)
+        figure = maps.atlas_map(ds, options.variable, **given)
         if options.caption:
             say(style.caption(ds))
     for path in paths:

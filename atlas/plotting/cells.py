@@ -29,7 +29,8 @@ from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, 
 from ..flags import Regularity
 from ..scene.model import Scene
 from ..systems.base import Mask
-from .content import NOT_YET, SLOW, MapOptions, Panel
+from .content import NOT_YET, SLOW, Panel
+from .options import MapOptions
 from .style import COLOURS
 
 

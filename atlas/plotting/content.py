@@ -1,19 +1,15 @@
-"""What a map shows: the options of the caller; values, why some are missing, and what theory adds."""
+"""What a map shows: values, why some are missing, and what theory adds."""
 
 from __future__ import annotations
 
 import logging
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import xarray as xr
-from matplotlib import colormaps
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, is_color_like
 from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
@@ -21,12 +17,11 @@ from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
-from ..errors import BadInput, allowed_text, attribute_text, shown, similar_text
+from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
-from ..scene.checks import choice
 from ..scene.model import Scene
 from ..systems.base import Mask
-from .style import WIDTHS, Width, drawable, flag_colours
+from .options import MapOptions as MapOptions
 
 # Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
@@ -173,97 +168,12 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
     return int(match[1]), int(match[2])
 
 
-MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
-MIN_DPI, MAX_DPI = 10.0, 2400.0
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """Options of a map, see `atlas.accessor.Atlas.map`; BadInput for a value that suits no variable."""
-
-    x: str | None = None
-    y: str | None = None
-    row: str | None = None
-    col: str | None = None
-    select: Mapping[str, float] | None = None
-    ax: Axes | None = None
-    title: str | None = None
-    cmap: str | Colormap | None = None
-    colors: Mapping[str, str] | None = None
-    labels: Mapping[str, str] | None = None
-    boundary: bool = True
-    legend: bool = True
-    width: Width = "column"
-    size: tuple[float, float] | None = None
-    dpi: float = 300
-    caption: bool = False
-    # flag -> function of a colour that makes its sample in the legend, in place of the colour alone
-    samples: Mapping[str, Callable[[str], Artist]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        choice("width", self.width, WIDTHS)
-        if self.ax is not None and not isinstance(self.ax, Axes):
-            raise BadInput(f"ax = {shown(self.ax)}: must be Axes of Matplotlib")
-        if not _is_number(self.dpi, MIN_DPI, MAX_DPI):
-            raise BadInput(f"dpi = {shown(self.dpi)}: must be a number from {MIN_DPI:g} to {MAX_DPI:g}")
-        if self.size is not None:
-            try:
-                valid = [_is_number(s, MIN_SIZE, MAX_SIZE) for s in self.size] == [True, True]
-            except TypeError:
-                valid = False
-            if not valid:
-                raise BadInput(
-                    f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
-                )
-        if isinstance(self.cmap, str) and self.cmap not in colormaps:
-            question = similar_text(self.cmap, colormaps).rstrip()
-            raise BadInput(
-                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map{question and f'; {question}'}"
-            )
-        if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
-            raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
-        for name in ("colors", "labels"):
-            if not isinstance(getattr(self, name) or {}, Mapping):
-                raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a mapping")
-        for flag, colour in (self.colors or {}).items():
-            if not is_color_like(colour):
-                raise BadInput(f"colors: {shown(flag)} = {shown(colour)}: not a colour of Matplotlib")
-
-    @property
-    def size_mm(self) -> tuple[float, float | None]:
-        """Width of the figure in mm, and its height if the caller chose one."""
-        return self.size if self.size is not None else (WIDTHS[self.width], None)
-
-    def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
-        """Raise BadInput for options that a variable over some axes does not have."""
-        flags = flag_names(array)
-        if flags and self.cmap is not None:
-            raise BadInput(
-                f"cmap: {array.name} has flags, each with a colour of its own; choose them by colors"
-            )
-        if self.colors and not flags:
-            raise BadInput(f"colors: {array.name} has no flags; choose its colours by cmap")
-        for option, names, allowed in (
-            ("colors", self.colors, flags),
-            ("labels", self.labels, [*flags, *axes, str(array.name)]),
-        ):
-            for name in names or {}:
-                if name not in allowed:
-                    raise BadInput(f"{option}: {shown(name)}: {allowed_text(name, allowed)}")
-
-    def text(self, name: str, default: str) -> str:
-        """Text for a flag, an axis or a variable: the caller's, or the default."""
-        return drawable(str((self.labels or {}).get(name, default)))
-
-    def flag_colours(self, array: xr.DataArray) -> dict[str, str]:
-        """Colours of the flags of a variable in the order of their values; empty for a variable of numbers."""
-        return flag_colours(flag_names(array)) | dict(self.colors or {})
-
-
-def _is_number(value: object, low: float, high: float) -> bool:
-    """Whether a value is a number between two limits."""
-    return (
-        isinstance(value, int | float | np.integer | np.floating)
-        and not isinstance(value, bool)
-        and bool(low <= value <= high)
-    )
+def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
+    """Sentences about values that were not computed at their own point, if gaps are filled, or not yet."""
+    tiles = tiles_done(ds)
+    sentences = []
+    if filled and "computed" in ds:
+        sentences.append("Between the points that were integrated: the value of the nearest one.")
+    if tiles is not None:
+        sentences.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
+    return sentences

@@ -16,6 +16,7 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
@@ -37,8 +38,13 @@ from ..flags import Regularity
 from ..systems.base import Mask
 from ..variables import POINT
 from . import cells
-from .content import MIN_VISIBLE, SLOW, MapOptions, Panel, panel_of, tiles_done, visible
+from .content import MIN_VISIBLE, NO_VALUE, SLOW, Panel, panel_of, remarks, visible
+from .options import MapOptions
 from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
+
+Entries = dict[str, Artist]  # text of the legend -> sample
+# name of a flag -> function of a colour that makes its sample in the legend
+Samples = Mapping[str, Callable[[str], Artist]]
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
@@ -52,22 +58,15 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         raise BadInput(
             f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
         )
-    if name in extension.parts("samples"):
-        chosen = replace(chosen, samples=extension.load("samples", name)(ds))
+    samples = extension.load("samples", name)(ds) if name in extension.parts("samples") else {}
     ds = positions_as_flags(ds, name)
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
-        if ds[name].dims != ("point",):
-            return _draw_map(ds, name, chosen)
-        for option in ("select", "row", "col"):
-            if getattr(chosen, option):
-                raise BadInput(
-                    f"{option}: these are single points without axes; choose some by ds.atlas.select or ds.sel"
-                )
-        return draw_scatter(ds, name, chosen)
+        draw = draw_scatter if ds[name].dims == ("point",) else draw_map
+        return draw(ds, name, chosen, samples)
 
 
-def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
-    """Draw a variable over its axes."""
+def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -> Figure:
+    """Draw a variable over its axes, see `atlas_map`."""
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
     select = options.select or {}
     plane, dims, panel_dims = plane_of(ds, options.x, options.y, select, options.row, options.col)
@@ -78,7 +77,6 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
             f"ax: {' x '.join(panel_dims)} has {prod(counts)} values here, and a panel for each; choose one by select"
         )
     array = plane[name].transpose(*panel_dims, *dims[::-1]).load()
-    parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
     scene = scene_of(ds)
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
@@ -86,79 +84,129 @@ def _draw_map(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
     if options.boundary and has_axes and (problem := scene_problem(ds, plane)):
         logging.getLogger("atlas").warning("no theory on this map: %s", problem)
         scene = None
+    parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
     panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
-    flags = options.flag_colours(array)
-    families = list(system_of(ds).families)
-    exponents = cells.exponent_scale(plane, name) if len(dims) == 2 else None
     if name == "regularity":
         options = replace(options, labels={**cells.texts(scene), **(options.labels or {})})
-    is_curve, levels = len(dims) == 1, np.unique(array.values.astype(int)).tolist() if flags else []
-    entries, notes = map_legend(panels, {} if is_curve else flags, options, families)
-    if not flags and "computed" in ds:
-        notes.append("Between the points that were integrated: the value of the nearest one.")
-    if (tiles := tiles_done(ds)) is not None:
-        notes.append(f"Unfinished: {tiles[0]} of {tiles[1]} tiles are computed.")
+    drawing = Drawing.of(plane, array, options, edges, log)
+    flags = {} if drawing.is_curve else options.flag_colours(array)
+    entries, notes = map_legend(panels, flags, options, drawing.families, samples)
+    notes += remarks(ds, filled=not drawing.flags)
     if options.caption:
         notes.append(caption(nearest_on_axes(ds, select)))
-    wrapped = 2 if options.size_mm[0] < 130 else 4
-    columns = 1 if options.row else min(prod(counts), wrapped)
+    columns = 1 if options.row else min(prod(counts), 2 if options.size_mm[0] < 130 else 4)
     columns = counts[-1] if options.row and options.col else columns
-    curve_height = 8.0 + 7.0 * len(levels) if flags else 0.6 * options.size_mm[0] / columns
-    sheet = Sheet(options, len(panels), columns, curve_height if is_curve else None)
+    sheet = Sheet(options, len(panels), columns, drawing.curve_height(options.size_mm[0] / columns))
     figure, axes = sheet.figure(entries, notes)
-    scale, image = cells.color_scale(array, options), None
-    variable_text = options.text(name, variable_label(array))
     for i, (part, panel, ax) in enumerate(zip(parts, panels, axes, strict=True)):
-        if flags and is_curve:
-            colours = {options.text(flag, flag.replace("_", " ")): colour for flag, colour in flags.items()}
-            cells.draw_levels(ax, panel.array, colours, levels)
+        image = drawing.draw(ax, part, panel, inner=columns > 1)
+        name_panel(ax, part, panel_dims, top=i < columns, end=(i + 1) % columns == 0)
+    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims], entries)
+    if image is not None and drawing.exponents is not None:
+        label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
+        cells.add_color_bar(figure, axes, image, drawing.exponents, label)
+    elif image is not None and not drawing.flags:
+        cells.add_color_bar(figure, axes, image, drawing.scale, drawing.label)
+    return figure
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """Colours, texts and axes that the panels of a map over one or two axes share."""
+
+    name: str  # of the variable
+    label: str  # name and unit of the variable, or the caller's text
+    edges: list[np.ndarray]  # of the cells along each axis, x first
+    log: list[bool]  # whether each axis is logarithmic
+    scale: cells.ColorScale
+    exponents: cells.ColorScale | None  # scale of the Lyapunov exponents over cells of regularity
+    flags: Mapping[str, str]  # text of each flag -> its colour, in the order of the values; empty for numbers
+    levels: list[int]  # values of the flags that occur
+    families: list[str]  # of the system, in the order of their flags
+
+    @staticmethod
+    def of(
+        plane: xr.Dataset, array: xr.DataArray, options: MapOptions, edges: list[np.ndarray], log: list[bool]
+    ) -> Drawing:
+        """The drawing of the values of a variable in all panels."""
+        name = str(array.name)
+        colours = options.flag_colours(array).items()
+        return Drawing(
+            name=name,
+            label=options.text(name, variable_label(array)),
+            edges=edges,
+            log=log,
+            scale=cells.color_scale(array, options),
+            exponents=cells.exponent_scale(plane, name) if len(edges) == 2 else None,
+            flags={options.text(flag, flag.replace("_", " ")): colour for flag, colour in colours},
+            levels=np.unique(array.values.astype(int)).tolist() if colours else [],
+            families=list(system_of(plane).families),
+        )
+
+    @property
+    def is_curve(self) -> bool:
+        """Whether the map has a single axis."""
+        return len(self.edges) == 1
+
+    def curve_height(self, width: float) -> float | None:
+        """Height in mm of a panel of this width, None for cells over two axes."""
+        if not self.is_curve:
+            return None
+        return 8.0 + 7.0 * len(self.levels) if self.flags else 0.6 * width
+
+    def draw(self, ax: Axes, part: xr.Dataset, panel: Panel, *, inner: bool) -> ScalarMappable | None:
+        """Draw a panel, inner if others are beside it; returns the cells of which the colour bar shows the scale."""
+        image = None
+        if self.flags and self.is_curve:
+            cells.draw_levels(ax, panel.array, self.flags, self.levels)
         else:
-            image = cells.draw_values(ax, panel.array, edges, scale, variable_text)
-        if name == "regularity" and not is_curve:
+            image = cells.draw_values(ax, panel.array, self.edges, self.scale, self.label)
+        if self.name == "regularity" and not self.is_curve:
             undecided = panel.array.values == Regularity.UNDECIDED
             if undecided.any():
-                cells.draw_hatching(ax, undecided, edges, cells.HATCHES[cells.UNDECIDED])
-            image = (
-                image if exponents is None else cells.draw_exponents(ax, part, panel.array, edges, exponents)
-            )
-        for which, is_log in zip("xy", log, strict=False):
-            cells.set_axis(ax, which, is_log, inner=which == "x" and sheet.columns > 1)
-        if panel.array.ndim == 2 or flags:
-            cells.draw_overlay(ax, panel, edges, families)
-        texts = []
-        for dim in panel_dims:
-            value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-            unit = unit_text(attribute_text(part[dim].attrs, "units"))
-            texts.append(drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip()))
-        if len(texts) == 1 or (texts and i < columns):
-            ax.set_title(texts[-1])
-        if len(texts) == 2 and (i + 1) % columns == 0:  # at the end of a row
-            ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
-    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims], entries)
-    if image is not None and exponents is not None:
-        label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
-        cells.add_color_bar(figure, axes, image, exponents, label)
-    elif image is not None and not flags:
-        cells.add_color_bar(figure, axes, image, scale, variable_text)
-    return figure
+                cells.draw_hatching(ax, undecided, self.edges, cells.HATCHES[cells.UNDECIDED])
+            if self.exponents is not None:
+                image = cells.draw_exponents(ax, part, panel.array, self.edges, self.exponents)
+        for which, is_log in zip("xy", self.log, strict=False):
+            cells.set_axis(ax, which, is_log, inner=inner and which == "x")
+        if self.flags or not self.is_curve:
+            cells.draw_overlay(ax, panel, self.edges, self.families)
+        return image
+
+
+def name_panel(ax: Axes, part: xr.Dataset, dims: Sequence[str], *, top: bool, end: bool) -> None:
+    """Write values of the axes of panels: of a single one above each; of two above the top row and at the end of rows."""
+    texts = []
+    for dim in dims:
+        value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
+        unit = unit_text(attribute_text(part[dim].attrs, "units"))
+        texts.append(drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip()))
+    if len(texts) == 1 or (texts and top):
+        ax.set_title(texts[-1])
+    if len(texts) == 2 and end:
+        ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
 
 
 # Area of a dot in square points: within limits that with which all dots together cover the panel about once.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
-def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions) -> Figure:
-    """Draw a variable of single points as dots, see `atlas.plotting.maps.atlas_map`."""
+def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -> Figure:
+    """Draw a variable of single points as dots, see `atlas_map`."""
+    for option in ("select", "row", "col"):
+        if getattr(options, option):
+            raise BadInput(
+                f"{option}: these are single points without axes; choose some by ds.atlas.select or ds.sel"
+            )
     axes = scatter_axes(ds, options.x, options.y)
     options.check_for(ds[name], axes)
     captions = [caption(ds)] if options.caption else []
     ds = ds[[name, *axes]].load()
     array = ds[name]
     flags = options.flag_colours(array)
-    families = list(system_of(ds).families)
-    white = {} if flags else {"no value": ~np.isfinite(array.values)}
-    panel = Panel(array, {k: v for k, v in white.items() if v.any()}, np.zeros(array.shape, bool))
-    entries, notes = map_legend([panel], flags, options, families)
+    missing = np.zeros(array.shape, bool) if flags else ~np.isfinite(array.values)
+    panel = Panel(array, {NO_VALUE: missing} if missing.any() else {}, np.zeros(array.shape, bool))
+    entries, notes = map_legend([panel], flags, options, [], samples)
     sheet = Sheet(options)
     figure, (ax,) = sheet.figure(entries, notes + captions)
     columns = [np.asarray(ds[axis].values, float) for axis in axes]
@@ -259,11 +307,12 @@ class Sheet:
 
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
         """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
+        has_samples = not all(isinstance(sample, Patch | Line2D) for sample in legend.values())
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",
                 ncols=columns, frameon=False, columnspacing=0.8,
-                **({"handlelength": SAMPLE, "handleheight": SAMPLE} if self.options.samples else {"handlelength": 1.8}),
+                **({"handlelength": SAMPLE, "handleheight": SAMPLE} if has_samples else {"handlelength": 1.8}),
                 borderaxespad=0.2, borderpad=0, title=self.options.title, title_fontsize=9,
             )  # fmt: skip
             box = drawn.get_window_extent()
@@ -290,11 +339,12 @@ class Sheet:
             ax.tick_params(labelbottom=True)
 
 
-Entries = dict[str, Artist]
-
-
 def map_legend(
-    panels: Sequence[Panel], flags: Mapping[str, str], options: MapOptions, families: Sequence[str]
+    panels: Sequence[Panel],
+    flags: Mapping[str, str],
+    options: MapOptions,
+    families: Sequence[str],
+    samples: Samples,
 ) -> tuple[Entries, list[str]]:
     """Legend (text -> sample of colour, hatching or line), and notes about regions too small to see."""
     entries: Entries = {}
@@ -312,7 +362,7 @@ def map_legend(
     white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
     for value, (name, colour) in enumerate(flags.items()):
         masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        sample = options.samples.get(name, partial(_sample, name))
+        sample = samples.get(name, partial(_sample, name))
         add(options.text(name, name.replace("_", " ")), masks, sample(colour))
     for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
         masks = [panel.white[reason] for panel in panels if reason in panel.white]

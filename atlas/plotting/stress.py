@@ -17,7 +17,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from ..kernel.tableaux import METHODS
 from ..validation.stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
 from ..validation.work_precision import nanmedian, summary
-from .style import STYLE, WIDTHS
+from .options import WIDTHS
+from .style import STYLE
 
 # Their luminances differ as well, so that colour-blind readers and prints in grey keep them apart.
 VERDICT_COLOURS = {

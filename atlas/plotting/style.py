@@ -8,7 +8,7 @@ import re
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -22,8 +22,6 @@ from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_probl
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import atomic_write, writable
 
-Width = Literal["column", "page"]
-WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
 FORMATS = (".png", ".pdf", ".svg")
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {

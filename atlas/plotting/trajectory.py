@@ -21,7 +21,8 @@ from ..errors import BadInput, attribute_text, shown
 from ..files import atomic_write, writable
 from ..scene.checks import choice, positive
 from ..systems.base import Observable
-from .style import COLOURS, STYLE, SYMBOLS, WIDTHS, Width, unit_text
+from .options import WIDTHS, Width
+from .style import COLOURS, STYLE, SYMBOLS, unit_text
 
 FAR_OPACITY = 0.35  # of paths on the far side of the sphere
 START_MARKER: dict[str, Any] = {

@@ -44,7 +44,8 @@ from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import Specialization, kernel
 from atlas.kernel.stepsize import StepSizes
 from atlas.kernel.tableaux import METHODS
-from atlas.plotting.style import STYLE, WIDTHS
+from atlas.plotting.options import WIDTHS
+from atlas.plotting.style import STYLE
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.validation.reference import SAFETY, reference

@@ -12,14 +12,14 @@ from PIL import Image, ImageSequence
 import atlas
 from atlas import BadInput, load_scene
 from atlas.label.trajectory import trajectory_of_scene
-from atlas.plotting import style, trajectory
+from atlas.plotting import options, style, trajectory
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 
 def test_a_trajectory_figure_shows_the_motion():
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
-    for width, mm in style.WIDTHS.items():
+    for width, mm in options.WIDTHS.items():
         figure = trajectory.trajectory_figure(tr, width=width)
         assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
         theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes

@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from ...errors import BadInput
-from ...plotting.style import COLOURS, STYLE, WIDTHS
+from ...plotting.options import WIDTHS
+from ...plotting.style import COLOURS, STYLE
 from ...systems.base import Array
 from . import fast_spin, periodic, published
 from .claims import PeriodicRow, Row

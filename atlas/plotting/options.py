@@ -1,0 +1,180 @@
+"""The options of maps, for `ds.atlas.map`, the command `map` and pages; methods alone import Matplotlib."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ..errors import BadInput, allowed_text, shown, similar_text
+from ..scene.checks import choice
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+
+Width = Literal["column", "page"]
+WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
+MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
+MIN_DPI, MAX_DPI = 10.0, 2400.0
+
+
+def option(default: Any, text: str, /, **settings: Any) -> Any:
+    """Field of `MapOptions` that the command has too, with its help and what else `argparse` takes."""
+    return field(default=default, metadata={"help": text} | settings)
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """Options of a map; BadInput for a value that suits no variable.
+
+    Parameters
+    ----------
+    x, y : str, optional
+        Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
+        parameters or other coordinates along them; default the two with the most values.
+    row, col : str, optional
+        Axes whose values become panels, at most `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from
+        left to right. Default: one more axis than x and y becomes panels row by row.
+    select : mapping of str to float, optional
+        Axis -> value for other axes; the nearest value is taken.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw into, with the fonts and the size that they have; default a figure of its own. Its
+        `get_legend_handles_labels` returns the entries of the legend, also of one that is not drawn.
+    title : str, optional
+        Title of the figure.
+    cmap : str or Colormap, optional
+        Colour map of a variable of numbers.
+    colors : mapping of str to str, optional
+        Name of a flag -> colour, for a variable of flags.
+    labels : mapping of str to str, optional
+        Text instead of the names of flags, of x and y, and of the variable at its colour bar.
+    boundary : bool, optional
+        Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
+        atlas, and hatch unstable motions that had no time to drift.
+    legend : bool, optional
+        Draw the legend.
+    width : {"column", "page"}, optional
+        88 mm or 180 mm.
+    size : (float, float), optional
+        Width and height in mm, instead of `width`.
+    dpi : float, optional
+        Resolution at which `savefig` writes the figure.
+    caption : bool, optional
+        Print under the map what it shows and how it was computed.
+    """
+
+    x: str | None = option(None, "horizontal axis (default: the first)", metavar="AXIS")
+    y: str | None = option(None, "vertical axis (default: the second)", metavar="AXIS")
+    row: str | None = option(None, "axis of panels from top to bottom", metavar="AXIS")
+    col: str | None = option(None, "axis of panels from left to right", metavar="AXIS")
+    select: Mapping[str, float] | None = option(
+        None, "values of the other axes, one or several", metavar="AXIS=VALUE"
+    )
+    ax: Axes | None = None
+    title: str | None = option(None, "title of the figure", metavar="TEXT")
+    cmap: str | Colormap | None = option(  # noqa: RUF009 - a field
+        None, "Matplotlib's colour map for a variable of numbers", metavar="NAME"
+    )
+    colors: Mapping[str, str] | None = option(None, "colours of flags, one or several", metavar="FLAG=COLOUR")
+    labels: Mapping[str, str] | None = option(
+        None, "texts for flags, axes and the variable, one or several", metavar="NAME=TEXT"
+    )
+    boundary: bool = option(True, "draw no theory")
+    legend: bool = option(True, "draw no legend")
+    width: Width = option("column", "journal width", choices=tuple(WIDTHS))  # noqa: RUF009 - a field
+    size: tuple[float, float] | None = option(None, "size in mm, such as 120x90", metavar="WIDTHxHEIGHT")
+    dpi: float = option(300, "resolution (default: 600)", default=None, type=float, metavar="N")
+    caption: bool = option(False, "print a caption for the figure")
+
+    def __post_init__(self) -> None:
+        from matplotlib import colormaps
+        from matplotlib.axes import Axes
+        from matplotlib.colors import Colormap, is_color_like
+
+        choice("width", self.width, WIDTHS)
+        if self.ax is not None and not isinstance(self.ax, Axes):
+            raise BadInput(f"ax = {shown(self.ax)}: must be Axes of Matplotlib")
+        if not _is_number(self.dpi, MIN_DPI, MAX_DPI):
+            raise BadInput(f"dpi = {shown(self.dpi)}: must be a number from {MIN_DPI:g} to {MAX_DPI:g}")
+        sizes = self.size if isinstance(self.size, Iterable) else [self.size]
+        if self.size is not None and [_is_number(each, MIN_SIZE, MAX_SIZE) for each in sizes] != [True, True]:
+            raise BadInput(
+                f"size = {shown(self.size)}: must be width and height in mm, each from {MIN_SIZE:g} to {MAX_SIZE:g}"
+            )
+        if isinstance(self.cmap, str) and self.cmap not in colormaps:
+            question = similar_text(self.cmap, colormaps).rstrip()
+            raise BadInput(
+                f"cmap = {shown(self.cmap)}: Matplotlib has no such colour map{question and f'; {question}'}"
+            )
+        if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
+            raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
+        for name in ("colors", "labels"):
+            if not isinstance(getattr(self, name) or {}, Mapping):
+                raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a mapping")
+        for flag, colour in (self.colors or {}).items():
+            if not is_color_like(colour):
+                raise BadInput(f"colors: {shown(flag)} = {shown(colour)}: not a colour of Matplotlib")
+
+    @property
+    def size_mm(self) -> tuple[float, float | None]:
+        """Width of the figure in mm, and its height if the caller chose one."""
+        return self.size if self.size is not None else (WIDTHS[self.width], None)
+
+    def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
+        """Raise BadInput for options that a variable over some axes does not have."""
+        from ..analysis.metadata import flag_names
+
+        flags = flag_names(array)
+        if flags and self.cmap is not None:
+            raise BadInput(
+                f"cmap: {array.name} has flags, each with a colour of its own; choose them by colors"
+            )
+        if self.colors and not flags:
+            raise BadInput(f"colors: {array.name} has no flags; choose its colours by cmap")
+        for name, names, allowed in (
+            ("colors", self.colors, flags),
+            ("labels", self.labels, [*flags, *axes, str(array.name)]),
+        ):
+            for each in names or {}:
+                if each not in allowed:
+                    raise BadInput(f"{name}: {shown(each)}: {allowed_text(each, allowed)}")
+
+    def text(self, name: str, default: str) -> str:
+        """Text for a flag, an axis or a variable: the caller's, or the default."""
+        from .style import drawable
+
+        return drawable(str((self.labels or {}).get(name, default)))
+
+    def flag_colours(self, array: xr.DataArray) -> dict[str, str]:
+        """Colours of the flags of a variable in the order of their values; empty for a variable of numbers."""
+        from ..analysis.metadata import flag_names
+        from .style import flag_colours
+
+        return flag_colours(flag_names(array)) | dict(self.colors or {})
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    """Whether a value is a number between two limits."""
+    return (
+        isinstance(value, int | float | np.integer | np.floating)
+        and not isinstance(value, bool)
+        and bool(low <= value <= high)
+    )
+
+
+def takes_map_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator that gives a function with **options the signature and the documented parameters of `MapOptions`."""
+    signature = inspect.signature(function)
+    own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+    keyword = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
+    further = [keyword(each.name, default=each.default, annotation=each.type) for each in fields(MapOptions)]
+    function.__signature__ = signature.replace(parameters=[*own, *further])  # type: ignore[attr-defined]
+    documented = (inspect.getdoc(MapOptions) or "").partition("----------\n")[2]
+    function.__doc__ = (inspect.getdoc(function) or "").replace("**options", documented)
+    return function

@@ -10,7 +10,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis.metadata import axes_of, scene_of, scene_problem
 from atlas.cli import main
-from atlas.extensions.page.content import layout
+from atlas.extensions.page.content import page_layout
 from atlas.extensions.page.page import atlas_page
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
@@ -286,7 +286,7 @@ def test_figures_show_the_same_values_of_a_reordered_axis(monkeypatch):
     shuffled = REORDERED["shuffled"](whole, np.random.default_rng(6))
     expected, result = (select.plane_of(ds, None, None, {})[0] for ds in (whole, shuffled))
     xr.testing.assert_identical(result, expected)
-    xr.testing.assert_identical(layout(shuffled, 20).ds, layout(whole, 20).ds)
+    xr.testing.assert_identical(page_layout(shuffled, 20).ds, page_layout(whole, 20).ds)
 
 
 @pytest.mark.parametrize(

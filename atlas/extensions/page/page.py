@@ -23,7 +23,7 @@ from ...kernel.tableaux import METHODS
 from ...plotting.maps import atlas_map
 from ...plotting.style import STYLE
 from ...scene import checks
-from .content import MAX_BYTES, MAX_POINTS, Content, Layout, layout
+from .content import MAX_BYTES, MAX_POINTS, Layout, Store, motion_table, page_layout, page_table
 from .motion import CannotTranslate, sources, translate
 
 # In one scope; the last one starts the page.
@@ -100,16 +100,16 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
         fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
     count = max_points
     while True:
-        shown = layout(ds, count)
-        content = Content(shown, file)
+        shown = page_layout(ds, count)
+        store = Store(shown.shape)
         try:
-            motions = fault or content.motion_table()
+            motions = fault or motion_table(shown, store)
         except BadInput as error:
             motions = {"fault": f"No motions in this page: {error}"}
-        table = content.table(motions)
-        if content.store.nbytes <= MAX_BYTES or count < 1000:
+        table = page_table(shown, store, motions, file)
+        if store.nbytes <= MAX_BYTES or count < 1000:
             break
-        count = int(count * min(0.9, MAX_BYTES / content.store.nbytes))
+        count = int(count * min(0.9, MAX_BYTES / store.nbytes))
     return Page(_assembled(table, script, _fallback(shown)))
 
 

@@ -41,7 +41,7 @@ _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 RAISED, LOWERED = 1, -1
 
 
-def runs(text: str) -> list[Run]:
+def text_runs(text: str) -> list[Run]:
     r"""Runs of equal style of a text such as "$\theta_0$ (rad s$^{-1}$)", in Matplotlib's notation.
 
     "t" are the letters, "i" is italic, "s" 1 raised or -1 lowered. Unknown commands become their names.
@@ -61,7 +61,7 @@ def runs(text: str) -> list[Run]:
 def plain(text: str) -> str:
     """A text with formulas as one line of Unicode, for menus and screen readers."""
     pieces = []
-    for run in runs(text):
+    for run in text_runs(text):
         table = {RAISED: _SUPERSCRIPTS, LOWERED: _SUBSCRIPTS}.get(run.get("s", 0), {})
         pieces.append(run["t"].translate(table))
     return "".join(pieces)

@@ -14,10 +14,10 @@ from matplotlib.colors import to_hex
 import atlas
 from atlas import cli, systems
 from atlas.extensions.page import page
-from atlas.extensions.page.content import Store, float_array, layout
+from atlas.extensions.page.content import Store, float_array, page_layout
 from atlas.extensions.page.motion import CannotTranslate, motions
 from atlas.extensions.page.page import atlas_page
-from atlas.extensions.page.text import plain, runs
+from atlas.extensions.page.text import plain, text_runs
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -54,7 +54,7 @@ def test_formulas_are_set_in_unicode(text, expected):
 
 
 def test_styles_of_formulas():
-    assert runs(r"a $x_{12}^2$") == [
+    assert text_runs(r"a $x_{12}^2$") == [
         {"t": "a "}, {"t": "x", "i": True}, {"t": "12", "s": -1}, {"t": "2", "s": 1},
     ]  # fmt: skip
 
@@ -124,7 +124,7 @@ def test_scales_of_colours_span_the_values(small_atlas, small_page):
 
 def test_starts_are_those_of_the_trajectory(small_atlas, cube_atlas, sampled_atlas):
     for ds in (small_atlas, cube_atlas, sampled_atlas):
-        shown = layout(ds)
+        shown = page_layout(ds)
         starts = motions(shown.ds, systems.get("satellite"), shown.scene, shown.dims)
         index = tuple(size // 3 for size in shown.shape)
         place = {dim: float(ds[dim][i]) for dim, i in zip(shown.dims, index, strict=True)}
@@ -157,7 +157,7 @@ def test_each_point_of_a_grid_without_a_scene_has_its_own_motion(small_atlas, qu
     del lost.attrs["atlas_scene"]
     for ds in (table, table.transpose("m", "C"), table.isel(C=slice(2)), lost):
         assert "fault" not in table_of(atlas_page(ds).html)["motion"]
-        shown = layout(ds)
+        shown = page_layout(ds)
         starts = motions(shown.ds, systems.get("satellite"), None, shown.dims)
         for name, values in {**starts.parameters, "end_time": starts.duration}.items():
             expected = ds.get(name, xr.DataArray(np.nan)).broadcast_like(ds.label).transpose(*shown.dims)
@@ -167,12 +167,12 @@ def test_each_point_of_a_grid_without_a_scene_has_its_own_motion(small_atlas, qu
 
 
 def test_large_atlases_are_strided_and_the_page_states_it(small_atlas):
-    shown = layout(small_atlas, max_points=20)
+    shown = page_layout(small_atlas, max_points=20)
     assert shown.shape == (5, 4)
     assert shown.notes == [
         "This page shows every 2nd value of $C/A$ and 2nd value of $\\theta_0$: 20 of 63 points."
     ]
-    assert layout(small_atlas, max_points=63).notes == []
+    assert page_layout(small_atlas, max_points=63).notes == []
 
 
 def test_equations_without_translation_leave_the_map(small_atlas, monkeypatch, quick_page):

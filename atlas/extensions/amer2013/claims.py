@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
+from importlib.resources import files
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -179,117 +182,94 @@ def _list(values: Iterable[float], digits: int = 6) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in values)
 
 
+Judgement = tuple[str, dict[str, Any]]  # verdict, and the values in the template of what is measured
+
+
 def claims(rows: Sequence[Row]) -> list[Claim]:
     """The paper's statements about figures 1-20 and its solution, by the rows of `figure_table` and the motion."""
-    small, large = ([row for row in rows if row.body == name] for name in PAPER_BODIES)
-    moving = [row for row in rows if row.rotor]
-    growing, falling = ([row.amplitude for row in part] for part in (small, large))
-    starts = _list(row.start for row in large)
+    judged = []
+    for name, entry in tomllib.loads(files(__package__).joinpath("claims.toml").read_text("utf-8")).items():
+        verdict, values = MEASURES[name](rows)
+        judged.append(Claim(entry["text"], verdict, re.sub(r"\s+", " ", entry["measured"]).format(**values)))
+    return judged
+
+
+def _bodies(rows: Sequence[Row]) -> list[list[Row]]:
+    """Rows of the bodies A < C and A > C."""
+    return [[row for row in rows if row.body == name] for name in PAPER_BODIES]
+
+
+def _growing_amplitude(rows: Sequence[Row]) -> Judgement:
+    amplitudes = [row.amplitude for row in _bodies(rows)[0]]
+    return _verdict(bool(np.all(np.diff(amplitudes) > 0))), {"amplitudes": _list(amplitudes)}
+
+
+def _falling_amplitude(rows: Sequence[Row]) -> Judgement:
+    large = _bodies(rows)[1]
+    amplitudes = [row.amplitude for row in large]
+    values = {"amplitudes": _list(amplitudes), "starts": _list(row.start for row in large)}
+    return _verdict(bool(np.all(np.diff(amplitudes) < 0))), values
+
+
+def _waves(rows: Sequence[Row]) -> Judgement:
+    """The number of waves of p2, and the sign of its small change."""
+    moving = [[row for row in part if row.rotor] for part in _bodies(rows)]
+    small, large = waves = [[row.waves for row in part] for part in moving]
+    true = [part[-1] - part[0] for part in waves]
+    printed = [4 * np.pi * (1 / part[-1].period_printed - 1 / part[0].period_printed) for part in moving]
+    spread = max(max(part) / min(part) - 1 for part in waves)
+    opposite = all(a * b < 0 for a, b in zip(true, printed, strict=True))
+    values = {"true": true, "printed": printed, "spread": spread, "sign": "opposite" if opposite else "same"}
+    return _verdict(spread < 0.01), values | {"small": _list(small), "large": _list(large)}
+
+
+def _gamma2(rows: Sequence[Row]) -> Judgement:
     change, amplitudes = max(row.gamma2_change for row in rows), [row.gamma2_amplitude for row in rows]
-    of_gamma2 = "holds to lowest order only" if change < 1e-2 * max(amplitudes) else FAILS
-    gap, scale = max((row.gap_printed, row.amplitude_printed) for row in rows)
-    left = max(row.p2_33 for row in rows)
-    relative_gap = max(row.gap_printed / row.amplitude_printed for row in moving)
-    relative_change = max(row.gamma2_change / row.gamma2_amplitude for row in rows)
-    small_deviations = [
-        name for name, value in (("p2", relative_gap), ("gamma2", relative_change)) if value < 1e-2
-    ]
-    of_deviations = {0: FAILS, 2: HOLDS}.get(len(small_deviations))
-    return [
-        Claim(
-            "A < C: the amplitude of p2 increases with l",
-            _verdict(bool(np.all(np.diff(growing) > 0))),
-            f"amplitudes {_list(growing)}",
-        ),
-        Claim(
-            "A > C: the amplitude of p2 decreases when l increases",
-            _verdict(bool(np.all(np.diff(falling) < 0))),
-            f"amplitudes {_list(falling)}; only the signed start {starts} decreases",
-        ),
-        _wave_claim(small, large),
-        Claim(
-            "gamma2 remains unchanged for different l, because it does not contain l, A, B, C",
-            HOLDS if change < 1e-10 else of_gamma2,
-            f"amplitude {_list([min(amplitudes), max(amplitudes)])} (least, greatest); |gamma2 - M3 cos tau| up to"
-            f" {_list((row.gamma2_change for row in moving), 3)} for the rotors that are not 0, in proportion to"
-            " l: the equation of gamma2 is forced by eps mu1 / (1 + Omega)",
-        ),
-        Claim(
-            "analytical and numerical p2 of (15) agree",
-            _verdict(gap < 1e-2 * scale),
-            f"they differ by up to {gap:.6g}, {gap / scale:.3g} times the amplitude {scale:.6g}: (19), (20) drop the"
-            " forcing C A1 y1 / A that (15) and (18) contain. (33) drops p2 as well: by (10) its p1 and g1 leave"
-            f" |p2| {'< 1e-10' if left < 1e-10 else f'= {left:.3g}'}",
-        ),
-        Claim(
-            "the deviations between analytical and numerical solutions are very small",
-            of_deviations or f"holds for {small_deviations[0]} only",
-            f"(20) deviates by up to {relative_gap:.3g} of the amplitude of p2 (from (15) as printed) and"
-            f" {relative_change:.2g} of that of gamma2 (from the full equations)",
-        ),
-        _phase_plane_claim(rows),
-        _singularity_claim(),
-        _limit_claim(),
-        _periodic_claim(),
-        _effect_claim(rows),
-    ]
+    verdict = "holds to lowest order only" if change < 1e-2 * max(amplitudes) else FAILS
+    changes = _list((row.gamma2_change for row in rows if row.rotor), 3)
+    values = {"range": _list([min(amplitudes), max(amplitudes)]), "changes": changes}
+    return HOLDS if change < 1e-10 else verdict, values
 
 
-def _periodic_claim() -> Claim:
+def _agreement(rows: Sequence[Row]) -> Judgement:
+    gap, amplitude = max((row.gap_printed, row.amplitude_printed) for row in rows)
+    rest = max(row.p2_33 for row in rows)
+    values = {"rest": "< 1e-10" if rest < 1e-10 else f"= {rest:.3g}", "share": gap / amplitude}
+    return _verdict(gap < 1e-2 * amplitude), values | {"gap": gap, "amplitude": amplitude}
+
+
+def _deviations(rows: Sequence[Row]) -> Judgement:
+    relative = {
+        "p2": max(row.gap_printed / row.amplitude_printed for row in rows if row.rotor),
+        "gamma2": max(row.gamma2_change / row.gamma2_amplitude for row in rows),
+    }
+    small = [name for name, value in relative.items() if value < 1e-2]
+    return {0: FAILS, 2: HOLDS}.get(len(small)) or f"holds for {small[0]} only", relative
+
+
+def _periodic(rows: Sequence[Row]) -> Judgement:
     """How far the motions from the starts of (33) are from returning, and the exact periodic solution."""
-    of_33, *corrected = np.max([row.defect for row in periodic_table() if row.rotor], axis=0)
+    printed, *corrected = np.max([row.defect for row in periodic_table() if row.rotor], axis=0)
     first, exact = ("< 1e-9" if defect < 1e-9 else f"{defect:.2g}" for defect in corrected)
-    return Claim(
-        "(33) is a periodic solution",
-        _verdict(of_33 < 1e-2),
-        f"after its period p1 + i q1 of the full equations is off its start by {of_33:.3g} |mu/Omega| at most as printed,"
-        f" {first} where (33) is corrected, and {exact} in the exact solution, found by shooting",
-    )
+    return _verdict(printed < 1e-2), {"printed": printed, "first": first, "exact": exact}
 
 
-def _effect_claim(rows: Sequence[Row]) -> Claim:
+def _effect(rows: Sequence[Row]) -> Judgement:
     """What changes from no rotor to the largest one, each relative to its own size."""
-    largest = max(row.rotor for row in rows)
-    changes = []
-    for body in PAPER_BODIES:
-        spin, row = paper_body(body, largest), next(r for r in rows if (r.body, r.rotor) == (body, largest))
-        without = paper_body(body, 0.0)
+    rotor, changes = max(row.rotor for row in rows), []
+    for row in (row for row in rows if row.rotor == rotor):
+        spin, without = paper_body(row.body, rotor), paper_body(row.body, 0.0)
         swing = 2 * spin.eps * np.abs(spin.forced) / np.arccos(spin.gamma0)
         frequency = np.abs(spin.Omega / without.Omega - 1)
-        changes.append(
-            [row.largest * row.unit / spin.r0, swing, frequency, row.gamma2_change / row.gamma2_amplitude]
-        )
-    body_rate, *others = np.max(np.array(changes, float), axis=0)
-    return Claim(
-        "the great effect of the gyrostatic moment l is shown obviously",
-        HOLDS if max(others) > 0.1 else "holds for p2 only",
-        f"l = {largest:g} sqrt(3) makes |p2| {body_rate:.2g} of the spin r0, swings theta by {others[0]:.2g} of itself, changes"
-        f" the frequency of p2 by {others[1]:.2g} and gamma2 by {others[2]:.2g}: l is {largest / (PAPER_DATA['r0'] * 22.49):.2g}"
-        " of A r0. Without l there is no p2 at all, so that its curves show l alone",
-    )
+        gamma2 = row.gamma2_change / row.gamma2_amplitude
+        changes.append([row.largest * row.unit / spin.r0, swing, frequency, gamma2])
+    p2, swing, frequency, gamma2 = np.max(np.array(changes, float), axis=0)
+    values = {"rotor": rotor, "p2": p2, "swing": swing, "frequency": frequency, "gamma2": gamma2}
+    share = rotor / (PAPER_DATA["r0"] * PAPER_BODIES["A < C"][0])
+    return HOLDS if max(swing, frequency, gamma2) > 0.1 else "holds for p2 only", values | {"share": share}
 
 
-def _wave_claim(small: Sequence[Row], large: Sequence[Row]) -> Claim:
-    """The number of waves of p2, and the sign of what little it changes."""
-    waves, changes, printed = [], [], []
-    for part in (small, large):
-        moving = [row for row in part if row.rotor]
-        waves.append([row.waves for row in moving])
-        changes.append(waves[-1][-1] - waves[-1][0])
-        printed.append(4 * np.pi * (1 / moving[-1].period_printed - 1 / moving[0].period_printed))
-    spread = max(max(part) / min(part) - 1 for part in waves)
-    opposite = all(true * wrong < 0 for true, wrong in zip(changes, printed, strict=True))
-    return Claim(
-        "the number of waves remains unchanged",
-        _verdict(spread < 0.01),
-        f"waves of p2 in 4 pi: {_list(waves[0])} (A < C), {_list(waves[1])} (A > C); relative spread {spread:.3g}."
-        f" From the smallest to the largest rotor they change by {changes[0]:+.2g} and {changes[1]:+.2g}, by omega'"
-        f" as printed by {printed[0]:+.2g} and {printed[1]:+.2g}: the true shift has the"
-        f" {'opposite' if opposite else 'same'} sign",
-    )
-
-
-def _phase_plane_claim(rows: Sequence[Row]) -> Claim:
+def _phase_planes(rows: Sequence[Row]) -> Judgement:
     """An ellipse of (20) contains nothing about stability, because r0 and the field are not in it."""
     spin = paper_body("A < C", 0.0)
     upright = 1 / spin.gamma0  # g1'' of the upright body, whose stability is known in closed form
@@ -300,48 +280,37 @@ def _phase_plane_claim(rows: Sequence[Row]) -> Claim:
     slow = replace(inverted, r0=0.5 * critical)
     growth = float(np.sqrt(np.maximum(0, -((1 + slow.A1) ** 2) - 4 * slow.eps**2 * pull)) / 2)
     same = abs(float(published.frequency_squared(slow) / published.frequency_squared(spin)) - 1) < 1e-14
-    largest = [row for row in rows if row.rotor == max(other.rotor for other in rows)]
-    offsets = [abs(row.centre) / row.amplitude for row in largest]
     # A fast body with a rotor, l1 = l2 = l3 = A r0 / 10, whose multipliers are real
     band = FastSpin.of(1.0, 0.8, 0.8 / 0.352, 0.0, 10.0, 10.0, 10.0, 100.0, 0.352).of_shape((1,))
-    exact, by_paper = periodic.solutions(band), periodic_table()
-    real = exact.stability[0] == PeriodicSolution.UNSTABLE
+    exact = periodic.solutions(band)
     same &= bool(published.frequency_squared(band)[0] > 0)
-    stable = all(row.stability == "stable" for row in by_paper)
-    return Claim(
-        "the phase planes describe the stability of the solutions",
-        _verdict(not (same and growth > 0 and real)),
-        f"(20) is an ellipse for every A, C, l with omega'^2 > 0: neither r0 nor the field is in it. At z0' = -1 and"
-        f" r0 = {float(slow.r0):.3g} it is the one of A < C, l = 0, where the upright body is unstable (growth rate"
-        f" {growth:.3g} per unit of tau). For the largest rotor the motion turns about mu1/Omega, {offsets[0]:.3g}"
-        f" (A < C) and {offsets[1]:.3g} (A > C) amplitudes from 0, the centre of the ellipses drawn. By its Floquet multipliers"
-        f" the exact periodic solution is {'stable' if stable else 'not always stable'} with the paper's data; at C/A = 0.8,"
-        f" l = A r0 / 10, eps = 0.01 it is unstable (rho + 1/rho = {exact.trace[0]:.4g}), where (20) is an ellipse too",
-    )
+    stable = all(row.stability == "stable" for row in periodic_table())
+    rotor = max(row.rotor for row in rows)
+    return _verdict(not (same and growth > 0 and exact.stability[0] == PeriodicSolution.UNSTABLE)), {
+        "r0": float(slow.r0),
+        "growth": growth,
+        "offsets": [abs(row.centre) / row.amplitude for row in rows if row.rotor == rotor],
+        "stable": "stable" if stable else "not always stable",
+        "trace": exact.trace[0],
+    }
 
 
-def _singularity_claim() -> Claim:
+def _singularity(rows: Sequence[Row]) -> Judgement:
     """chi1 of (10) near omega' = 1, and the true solution at rational frequencies."""
     A, A1, r0 = 1.0, 0.9, 1000.0
-    printed, true = [], []
+    printed, true, errors = list[float](), list[float](), list[float]()
     for distance in (1e-2, 1e-4, 1e-6):
         l3 = A * r0 * (A1**2 - 1 + distance) / (2 * A1)  # omega'^2 = 1 - distance
         spin = FastSpin.of(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
         printed.append(float(published.coefficients(spin)["chi1"] / spin.G0))
         true.append(float(spin.chi1 / spin.G0))
-    errors = []
     tau = np.linspace(0, 2 * np.pi, 41)
     for Omega in (1 / 3, 0.5, 1.0, 2.0, 3.0):
         spin = FastSpin.of(A, 1.5, 1.0, 1.0, 0.5, 0.5, A * r0 * (Omega - 0.5), r0, 0.5)
         y = first_order(spin, tau)
         errors.append(float(np.abs(y - integrate(spin, y[:, 0], tau)).max() / spin.eps**2))
-    return Claim(
-        "with omega' there are no singular points at all, for all rational omega'",
-        _verdict(max(map(abs, printed)) < 100),
-        f"chi1 of (10) over G0 = {_list(printed, 3)} at omega'^2 = 1 - 1e-2, 1 - 1e-4, 1 - 1e-6: a pole at omega' = 1."
-        f" With Omega in place of omega' it is {_list(true, 3)}, and the only pole is C r0 + l3 = 0; at Omega ="
-        f" 1/3, 1/2, 1, 2, 3 the true (33) is in error by at most {max(errors):.2g} eps^2",
-    )
+    values = {"printed": _list(printed, 3), "true": _list(true, 3), "error": max(errors)}
+    return _verdict(max(map(abs, printed)) < 100), values
 
 
 def _limiting_case(N: float, l3: float, r0: float) -> FastSpin:
@@ -360,26 +329,32 @@ def _errors_of_33(spin: FastSpin) -> Array:
     return np.array([np.hypot(off[0], off[1]).max() / np.hypot(exact[0], exact[1]).max(), off[3:].max()])
 
 
-def _limit_claim() -> Claim:
+def _limits(rows: Sequence[Row]) -> Judgement:
     """(33) as printed without rotor and Newtonian field, without rotor, and with l3 alone, against the full equations."""
     N = 3 * 9.81 / PAPER_DATA["R"]
     orders, periods = [], []
     for case in ((0.0, 0.0), (N, 0.0), (N, 10.0)):
-        spins = [_limiting_case(*case, r0) for r0 in (1000.0, 100.0)]
-        orders.append(
-            np.log(_errors_of_33(spins[1]) / _errors_of_33(spins[0])) / np.log(spins[1].eps / spins[0].eps)
-        )
-        measured = published.measured_period_correction(spins[0])
-        periods.append(float(published.period_correction(spins[0])) / measured)
+        fast, slow = (_limiting_case(*case, r0) for r0 in (1000.0, 100.0))
+        orders.append(np.log(_errors_of_33(slow) / _errors_of_33(fast)) / np.log(slow.eps / fast.eps))
+        measured = published.measured_period_correction(fast)
+        periods.append(float(published.period_correction(fast)) / measured)
     relative, gamma = np.array(orders).T
-    strong = _limiting_case(N, 0.25 * PAPER_BODIES["A < C"][0] * 1000.0, 1000.0)
     solutions, period = min(*relative, *(gamma - 1)) > 0.9, max(np.abs(np.array(periods) - 1)) < 0.1
-    verdicts = {(True, False): "holds to lowest order, but not for the period", (True, True): HOLDS}
-    return Claim(
-        "(33) gives the solutions and periods of [21] (l = k = 0), [22] (l = 0) and [23] (l3 alone) as limiting cases",
-        verdicts.get((bool(solutions), bool(period)), FAILS),
-        f"compared with the motion in these limits, A < C: the relative error of p1 + i q1 is of order eps^n, n ="
-        f" {_list(relative, 2)} (the field by the k of (4), l3 by omega'), that of gamma n = {_list(gamma, 2)}; with l3 / (A r0) = 1/4, p1 + i q1 is in error"
-        f" by {_errors_of_33(strong)[0]:.2g} of its size, by omega' and X. alpha is {_list(periods, 3)} times the"
-        f" change of the period, and 1/eps = {1 / float(spins[0].eps):.3g}: its factor is eps for eps^2",
+    verdict = (HOLDS if period else "holds to lowest order, but not for the period") if solutions else FAILS
+    return verdict, {
+        "relative": _list(relative, 2),
+        "gamma": _list(gamma, 2),
+        "strong": _errors_of_33(_limiting_case(N, 0.25 * PAPER_BODIES["A < C"][0] * 1000.0, 1000.0))[0],
+        "periods": _list(periods, 3),
+        "inverse": 1 / float(fast.eps),
+    }
+
+
+# By the names of the claims in claims.toml.
+MEASURES: dict[str, Callable[[Sequence[Row]], Judgement]] = {
+    measure.__name__.removeprefix("_"): measure
+    for measure in (
+        _growing_amplitude, _falling_amplitude, _waves, _gamma2, _agreement, _deviations, _phase_planes, _singularity,
+        _limits, _periodic, _effect,
     )
+}  # fmt: skip

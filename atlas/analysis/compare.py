@@ -21,6 +21,7 @@ from ..validation import half_step
 from .metadata import (
     chunks,
     flag_names,
+    flags_of,
     in_order,
     is_numeric_axis,
     neighbour_axes,
@@ -47,29 +48,7 @@ OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapun
 def report(ds: xr.Dataset, worst: int = 5) -> str:
     """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
-    if "atlas_system" in ds.attrs and not system_of(ds).families:
-        raise BadInput(
-            f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
-        )
-    for name in ("label", "predicted"):
-        if name not in ds:
-            raise BadInput(
-                f"{name}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
-            )
-        values = ds[name].values
-        if values.dtype.kind not in "iu" or not ((values >= 0) & (values < len(Label))).all():
-            raise BadInput(
-                f"{name}: damaged, averaged or masked: not the flags of an atlas, 0 to {len(Label) - 1}"
-            )
-    if ds["label"].dims != ds["predicted"].dims:
-        raise BadInput("label and predicted lie along different dimensions: not an atlas")
-    for name in (*OF_PLANE, *RATES):
-        if name in ds and set(ds[name].dims) != set(ds["label"].dims):
-            raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
-    if not ds["label"].size:
-        raise BadInput("label: has no values here: the dataset is empty")
-    problem = scene_problem(ds)
-    ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
+    whole, ds = ds, _compared(ds)
     axes = neighbour_axes(ds)
     ds = in_order(ds.transpose(..., *axes), dict.fromkeys(axes, 1))
     label, predicted = ds["label"].values, ds["predicted"].values
@@ -84,8 +63,31 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
         lines += _stability_lines(ds, axes)
     lines += _plane_lines(ds)
     lines += _worst_lines(ds, result.ravel(), worst)
-    lines += [problem] if problem else []
+    if problem := scene_problem(whole):
+        lines.append(problem)
     return "\n".join(lines)
+
+
+def _compared(ds: xr.Dataset) -> xr.Dataset:
+    """Label, predicted, and what else an atlas has to compare them by; BadInput unless they have flags of the same points."""
+    if "atlas_system" in ds.attrs and not system_of(ds).families:
+        raise BadInput(
+            f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
+        )
+    for name in ("label", "predicted"):
+        if name not in ds:
+            raise BadInput(
+                f"{name}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
+            )
+        flags_of(ds, name, len(Label), "damaged, averaged or masked")
+    ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
+    label = ds["label"]
+    for name, array in ds.items():
+        if {*array.dims} != {*label.dims} or (name == "predicted" and array.dims != label.dims):
+            raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
+    if not label.size:
+        raise BadInput("label: has no values here: the dataset is empty")
+    return ds
 
 
 def confusion(

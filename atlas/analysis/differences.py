@@ -17,7 +17,7 @@ from ..measure.instrument import Variable
 from ..scene.checks import choice, whole_number
 from ..variables import main_instrument
 from .compare import confusion, place
-from .metadata import flag_names, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
+from .metadata import flag_names, flags_of, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
 
 OVER_BOUND = (*RATES, *circle.RATES)  # variables whose errors count over the bound of the fastest frequency
 
@@ -34,9 +34,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
     same, rows = [], [["variable", "largest difference", "over error_estimate", "place"]]
     for name in flags:
         names, dims = flag_names(first[name]), [*map(str, first[name].dims)]
-        a, b = (ds[name].transpose(*dims).values for ds in (first, second))
-        if not np.isin([a, b], range(len(names))).all():
-            raise BadInput(f"{name}: damaged: not the flags of an atlas, 0 to {len(names) - 1}")
+        a, b = (flags_of(ds.transpose(..., *dims), name, len(names)) for ds in (first, second))
         places = np.argwhere(a != b)
         if not len(places):
             same.append(name)

@@ -273,6 +273,14 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
     return ds[variable]
 
 
+def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> np.ndarray:
+    """Values of a variable of flags from 0 to count - 1; BadInput, which begins with words, for others."""
+    values = ds[name].values
+    if values.dtype.kind not in "iu" or not ((values >= 0) & (values < count)).all():
+        raise BadInput(f"{name}: {words}: not the flags of an atlas, 0 to {count - 1}")
+    return values
+
+
 def map_variable(ds: xr.Dataset) -> str:
     """What a map shows unless a variable is named: what the scene names, else the first flags that differ, else the label."""
     scene = scene_of(ds)

@@ -70,16 +70,16 @@ def draw_levels(ax: Axes, array: xr.DataArray, colours: Mapping[str, str], level
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
     """Scale and ticks of an axis, "x" or "y"; inner: no label near the ends, where a neighbour has its own."""
-    axis = ax.xaxis if which == "x" else ax.yaxis
+    axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     if log:
-        (ax.set_xscale if which == "x" else ax.set_yscale)("log")
+        ax.set(**{f"{which}scale": "log"})
         axis.set_major_locator(LogLocator(numticks=6))
         axis.set_minor_formatter(NullFormatter())
     else:
         axis.set_major_locator(
             MaxNLocator(4 if inner else 6, steps=[1, 2, 2.5, 5, 10], prune="both" if inner else None)
         )
-    ax.tick_params(axis="x" if which == "x" else "y", direction="out", length=2.5)
+    axis.set_tick_params(direction="out", length=2.5)
 
 
 MAX_DECADES = 10  # of a logarithmic colour scale

@@ -162,7 +162,7 @@ class Atlas(Questions):
         y: str | None = None,
         select: Mapping[str, float] | None = None,
     ) -> xr.Dataset:
-        """Lines on the plane of two axes: the borders that theory predicts, or that of a measured region.
+        """Lines on the plane of two axes: the borders that theory predicts, or the border of a measured region.
 
         Parameters
         ----------
@@ -182,8 +182,8 @@ class Atlas(Questions):
         Dataset
             Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
             of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
-            `atlas.analysis.boundary.KINDS`. Lines close or end at the edge of the atlas. Those of
-            theory reach half a cell beyond the outermost points, as maps do. Those of a region run halfway
+            `atlas.analysis.boundary.KINDS`. Lines close or end at the edge of the atlas. Lines of
+            theory reach half a cell beyond the outermost points, as maps do. Lines of a region run halfway
             between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
         """
@@ -194,8 +194,8 @@ class Atlas(Questions):
     def trajectory(self, *, samples: int = 1001, **coords: float) -> xr.Dataset:
         """Motion of the point nearest to values of the axes, integrated again as the atlas was.
 
-        The start, its nudge, duration, method and step are those of the atlas' own scene; among single
-        points they are those of the point.
+        Start, nudge, duration, method and step come from the atlas' own scene, among single points from
+        the point.
 
         Parameters
         ----------
@@ -352,13 +352,15 @@ class Atlas(Questions):
 
         Notes
         -----
-        A regular motion has lines that stay the same in both halves of a run; those of a chaotic one do not.
+        A regular motion has lines that stay the same in both halves of a run; the lines of a chaotic one change.
         """
-        from .analysis.frequencies import frequencies, of_point
+        from .analysis.frequencies import frequencies, frequencies_of_point
 
         whole_number("lines", lines, 1, MAX_LINES)
         if trajectory is None:
-            return of_point(lambda count: self.trajectory(samples=count, **coords), lines, samples)
+            return frequencies_of_point(
+                lambda count: self.trajectory(samples=count, **coords), lines, samples
+            )
         if "time" not in getattr(trajectory, "dims", ()):
             raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")
         return frequencies(trajectory, lines)

@@ -93,7 +93,7 @@ def _compared(ds: xr.Dataset) -> xr.Dataset:
 def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
-    """How many points have each pair of flags, as the lines of a table of those that occur; columns: other names across."""
+    """Lines of a table that counts the points with each pair of flags that occurs; columns: the names across, if they differ."""
     shape = len(names), len(columns or names)
     pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
     table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
@@ -109,7 +109,7 @@ def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
     drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
-    drift &= ds["predicted"].values != Label.DRIFTING  # as motions in the plane, which are not steady
+    drift &= ds["predicted"].values != Label.DRIFTING  # motions in the plane are not steady
     survive = (stable == Stability.UNSTABLE) & steady
     lines = [
         f"linearly {description}: {points.sum()}"
@@ -184,11 +184,11 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
     """A point by the values of its axes, or by its index and the parameters that vary along it."""
     texts = []
     for dim, k in indices.items():
-        shown = [dim]
+        names = [dim]
         if not is_numeric_axis(ds, dim):
             texts.append(f"{printable(dim)} {k}")
-            shown = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
-        texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in shown]
+            names = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
+        texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in names]
     return ", ".join(texts)
 
 
@@ -207,17 +207,19 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         flags = enumerate(flag_names(ds[name]))
         counts[name] = {flag: n for value, flag in flags if (n := tallied.get(str(value), 0))}
 
-    def listed(name: str, *without: str) -> str:
+    def counts_text(name: str, *without: str) -> str:
         return ", ".join(f"{flag} {n}" for flag, n in counts.get(name, {}).items() if flag not in without)
 
     shown = [name for name in counts if verbose or name not in ("status", "agreement", "computed")]
-    lines = [f"{name}: {listed(name)}" for name in shown]
+    lines = [f"{name}: {counts_text(name)}" for name in shown]
     if not verbose:
         agreement = counts.get("agreement", {})
         if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
             share = 100 * agreement.get("agree", 0) / compared
             lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
-        lines.append(f"in doubt: {listed('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}")
+        lines.append(
+            f"in doubt: {counts_text('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}"
+        )
     scene = scene_of(ds)
     plan = None if scene is None else ScenePlan.of(scene)
     if plan is not None:
@@ -236,7 +238,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Of single points that drift, the family of steady motions they are nearest to."""
+    """A line on the family of steady motions nearest to the drifting points of a list, if there are any."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)
@@ -258,7 +260,7 @@ def _error_lines(tally: Tally) -> list[str]:
         largest = tally.largest[name]
         cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
         median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-        # Up to a quarter of a decade.
+        # Known to a quarter of a decade.
         median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
         parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
         if largest > 1:

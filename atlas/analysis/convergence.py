@@ -1,4 +1,4 @@
-"""How labels depend on settings that have no true value: the same points with other durations and tolerances."""
+"""Dependence of labels on settings without a true value: points computed again with other durations and tolerances."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ..kernel.compiling import Stopwatch
 from ..measure.instrument import Variable
 from ..runs.execution import columns_of
 from ..runs.plan import ScenePlan
-from ..scene.model import Axis, Scene
+from ..scene.model import Scene
 from ..store import dataset
 from ..store.progress import Progress
 from .metadata import flag_names
 
-# What can be varied -> factors of its value whose changes count on the map; the others show the way there.
+# Setting -> factors of its value whose changes count on the map; the other FACTORS show the way to them.
 VARIED = {"duration": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5)}
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
@@ -34,7 +34,7 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """The flags of at most so many points of a grid for several values of settings, by which `label_change` tells that any changes.
+    """Flags of at most `points` points of a grid for several values of settings; `label_change` names the settings that change any.
 
     Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; changes are in the direction of VARIED.
     """
@@ -49,9 +49,14 @@ def convergence(
     scene = replace(scene, outputs=flags, map="")
     if scene.points is None:
         share = min(1.0, points / scene.size) ** (1 / max(sum(count > 1 for count in scene.shape), 1))
-        axes = {
-            name: _thinned(axis, math.ceil(share * len(axis.values))) for name, axis in scene.axes.items()
-        }
+        axes = dict(scene.axes)
+        for name, axis in scene.axes.items():
+            size = len(axis.values)
+            if (count := math.ceil(share * size)) < size:
+                values = axis.values[np.linspace(0, size - 1, max(count, 2)).round().astype(int)]
+                interval = ("from", "to", "count", "spacing")
+                table = {key: each for key, each in axis.table.items() if key not in interval}
+                axes[name] = replace(axis, values=values, table=table | {"values": values.tolist()})
         scene = replace(scene, axes=axes)
     names, stopwatch = list(dict.fromkeys(names)), Stopwatch()
     cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
@@ -79,15 +84,6 @@ def convergence(
     variable = Variable(CHANGE, "int8", "1", "settings by which a label changes", meanings)
     ds[CHANGE] = ds["label"].dims, change, variable.attributes()
     return ds
-
-
-def _thinned(axis: Axis, count: int) -> Axis:
-    """An axis with fewer of its values, the first and the last among them."""
-    if count >= len(axis.values):
-        return axis
-    values = axis.values[np.linspace(0, len(axis.values) - 1, max(count, 2)).round().astype(int)]
-    table = {key: value for key, value in axis.table.items() if key not in ("from", "to", "count", "spacing")}
-    return replace(axis, values=values, table=table | {"values": values.tolist()})
 
 
 def _changed(scene: Scene, name: str, factor: float) -> Scene:

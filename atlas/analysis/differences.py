@@ -1,4 +1,4 @@
-"""Two atlases on the same grid: changes of flags, and differences of numbers beside their error estimates."""
+"""Two atlases on the same grid: changes of flags, and differences of numbers against their error estimates."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ OVER_BOUND = (*RATES, *circle.RATES)  # variables whose errors count over the bo
 def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
     """How the second atlas differs from the first, as text; see `Atlas.compare`."""
     whole_number("worst", worst, 0)
-    flags, numbers = _shared(first, second)
+    flags, numbers = _common_variables(first, second)
     lines = [f"{w}: {attribute_text(ds.attrs, 'title')}" for w, ds in (("first", first), ("second", second))]
     scenes = [scene_of(ds) for ds in (first, second)]
     texts = [[] if scene is None else scene.toml().split("\n") for scene in scenes]
     changes = difflib.unified_diff(texts[0], texts[1], n=0, lineterm="")
     lines += [f"  {line}" for line in changes if line[:2] not in ("--", "++", "@@")]
-    same, rows = [], [["variable", "largest difference", "over error_estimate", "place"]]
+    unchanged, rows = [], [["variable", "largest difference", "over error_estimate", "place"]]
     for name in flags:
         names, dims = flag_names(first[name]), [*map(str, first[name].dims)]
         a, b = (flags_of(ds.transpose(..., *dims), name, len(names)) for ds in (first, second))
         places = np.argwhere(a != b)
         if not len(places):
-            same.append(name)
+            unchanged.append(name)
             continue
         lines.append(f"{name}: {len(places)} of {a.size} points change ({100 * len(places) / a.size:.3g} %)")
         if name.startswith("label"):
@@ -47,10 +47,10 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
                 lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
-        # A value in one atlas only is an infinite difference; that of equal infinite values is nan.
+        # A value in one atlas alone differs infinitely; equal infinite values differ by nan, here 0.
         difference = abs(ours - theirs).where(ours.isnull() == theirs.isnull(), np.inf).fillna(0.0)
         if not difference.any():
-            same.append(name)
+            unchanged.append(name)
             continue
         estimate = _estimate(first, second, name)
         ratio = (difference / (1.0 if estimate is None else estimate)).fillna(0.0)  # nan is 0 over 0
@@ -58,13 +58,13 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
         over = "-" if estimate is None else f"{float(ratio.max()):.3g}"
         rows.append([name, f"{float(difference.max()):.3g}", over, where])
     lines += text_table(rows).split("\n") if len(rows) > 1 else []
-    lines += [f"the same at every point: {', '.join(same)}"] if same else []
+    lines += [f"the same at every point: {', '.join(unchanged)}"] if unchanged else []
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
 
 
 def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
     """Changes of flags, and second less first of numbers; see `Atlas.differences`."""
-    flags, numbers = _shared(first, second)
+    flags, numbers = _common_variables(first, second)
     result: dict[str, xr.Variable] = {}
     for name in flags:
         ours, theirs = first[name].variable, second[name].variable
@@ -78,7 +78,7 @@ def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(result, first.coords, first.attrs)
 
 
-def _shared(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]]:
+def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]]:
     """Flags and numbers that both atlases have; BadInput unless these have one system and one grid."""
     if not isinstance(second, xr.Dataset):
         raise BadInput(f"other = {shown(second)}: must be the dataset of an atlas")
@@ -105,7 +105,7 @@ def _shared(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]
 
 
 def _estimate(first: xr.Dataset, second: xr.Dataset, name: str) -> Any:
-    """The larger error estimate of a variable, in its unit; None where it has none, or what its unit needs is missing."""
+    """The larger error estimate of a variable in its unit; None without an estimate or the variables that give the unit."""
     system, stem = system_of(first), name.rpartition("_")[0]
     if name not in (*main_instrument(system).statistics(system), *OVER_BOUND, *circle.ANGLES):
         return None

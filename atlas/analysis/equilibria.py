@@ -76,8 +76,8 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable, energy_stable, stability_kind (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the
-        satellite also alpha, axis, degenerate, potential, in the order of the potential, where that is the same of the components
-        of alpha, then of gamma (of a circle their means); for the fixed_point dimension, in the order of theta0.
+        satellite also alpha, axis, degenerate, potential, in the order of the potential, then of the
+        components of alpha and gamma (of a circle their means); for the fixed_point dimension, in the order of theta0.
 
         Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
         "equilibrium", of which each body uses the first places; in the others index is -1 and what is no flag is nan.
@@ -95,12 +95,12 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     Notes
     -----
     Equilibria form circles where two moments are equal and rotor and magnet have no component across, all to the last bit.
-    Beside such a body, at relative differences of the moments from about 1e-12 on, or with equal moments at components across
+    Near such a body, at relative differences of the moments from about 1e-12 on, or with equal moments at components across
     from about 1e-7 on, its isolated equilibria are all listed. Nearer to it, and within about 1e-10 of a bifurcation, where
     solutions are closer than 1e-5, their number is not certain.
 
-    10 000 satellites take about seven seconds of one processor, with an axis of symmetry less, one beside a symmetry or a
-    bifurcation up to 0.2 seconds.
+    10 000 satellites take about seven seconds of one processor, less with an axis of symmetry; a single one near a symmetry
+    or a bifurcation takes up to 0.2 seconds.
     """
     description = systems.get(system)
     if max_equilibria is not None:
@@ -142,13 +142,13 @@ def attributes(name: str) -> dict[str, object]:
 
 @cache
 def _kinds(system: System) -> dict[str, np.ndarray]:
-    """Variables of the default body, as examples of what others have."""
+    """Variables of the default body, as examples of their types and shapes."""
     body = flat_columns(system, (), (), (), None)
     return {name: values[0] for name, values in _with_counts(system, body).items()}
 
 
 def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
-    """Equilibria of bodies that can exist, and their numbers."""
+    """Equilibria of possible bodies, and their numbers."""
     every = system.equilibria_of_bodies(bodies, lambda: None)
     isolated = every["completeness"] == Completeness.COMPLETE
     masks = {
@@ -162,7 +162,7 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of equilibria, maybe in another process; places: of each body, or None; source: None if no body need be possible."""
+    """Variables of equilibria, maybe in another process; places: equilibria of a body, or None; source: None if all bodies may be impossible."""
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)

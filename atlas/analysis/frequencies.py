@@ -43,8 +43,8 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
     return ds
 
 
-def of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
-    """As `frequencies`, of a motion that is sampled anew, by the function given, until the samples resolve its lines."""
+def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
+    """`frequencies` of a motion that a function samples again until the samples resolve its lines."""
     while True:
         motion = trajectory(samples)
         ds, (_, fastest) = _lines(motion, lines)
@@ -61,12 +61,12 @@ def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Strongest lines of a motion, and the signal and the frequency (else 0) of the fastest that its samples miss."""
+    """Strongest lines of a motion; signal and frequency, or 0, of the fastest line that its samples miss."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
-    shape = (len(columns), lines)
+    dims, shape = ("signal", "line"), (len(columns), lines)
     frequency, amplitude, share = (np.full(shape, np.nan) for _ in range(3))
-    nyquist, missed = np.pi / (time[1] - time[0]), ("", 0.0)
+    nyquist, too_fast = np.pi / (time[1] - time[0]), ("", 0.0)
     for i, (name, (signal, slope)) in enumerate(columns.items()):
         weight = hann(time.size)
         weight /= weight.sum()
@@ -76,33 +76,25 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line that is too fast for the samples appears at another frequency, or as a constant, but the derivative has
-        # its own. Where a line is so weak that errors may be larger, its frequency counts as true.
-        given = [*line_frequencies, 0.0]
-        fitted, slopes = (_fit(time, each, given, weight, real)[0] for each in (signal, slope))
+        # A line that is too fast for the samples appears at another frequency, or as a constant; its ratio to the derivative
+        # has the true frequency. The frequency of a line as weak as errors counts as true.
+        candidates = [*line_frequencies, 0.0]
+        fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
-        true = np.divide(slopes, 1j * fitted, out=np.array(given, complex), where=strong).real
+        true = np.divide(slopes, 1j * fitted, out=np.array(candidates, complex), where=strong).real
         fastest = max(np.abs(true).max(), np.abs(line_frequencies[:1]).max(initial=0.0))
-        if fastest > max(MAX_SHARE_OF_NYQUIST * nyquist, missed[1]):
-            missed = name, float(fastest)
+        if fastest > max(MAX_SHARE_OF_NYQUIST * nyquist, too_fast[1]):
+            too_fast = name, float(fastest)
     ds = xr.Dataset(
         {
-            "frequency": (
-                ("signal", "line"),
-                frequency,
-                {"units": "rad s-1", "long_name": "frequency, signed"},
-            ),
-            "amplitude": (
-                ("signal", "line"),
-                amplitude,
-                {"long_name": "amplitude, in the unit of the signal"},
-            ),
-            "share": (("signal", "line"), share, {"units": "1", "long_name": "share of the variance"}),
+            "frequency": (dims, frequency, {"units": "rad s-1", "long_name": "frequency, signed"}),
+            "amplitude": (dims, amplitude, {"long_name": "amplitude, in the unit of the signal"}),
+            "share": (dims, share, {"units": "1", "long_name": "share of the variance"}),
         },
         coords={"signal": list(columns), "line": np.arange(lines)},
         attrs=trajectory.attrs,
     )
-    return ds, missed
+    return ds, too_fast
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
@@ -129,7 +121,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     theta, theta_dot = trajectory["theta"].values, np.nan_to_num(trajectory["theta_dot"].values)
     signals = {"theta": (np.cos(theta) + 0j, -np.sin(theta) * theta_dot + 0j)}
     for name in ("psi", "phi"):
-        # On the vertical there is no angle, and sin theta is 0.
+        # On the vertical, where there is no angle, sin theta is 0.
         angle, rate = (np.nan_to_num(trajectory[key].values) for key in (name, f"{name}_dot"))
         turn = np.exp(1j * angle)
         signals[name] = np.sin(theta) * turn, (np.cos(theta) * theta_dot + 1j * np.sin(theta) * rate) * turn

@@ -120,14 +120,14 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Values of a coordinate, to rounding those of an axis of the scene by the bits that they have there."""
-    own = np.sort(axis.values)
-    nearest = own[np.searchsorted(0.5 * (own[1:] + own[:-1]), here)]
+    """Values of a coordinate; a value of the scene's axis, equal to rounding, has the bits of the axis."""
+    values = np.sort(axis.values)
+    nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Which values of a coordinate are these to rounding, also of a difference of numbers of about 1."""
+    """Whether values of a coordinate equal others to rounding, also of differences of numbers of about 1."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -172,7 +172,7 @@ def neighbour_axes(ds: xr.Dataset) -> list[str]:
 
 
 def in_order(ds: xr.Dataset, stride: Mapping[str, int]) -> xr.Dataset:
-    """An atlas with every so many values of some axes, from the lowest."""
+    """An atlas sorted along some axes, with every k-th value of each, from the lowest."""
     order = {dim: np.argsort(ds[dim].values, kind="stable")[::step] for dim, step in stride.items()}
     return ds.isel({dim: i for dim, i in order.items() if not np.array_equal(i, range(ds.sizes[dim]))})
 
@@ -243,12 +243,12 @@ def flag_names(array: xr.DataArray) -> list[str]:
 
 
 def is_averaged(array: xr.DataArray) -> bool:
-    """Whether a variable has the names of flags, but values that are none, such as averages of them."""
+    """Whether a variable has the names of flags but other values, such as averages."""
     return has_flags(array) and array.dtype.kind not in "biu"
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """With a variable of positions in a list, if this is one, as flags: none, then every position."""
+    """The dataset with a variable of positions in a list, if this is one, as flags: none, then every position."""
     names = _positions(variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
@@ -282,7 +282,7 @@ def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> n
 
 
 def map_variable(ds: xr.Dataset) -> str:
-    """What a map shows unless a variable is named: what the scene names, else the first flags that differ, else the label."""
+    """Variable of a map by default: the scene's choice, else the first flags that differ between points, else the label."""
     scene = scene_of(ds)
     if scene is not None and scene.map in ds.data_vars:
         return scene.map

@@ -1,4 +1,4 @@
-"""The plane of a map in the parameter space of its scene, and what theory predicts on it."""
+"""The plane of a map in the parameter space of its scene, and predictions of theory on it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ IN_SPACE = " in space"
 
 @dataclass(frozen=True)
 class Theory:
-    """What theory predicts at some points of a plane; arrays of shape (points,)."""
+    """Predictions of theory at some points of a plane; arrays of shape (points,)."""
 
     exists: Mask  # whether the scene has a motion there
     stable: np.ndarray  # linear stability, values of Stability
@@ -131,7 +131,7 @@ class Plane:
         return derived_values(self.scene.system, names, points.base, points.duration, lambda: None)
 
 
-# Number of values from which a family's formula is solved, and most ends of its curve that are resampled.
+# Start values of a family's formula, and the largest number of ends of its curve that are resampled.
 STARTS, MAX_ENDS = 17, 8
 
 
@@ -155,7 +155,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
         family = scene.system.families[name]
         if family.rate_std:  # its motions fill regions
             continue
-        # Of the axes that the family is solved for, the one with the longer curve: the other may give a single point.
+        # The longest of the curves solved for each axis; another may be a single point.
         longest = max((_solution_curves(plane, family, dim) for dim in plane.extent), key=_n_vertices)
         if _n_vertices(longest):
             curves[name] = longest

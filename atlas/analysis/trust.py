@@ -72,7 +72,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
-    """Whether the points of each cell, which are at `offsets` from every `step`-th point, differ."""
+    """Whether the points of each cell, at `offsets` from every `step`-th point, differ."""
     low = high = values
     for axis in range(values.ndim - n_axes, values.ndim):
         first = np.arange((values.shape[axis] - 1) // step) * step
@@ -116,13 +116,13 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
 
 def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.Dataset:
     """Fraction of the draws with each flag of a variable, with its interval; see `Atlas.probability`."""
-    drawn = [_axis(ds, variable, "over", name) for name in ([over] if isinstance(over, str) else over)]
-    counts = flag_counts(ds, variable, [str(dim) for dim in ds[variable].dims if dim not in drawn])
-    draws = math.prod(ds.sizes[dim] for dim in drawn)
+    draw_axes = [_axis(ds, variable, "over", name) for name in ([over] if isinstance(over, str) else over)]
+    counts = flag_counts(ds, variable, [str(dim) for dim in ds[variable].dims if dim not in draw_axes])
+    draws = math.prod(ds.sizes[dim] for dim in draw_axes)
     coords = {name: c for name, c in ds.coords.items() if set(c.dims) <= {*counts.dims} and name != variable}
     with np.errstate(invalid="ignore"):  # without draws
         columns = counts.values / draws, *wilson_interval(counts.values, draws)
-    what = f"probability of each {variable} over {' and '.join(drawn)}"
+    what = f"probability of each {variable} over {' and '.join(draw_axes)}"
     texts = {"probability": "", "lower": "lower 95 % limit of the ", "upper": "upper 95 % limit of the "}
     variables = {
         name: (counts.dims, values, {"long_name": text + what, "units": "1"})
@@ -144,12 +144,12 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
     """Numbers of points with each flag, over the axes `along`, in their order in the atlas, and one named like the variable."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
-    kept = [dim for dim in dims if dim in along]
+    dims_along = [dim for dim in dims if dim in along]
     others = tuple(i for i, dim in enumerate(dims) if dim not in along)
-    counts = np.zeros([*(array.sizes[dim] for dim in kept), len(names)], np.int64)
+    counts = np.zeros([*(array.sizes[dim] for dim in dims_along), len(names)], np.int64)
     for box in chunks(array.sizes, dims):
         values = array.isel(box).values
         for flag in range(len(names)):
-            counts[..., flag][tuple(box[dim] for dim in kept)] += (values == flag).sum(others)
-    coords = {dim: ds[dim] for dim in kept if dim in ds.coords}
-    return xr.DataArray(counts, {**coords, variable: names}, (*kept, variable))
+            counts[..., flag][tuple(box[dim] for dim in dims_along)] += (values == flag).sum(others)
+    coords = {dim: ds[dim] for dim in dims_along if dim in ds.coords}
+    return xr.DataArray(counts, {**coords, variable: names}, (*dims_along, variable))

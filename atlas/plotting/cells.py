@@ -50,14 +50,14 @@ def draw_values(
         ax.set_ylabel(label)
         return None
     image = ax.pcolormesh(
-        *edges, scale.shown(array.values), cmap=scale.colormap, norm=scale.norm, rasterized=True
+        *edges, scale.as_drawn(array.values), cmap=scale.colormap, norm=scale.norm, rasterized=True
     )
     ax.set_ylim(edges[1][0], edges[1][-1])
     return image
 
 
 def draw_levels(ax: Axes, array: xr.DataArray, colours: Mapping[str, str], levels: Sequence[int]) -> None:
-    """Draw flags over one axis as a curve with some of them as its levels, and a dot in its colour at each point."""
+    """Draw flags over one axis as a curve whose levels are these flags, with a dot in its colour at each point."""
     x, heights = array[array.dims[0]].values, np.searchsorted(levels, array.values)
     ax.step(x, heights, where="mid", color="0.35", linewidth=0.6)
     ax.scatter(
@@ -97,7 +97,7 @@ class ColorScale:
     log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
     integers: bool = False  # whether each integer has a colour of its own
 
-    def shown(self, values: np.ndarray) -> np.ndarray:
+    def as_drawn(self, values: np.ndarray) -> np.ndarray:
         """Values as they are drawn: zero, which has no logarithm, has the colour below a logarithmic scale."""
         if self.log_range is None:
             return values
@@ -179,8 +179,8 @@ def draw_exponents(
     )
 
 
-def texts(scene: Scene | None) -> Mapping[str, str]:
-    """Texts of the legend of regularity; those for "regular" and "chaotic" state the length of the runs of a scene."""
+def regularity_texts(scene: Scene | None) -> Mapping[str, str]:
+    """Texts of flags of regularity in the legend; "regular" and "chaotic" state the length of the runs of a scene."""
     length = (
         {} if scene is None else {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
     )
@@ -204,8 +204,8 @@ PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# Where there is more than CROWDED times the length of a single line within NEAR, lines are THIN and without halo; where that is
-# so within MERGED, even thin ones could not be told apart, and a SHADE is below them.
+# Lines are THIN and without halo where more than CROWDED times the length of a single line lies within NEAR, and have a SHADE
+# below them where it lies within MERGED, so that even thin ones run together.
 NEAR, MERGED, CROWDED, PIXEL = 4.5, 1.75, 1.6, 0.25  # points, and the ratio
 THIN, SHADE = {"linestyle": "-", "linewidth": 0.5}, {"linestyle": "-", "linewidth": 1.7, "color": "0.5"}
 
@@ -277,7 +277,7 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> list[np.ndarray]:
-    """Draw those parts of lines over two axes that crowd, and short lines; returns the lines, with nan in these parts."""
+    """Draw crowded parts of lines over two axes, and short lines; returns the lines with nan in place of these."""
     from scipy import ndimage  # slow to import, and maps without lines do not need it
 
     ink = np.zeros(np.ceil(np.array(ax.bbox.size) * 72 / ax.figure.dpi / PIXEL).astype(int) + 1)

@@ -1,4 +1,4 @@
-"""What a map shows: values, why some are missing, and what theory adds."""
+"""Content of maps: values, the reasons why some are missing, and lines of theory."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ class Panel:
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
     """A panel without the hatching and the lines of theory that nobody could see within the edges of its cells."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
-    seen = slow.mean() >= MIN_VISIBLE
-    if seen:
+    is_visible = slow.mean() >= MIN_VISIBLE
+    if is_visible:
         from scipy.ndimage import binary_erosion  # slow to import, and most maps do not need it
 
-        seen = binary_erosion(slow, np.ones(box)).any()
+        is_visible = binary_erosion(slow, np.ones(box)).any()
 
     def is_inside(line: np.ndarray) -> bool:
         """Whether a line runs inside; on one axis it is a value."""
@@ -67,17 +67,17 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
         {kind: lines for kind, lines in group.items() if any(map(is_inside, lines))}
         for group in (panel.borders, panel.families)
     )
-    return replace(panel, slow=slow & seen, borders=borders, families=families)
+    return replace(panel, slow=slow & is_visible, borders=borders, families=families)
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
     """Content of a panel over one or two axes (x first), in memory."""
-    needed = [
+    names = [
         n
         for n in ("label", "status", "stable", "growth_rate", "end_time", "computed")
         if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n]) and ds[n].dtype != bool
     ]
-    ds = ds[[*needed, name]].transpose(*dims[::-1]).load()
+    ds = ds[[*names, name]].transpose(*dims[::-1]).load()
     white = _white(ds, name, dims, scene)
     array, slow = ds[name], np.zeros(ds[name].shape, bool)
     if "computed" in ds and not flag_names(array):

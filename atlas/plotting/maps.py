@@ -87,7 +87,7 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
     parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
     panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
     if name == "regularity":
-        options = replace(options, labels={**cells.texts(scene), **(options.labels or {})})
+        options = replace(options, labels={**cells.regularity_texts(scene), **(options.labels or {})})
     drawing = Drawing.of(plane, array, options, edges, log)
     flags = {} if drawing.is_curve else options.flag_colours(array)
     entries, notes = map_legend(panels, flags, options, drawing.families, samples)
@@ -155,7 +155,7 @@ class Drawing:
         return 8.0 + 7.0 * len(self.levels) if self.flags else 0.6 * width
 
     def draw(self, ax: Axes, part: xr.Dataset, panel: Panel, *, inner: bool) -> ScalarMappable | None:
-        """Draw a panel, inner if others are beside it; returns the cells of which the colour bar shows the scale."""
+        """Draw a panel, inner if it has neighbours in its row; returns the cells that the colour bar explains."""
         image = None
         if self.flags and self.is_curve:
             cells.draw_levels(ax, panel.array, self.flags, self.levels)
@@ -187,7 +187,7 @@ def name_panel(ax: Axes, part: xr.Dataset, dims: Sequence[str], *, top: bool, en
         ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
 
 
-# Area of a dot in square points: within limits that with which all dots together cover the panel about once.
+# Area of a dot in square points, within limits: all dots of a panel cover it about once.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
@@ -217,7 +217,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions, samples: Sample
         order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")
     area = float(np.clip(PANEL_AREA / max(values.size, 1), MIN_DOT, MAX_DOT))
     image = ax.scatter(
-        columns[0][order], columns[1][order], c=scale.shown(values)[order], s=area, cmap=scale.colormap,
+        columns[0][order], columns[1][order], c=scale.as_drawn(values)[order], s=area, cmap=scale.colormap,
         norm=scale.norm, edgecolors="0.35", linewidths=0.25 if area > 2 else 0, rasterized=True,
         plotnonfinite=False,
     )  # fmt: skip
@@ -264,7 +264,7 @@ class Sheet:
     options: MapOptions  # choices of the caller
     panels: int = 1  # how many panels
     columns: int = 1  # panels in a row
-    panel_height: float | None = None  # mm, if it is not that of a map
+    panel_height: float | None = None  # mm; default: that of a map over two axes
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -307,7 +307,7 @@ class Sheet:
 
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
         """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
-        has_samples = not all(isinstance(sample, Patch | Line2D) for sample in legend.values())
+        has_samples = any(type(sample) not in (Polygon, Line2D) for sample in legend.values())
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
                 list(legend.values()), list(legend), loc="outside upper center",

@@ -20,7 +20,7 @@ from ..validation.work_precision import nanmedian, summary
 from .options import WIDTHS
 from .style import STYLE
 
-# Their luminances differ as well, so that colour-blind readers and prints in grey keep them apart.
+# Luminances differ as well, for colour-blind readers and prints in grey.
 VERDICT_COLOURS = {
     Verdict.RIGHT: "#7ab8e0",
     Verdict.UNRESOLVED: "#e9e9e9",

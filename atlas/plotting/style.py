@@ -41,7 +41,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "atlas",
     "hatch.linewidth": 0.4,
 }
-# One colour per meaning; colour-blind readers and prints in grey keep those of a variable apart.
+# One colour per meaning; the colours of a variable differ for colour-blind readers and in grey prints too.
 _FLAGS_OF_COLOUR = {
     "#ffffff": ("not_computed", "not_compared", "unknown"),
     "#a8d8f0": ("permanent_rotation", "stable", "gyroscopic", "arnold_moser", "false"),
@@ -76,7 +76,7 @@ SYMBOLS = {
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
     """Colours of flags, in order of value: COLOURS, then even steps of luminance from white."""
     names = list(meanings)
-    # Both begin with white, beyond the light end of the colour map; the second map has more distinct colours.
+    # Both maps begin with white, beyond their light end; the second has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
@@ -95,7 +95,7 @@ class PrintFigure(Figure):
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure as Matplotlib does; letters that FONT does not have are drawn as boxes."""
         options = {"dpi": self.dpi} | options
-        # Letters fitted to few dots are wider than those that the legend was measured with.
+        # Letters fitted to few dots would be wider than in the legend as it was measured.
         hinting = (
             {} if options["dpi"] in (None, "figure") or options["dpi"] >= 300 else {"text.hinting": "none"}
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas.analysis.frequencies import frequencies, of_point, spectral_lines
+from atlas.analysis.frequencies import frequencies, frequencies_of_point, spectral_lines
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -73,7 +73,10 @@ def test_lines_that_are_too_fast_for_the_samples(rate):
 
     with pytest.raises(atlas.BadInput, match="samples = 101: too few for a line of") as error:
         frequencies(sampled(101), 1)
-    for lines in (frequencies(sampled(int(str(error.value).split()[-1])), 1), of_point(sampled, 1, 101)):
+    for lines in (
+        frequencies(sampled(int(str(error.value).split()[-1])), 1),
+        frequencies_of_point(sampled, 1, 101),
+    ):
         assert float(lines.frequency.sel(signal="phi")[0]) == pytest.approx(rate, abs=1e-3)
 
 

@@ -82,11 +82,11 @@ class FastSpin:
 
     @classmethod
     def of(cls, *values: Any) -> FastSpin:
-        """That of numbers or arrays."""
+        """The body of numbers or arrays, in the order of the fields."""
         return cls(*values)
 
     def of_shape(self, shape: tuple[int, ...]) -> FastSpin:
-        """The same with fields of one shape."""
+        """The body with all fields broadcast to one shape."""
         return FastSpin(*(np.broadcast_to(getattr(self, each.name), shape) for each in fields(self)))
 
 
@@ -142,7 +142,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def reduced(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """(10) with chi = 0: p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2 of y, and so their derivatives of those of y."""
+    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, of y; of dy/dtau their derivatives."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -234,19 +234,20 @@ def secular_rate(spin: FastSpin) -> Array:
     return -(spin.weight - spin.N * (spin.C - spin.A) * spin.gamma0) / (spin.C * spin.r0 + spin.l3)
 
 
-def dop853(rate: Callable[[float, Array], Array], span: tuple[float, float], y0: Array, **more: Any) -> Any:
-    """scipy's DOP853 at its tightest; more: options of solve_ivp, whose result is returned."""
+def dop853(
+    rate: Callable[[float, Array], Array], span: tuple[float, float], y0: Array, **options: Any
+) -> Any:
+    """Result of solve_ivp by DOP853 at the tightest tolerances; options: of solve_ivp."""
     # Imported here because reading a scene needs the formulas but not scipy, which is slow to import.
     from scipy.integrate import solve_ivp
 
-    options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-14}
-    return solve_ivp(rate, span, y0, **(options | more))
+    return solve_ivp(rate, span, y0, **({"method": "DOP853", "rtol": 1e-13, "atol": 1e-14} | options))
 
 
-def integrate(spin: FastSpin, y0: Array, tau: Array, **more: Any) -> Array:
+def integrate(spin: FastSpin, y0: Array, tau: Array, **options: Any) -> Array:
     """y of the full equations (1) at the times tau (k,) from y0 (6,), by `dop853`; shape (6, k)."""
     span = (float(tau[0]), float(tau[-1]))
-    return dop853(lambda _, y: rhs(spin, y), span, y0, t_eval=tau, **more).y
+    return dop853(lambda _, y: rhs(spin, y), span, y0, t_eval=tau, **options).y
 
 
 def paper_body(name: str, rotor: float | Array) -> FastSpin:
@@ -285,13 +286,13 @@ def paper_spin(rng: np.random.Generator) -> FastSpin:
 
 
 def true_rate(spin: FastSpin, y: Array) -> Array:
-    """dy/dtau from the equations of motion themselves; y of shape (6,), real or complex."""
+    """dy/dtau from the equations of motion; y of shape (6,), real or complex."""
     points = {name: np.full(1, parameter.default) for name, parameter in initial.PARAMETERS.items()}
-    given = {
+    numbers = {
         "A": spin.A, "B": spin.A, "C": spin.C, "Mg": np.abs(spin.weight), "z0": spin.z, "N": spin.N,
         "l1": spin.l1, "l2": spin.l2, "l3": spin.l3,
     }  # fmt: skip
-    points |= {name: np.full(1, float(value)) for name, value in given.items()}
+    points |= {name: np.full(1, float(value)) for name, value in numbers.items()}
     state = dimensional(spin, y)
     rate = equations.rhs(state, initial.constants(points)[:, 0])
     return dimensionless(spin, np.array(rate)) / spin.r0

@@ -82,7 +82,7 @@ def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
 
 @cache
 def _exact(body: str, rotors: tuple[float, ...], tau: tuple[float, ...]) -> tuple[Any, Array, Array]:
-    """Body, start (18) and the exact solutions of `curves`, those from (18) first; up to four figures share them."""
+    """Body, start (18), and the exact solutions of `curves`, from (18) and periodic; up to four figures share them."""
     spin = fast_spin.paper_body(body, np.array(rotors))
     y0 = fast_spin.paper_start(spin)
     starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
@@ -180,8 +180,8 @@ def _two_columns(figure: PaperFigure, tau: Array, solutions: dict[str, Array]) -
     for number, (panels, lines) in enumerate(zip(axes, rows.values(), strict=True)):
         resolution = COINCIDE * np.ptp(np.concatenate([y.ravel() for _, y in lines.values()]))
         for ax, (title, sources) in zip(panels, _COLUMNS[figure.numerical], strict=True):
-            handles, shared = _draw_sources(ax, [lines[name] for name in sources], resolution)
-            coincide |= shared
+            handles, overlap = _draw_sources(ax, [lines[name] for name in sources], resolution)
+            coincide |= overlap
             if number == 0:
                 _add_legend(ax, title, handles, list(sources.values()))
     for ax in axes.ravel():
@@ -247,9 +247,9 @@ def _draw_sources(
         for i in range(y.shape[1]):
             group = [k for k in range(y.shape[1]) if np.abs(y[:, k] - y[:, i]).max() < resolution] or [i]
             coincide |= len(group) > 1
-            shown = slice(0, 1 if point else None)
+            times = slice(0, 1 if point else None)
             line = _line(LINES[i], group.index(i), len(group), style) | marker
-            ax.plot(x[shown, i], y[shown, i], zorder=level, **line)
+            ax.plot(x[times, i], y[times, i], zorder=level, **line)
         handles.append(Line2D([], [], **_line("0.2", 0, 1, style) | marker))
     return handles, coincide
 

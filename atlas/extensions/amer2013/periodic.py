@@ -24,8 +24,8 @@ from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
 STEPS = 24  # of the method rk8 in a period along the path of solutions
-FINE = 48  # the same at its end: errors of rounding, in units of r0 for p and q
-# Of the unknowns: beyond, another solution may be met.
+FINE = 48  # steps in a period at the end of the path: errors of rounding, in units of r0 for p and q
+# Largest correction of each unknown; a larger one may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
 LEAST_STEP = 0.005  # of the path, in shares of the field; a path with smaller ones has met a fold
 DEFECT = 1e-5  # of a periodic solution before the last correction
@@ -49,7 +49,7 @@ class Periodic(NamedTuple):
 
 
 def flow(spin: FastSpin, y: Array, directions: Array, period: Array, steps: int) -> tuple[Array, Array]:
-    """The state after a period, (6, points), and the changes that those in some directions, (6, k, points), have become.
+    """State after a period, (6, points), and the images of changes in some directions, (6, k, points).
 
     The right side of (1) is quadratic, so that its derivative along v is exactly [f(y + v) - f(y - v)] / 2.
     """
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and their defect before the last one, whose square is left."""
+    """Unknowns after corrections by Newton's method, and their defect before the last one; about its square is left."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])
@@ -113,17 +113,20 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
     x = np.array([free.real, free.imag, angle, 2 * np.pi / np.sqrt(1 + np.abs(free) ** 2)])
     slope, share, step = np.zeros_like(x), np.zeros_like(angle), np.ones_like(angle)
     step[~(np.abs(free.imag) < spin.M3)] = 0.0  # g1' = eps q1 at tau = 0 is beyond gamma
-    while (going := np.flatnonzero((share < 1) & (step >= LEAST_STEP))).size:
+    while (active := np.flatnonzero((share < 1) & (step >= LEAST_STEP))).size:
         pause()
-        to = np.minimum(share + step, 1)[going]
-        length, before = to - share[going], x[:, going]
-        guess = before + slope[:, going] * length
-        part = FastSpin.of(*(getattr(spin, name)[going] for name in spin.__dataclass_fields__))
-        after, defect = correct(replace(part, weight=to * part.weight, N=to * part.N), guess, 4)
-        right = (defect < DEFECT) & (np.abs(after - guess) < LARGEST_CORRECTION).all(0)
-        x[:, going] = np.where(right, after, before)
-        slope[:, going] = np.where(right, (after - before) / length, slope[:, going])
-        share[going], step[going] = np.where(right, to, share[going]), np.where(right, 2, 0.5) * step[going]
+        target = np.minimum(share + step, 1)[active]
+        length, before = target - share[active], x[:, active]
+        guess = before + slope[:, active] * length
+        part = FastSpin.of(*(getattr(spin, name)[active] for name in spin.__dataclass_fields__))
+        after, defect = correct(replace(part, weight=target * part.weight, N=target * part.N), guess, 4)
+        accepted = (defect < DEFECT) & (np.abs(after - guess) < LARGEST_CORRECTION).all(0)
+        x[:, active] = np.where(accepted, after, before)
+        slope[:, active] = np.where(accepted, (after - before) / length, slope[:, active])
+        share[active], step[active] = (
+            np.where(accepted, target, share[active]),
+            np.where(accepted, 2, 0.5) * step[active],
+        )
     return x, share >= 1
 
 

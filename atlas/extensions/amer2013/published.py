@@ -65,15 +65,17 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
     """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) with F1 and Phi1 of (16); x0 is x at tau = 0."""
-    (p, v, g, u), (p0, v0, g0, u0), known = x, x0, coefficients(spin)
-    A, C, A1, a, r0, eps, X, chi2 = (known[name] for name in ("A", "C", "A1", "a", "r0", "eps", "X", "chi2"))
-    l1, l2, y1, y2 = (known[name] for name in ("l1", "l2", "y1", "y2"))
+    (p, v, g, u), (p0, v0, g0, u0), values = x, x0, coefficients(spin)
+    A, C, A1, a, r0, eps, X, chi2 = (values[name] for name in ("A", "C", "A1", "a", "r0", "eps", "X", "chi2"))
+    l1, l2, y1, y2 = (values[name] for name in ("l1", "l2", "y1", "y2"))
     twist = (v0 * u0 - v * u) - X / (A * r0) * l2 * (v0 - v)
     S21 = a * ((p0 * g0 - p * g) - X * twist) + y1 * (g0 - g) + y2 * (1 - a * X * C / A) * (u0 - u)
     inner = (v**2 - 2 * y2 / A * v + 2 * v * chi2 * u) / C - A1 * p * (y2 / A - v) / C
-    F1 = -known["chi1"] * l1 / (A * r0) + l2 / (A1 * r0) * inner
+    F1 = -values["chi1"] * l1 / (A * r0) + l2 / (A1 * r0) * inner
     Phi1 = l1 * S21 / (A * r0) + u * (l1 / A * (y2 / A - v) - l2 * p) / (C * r0)
-    return np.array([v, C * A1 * y1 / A + eps * F1 - known["squared"] * p, u, l1 / (A * r0) + eps * Phi1 - g])
+    return np.array(
+        [v, C * A1 * y1 / A + eps * F1 - values["squared"] * p, u, l1 / (A * r0) + eps * Phi1 - g]
+    )
 
 
 def first_order(spin: FastSpin, tau: Array) -> Array:
@@ -116,7 +118,7 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
     return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
 
 
-# What the two readings of a formula are worth: both held against the equations of motion.
+# Errors of both readings of a formula against the equations of motion.
 
 Formula = Callable[[FastSpin, Array], Array]
 
@@ -135,7 +137,7 @@ def _readings(
     return partial(measured, printed), partial(measured, true)
 
 
-def _of_motion(
+def _rate_error(
     index: int | list[int], spin: FastSpin, rng: np.random.Generator, right_side: Formula
 ) -> Array:
     y = rng.normal(size=6)
@@ -154,16 +156,16 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 
 
 def _coupling(
-    spin: FastSpin, rng: np.random.Generator, of: Callable[[FastSpin], tuple[Array, Array]]
+    spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
     """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
-    chi1, nu = of(spin)
+    chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
     return np.abs(forced + chi1) + np.abs(carried - spin.Omega * nu)
 
 
-def _reduced(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
+def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
     """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
     exact = fast_spin.reduced(spin, true_acceleration(spin, y))[index // 2]
@@ -171,7 +173,7 @@ def _reduced(index: int, spin: FastSpin, rng: np.random.Generator, right_side: F
     return (right_side(spin, fast_spin.to_quasilinear(spin, y))[index] - exact) / term
 
 
-def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:
+def _solution_error(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:
     """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
     tau = np.linspace(0, 2 * np.pi, 41)
     y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
@@ -180,7 +182,7 @@ def _of_solution(index: int, spin: FastSpin, rng: np.random.Generator, solution:
     return np.abs(solution(spin, tau) - y)[index].max() / size
 
 
-def _of_angle(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
+def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
     """Error of theta, psi or phi over two turns, over the swing that is first order in eps."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
@@ -199,7 +201,7 @@ def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSp
     return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
 
 
-def _in_other_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[FastSpin], Array]) -> Array:
+def _change_by_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[FastSpin], Array]) -> Array:
     """Relative change of a dimensionless number when the unit of mass is halved."""
     doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
     return term(replace(spin, **doubled)) / term(spin) - 1
@@ -215,14 +217,14 @@ _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
 READINGS: dict[str, Readings] = {
-    "(1), second equation": _readings(partial(_of_motion, 1), rhs, fast_spin.rhs),
+    "(1), second equation": _readings(partial(_rate_error, 1), rhs, fast_spin.rhs),
     "(1) but for the second equation, (5)": _readings(
-        partial(_of_motion, [0, 2, 3, 4, 5]),
+        partial(_rate_error, [0, 2, 3, 4, 5]),
         *2 * (lambda spin, y: rhs(replace(spin, N=spin.N * spin.gamma0), y),),
     ),
     "(2), (3), S2": _readings(partial(_constancy, [1, 2]), integrals, integrals),
     "(3), S1": _readings(partial(_constancy, 0), integrals, fast_spin.integrals),
-    "(4)": _readings(partial(_of_motion, 0), rhs, fast_spin.rhs),
+    "(4)": _readings(partial(_rate_error, 0), rhs, fast_spin.rhs),
     "(7), (15)": _readings(
         # the square of the rate at which q1 grows with p1
         lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
@@ -240,16 +242,16 @@ READINGS: dict[str, Readings] = {
         _constant_10, lambda spin: coefficients(spin)["chi"], lambda spin: np.zeros(()), _FAST
     ),
     "(15), second equation": _readings(
-        partial(_reduced, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
+        partial(_reduced_error, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
     ),
     "(16), (27)-(33)": _readings(
-        _in_other_units,
+        _change_by_units,
         lambda spin: (spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
         lambda spin: (spin.C * spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
     ),
     # (19), with the true frequency, has no forcing
     "(19), (20), (25)": _readings(
-        partial(_reduced, 1),
+        partial(_reduced_error, 1),
         lambda spin, x: np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]]),
         fast_spin.quasilinear,
         _FASTEST,
@@ -264,7 +266,7 @@ READINGS: dict[str, Readings] = {
     ),
     **{
         f"(33), {name}": _readings(
-            partial(_of_solution, index), first_order, fast_spin.first_order, paper_spin
+            partial(_solution_error, index), first_order, fast_spin.first_order, paper_spin
         )
         for index, name in enumerate(("p1", "q1", "r1", "g1", "g1'", "g1''"))
     },
@@ -275,9 +277,9 @@ READINGS: dict[str, Readings] = {
         fast_spin.period_correction,
         partial(random_spin, r0=1e3),
     ),
-    "theta after (34)": _readings(partial(_of_angle, 0), angles, fast_spin.angles, paper_spin),
-    "psi after (34)": _readings(partial(_of_angle, 1), angles, fast_spin.angles, paper_spin),
-    "phi after (34)": _readings(partial(_of_angle, 2), angles, fast_spin.angles, paper_spin),
+    "theta after (34)": _readings(partial(_angle_error, 0), angles, fast_spin.angles, paper_spin),
+    "psi after (34)": _readings(partial(_angle_error, 1), angles, fast_spin.angles, paper_spin),
+    "phi after (34)": _readings(partial(_angle_error, 2), angles, fast_spin.angles, paper_spin),
     "section VI, data": (None, None),
     **reduction.READINGS,
 }

@@ -118,11 +118,11 @@ def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
 
 
 def variables(x0: Array, x: Array) -> Values:
-    """p = p2, v = p2', g = gamma2, u = gamma2' at x, at x0 with 0, and D with a name: its value at x0 less that at x."""
+    """p = p2, v = p2', g = gamma2, u = gamma2' at x, p0 to u0 at x0; Dname: value of name at x0 less its value at x."""
 
     def products(x: Array) -> Values:
-        of = dict(zip("pvgu", x, strict=True))
-        return of | {a + b: of[a] * of[b] for a, b in combinations_with_replacement("pvgu", 2)}
+        values = dict(zip("pvgu", x, strict=True))
+        return values | {a + b: values[a] * values[b] for a, b in combinations_with_replacement("pvgu", 2)}
 
     first, second = products(x0), products(x)
     differences = {f"D{name}": first[name] - second[name] for name in first}
@@ -131,7 +131,7 @@ def variables(x0: Array, x: Array) -> Values:
     )
 
 
-# What the names of a row stand for, by its key `at`: (random generator, entry) -> values.
+# Values of the names of a row, by its key `at`: (random generator, entry) -> values.
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
@@ -194,7 +194,7 @@ def _periodic(body: str, rotor: float) -> Values:
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
-    """That of a random one with a rotor."""
+    """The periodic solution of a random body with a rotor."""
     return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
 
 
@@ -203,24 +203,17 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 }  # fmt: skip
 
 
-def _reduced(entry: Entry, values: Values, value: Any) -> Any:
-    """A coefficient of the series in eps, or the mean over all phases, where the entry asks so."""
-    if "order" in entry:
-        eps = values["eps"]
-        return np.linalg.solve(np.vander(eps, increasing=True), value + 0 * eps)[entry["order"]]
-    return np.mean(value) if "mean" in entry else value
-
-
 def residual(entry: Entry, which: str, rng: np.random.Generator) -> float:
     """Largest error of a reading, over the difference of the two readings or the exact value."""
     values = AT[entry["at"]](rng, entry)
-    exact, printed, true = (
-        _reduced(entry, values, value)
-        for value in (
-            evaluate(entry["exact"], values),
-            *(reading(entry["number"], of, values) for of in ("printed", "true")),
-        )
-    )
+    results = [evaluate(entry["exact"], values)]
+    results += [reading(entry["number"], each, values) for each in ("printed", "true")]
+    if "order" in entry:  # a coefficient of the series in eps
+        powers = np.vander(values["eps"], increasing=True)
+        results = [np.linalg.solve(powers, each + 0 * values["eps"])[entry["order"]] for each in results]
+    elif "mean" in entry:  # over all phases
+        results = [np.mean(each) for each in results]
+    exact, printed, true = results
     size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)
     return float(np.abs((printed if which == "printed" else true) - exact).max() / size)
 

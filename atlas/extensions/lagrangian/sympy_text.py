@@ -145,30 +145,34 @@ class Block:
         reduced, lines, done = self._start([expression for _, expression, _ in slopes])
         values = list(first)
         for (slope, _, like), expression in zip(slopes, reduced, strict=True):
-            lines += self._needed(expression, done)
-            body = self._shaped(expression, like)
+            lines += self._definitions_for(expression, done)
+            body = self._in_shape_of(expression, like)
             if expression.is_Symbol:
                 values.append(body)
             else:
                 values.append(self._new(slope).name)
-                lines += _broken(f"{values[-1]} = ", body)
-        return self._text(name, doc, [*lines, *_returned(values)])
+                lines += _statement(f"{values[-1]} = ", body)
+        return self._text(name, doc, [*lines, *_return_statement(values)])
 
     def returning(self, name: str, doc: str, value: Any) -> str:
         """Text of a function, with a docstring if `doc`, that returns an expression or a tuple of them."""
         reduced, lines, done = self._start(list(value) if isinstance(value, tuple) else [value])
         for expression in reduced:
-            lines += self._needed(expression, done)
-        values = [self._shaped(expression, self.state[0]) for expression in reduced]
-        lines += _returned(values) if isinstance(value, tuple) else _broken("return ", values[0])
+            lines += self._definitions_for(expression, done)
+        values = [self._in_shape_of(expression, self.state[0]) for expression in reduced]
+        lines += _return_statement(values) if isinstance(value, tuple) else _statement("return ", values[0])
         return self._text(name, doc, lines)
 
     def _start(self, expressions: list[Expression]) -> tuple[list[Expression], list[str], set[Expression]]:
         """Expressions with names for what they share, lines that define the values of functions, and the names in these."""
-        reduced, done = self._shared(expressions), set[Expression]()
-        return reduced, [line for symbol in self.functions for line in self._needed(symbol, done)], done
+        reduced, done = self._with_common_names(expressions), set[Expression]()
+        return (
+            reduced,
+            [line for symbol in self.functions for line in self._definitions_for(symbol, done)],
+            done,
+        )
 
-    def _shaped(self, expression: Expression, like: Expression) -> str:
+    def _in_shape_of(self, expression: Expression, like: Expression) -> str:
         """Text of an expression; one that depends on no state gets the shape of a state."""
         if self._depends_on_state(expression):
             return text(expression)
@@ -182,7 +186,7 @@ class Block:
             for symbol in expression.free_symbols
         )
 
-    def _shared(self, expressions: list[Expression]) -> list[Expression]:
+    def _with_common_names(self, expressions: list[Expression]) -> list[Expression]:
         """The expressions with names for functions and for what occurs several times, also in the definitions."""
         import sympy
 
@@ -212,16 +216,16 @@ class Block:
         new = expression.func(*(self._with_functions(part, named) for part in expression.args))
         half = sympy.Rational(1, 2)
         if new.is_Function:
-            return self._named_once(new, named)
+            return self._function_name(new, named)
         if not new.is_Pow or not new.exp.is_Rational or new.base.is_number:
             return new
         if new.exp.q == 2:
-            return self._named_once(sympy.sqrt(new.base), named) ** (new.exp / half)
+            return self._function_name(sympy.sqrt(new.base), named) ** (new.exp / half)
         if new.exp.is_Integer and abs(new.exp) > 1 and not new.base.is_Symbol:
-            return self._named_once(new.base, named) ** new.exp
+            return self._function_name(new.base, named) ** new.exp
         return new
 
-    def _named_once(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
+    def _function_name(self, expression: Expression, named: dict[Expression, Expression]) -> Expression:
         """The name of an expression, made from its text where that is short and it has none yet."""
         if expression not in named:
             kind = type(expression).__name__ if expression.is_Function else "sum"
@@ -234,14 +238,14 @@ class Block:
             named[expression] = self._new(name if short else f"{function}1")
         return named[expression]
 
-    def _needed(self, expression: Expression, done: set[Expression]) -> Iterator[str]:
+    def _definitions_for(self, expression: Expression, done: set[Expression]) -> Iterator[str]:
         """Lines that define the names in an expression that are not defined yet, in the order of need."""
         for symbol in sorted(expression.free_symbols, key=lambda s: s.name):
             if symbol in self.definitions and symbol not in done:
                 definition = self.definitions[symbol]
-                yield from self._needed(definition, done)
+                yield from self._definitions_for(definition, done)
                 done.add(symbol)
-                yield from _broken(f"{symbol.name} = ", text(definition))
+                yield from _statement(f"{symbol.name} = ", text(definition))
 
     def _text(self, name: str, doc: str, lines: Sequence[str]) -> str:
         """The function, with the unpacking of state and constants."""
@@ -254,14 +258,14 @@ class Block:
         return "\n".join([*head, *lines])
 
 
-def _broken(start: str, body: str) -> list[str]:
+def _statement(start: str, body: str) -> list[str]:
     """A statement of a function in one line, or in parentheses and several lines, a term or factor each."""
     if len(f"    {start}{body}") <= LINE_LENGTH:
         return [f"    {start}{body}"]
-    return [f"    {start}(", *_indented(body, ""), "    )"]
+    return [f"    {start}(", *_lines_in_parentheses(body, ""), "    )"]
 
 
-def _indented(body: str, end: str) -> list[str]:
+def _lines_in_parentheses(body: str, end: str) -> list[str]:
     """An expression in lines of eight blanks more, and its end; one line for each term if it is too long, or each factor."""
     pieces = [body]
     for operators in ((" + ", " - "), (" * ", " / ")):
@@ -275,8 +279,12 @@ def _indented(body: str, end: str) -> list[str]:
     return [f"        {piece}" for piece in pieces[:-1]] + [f"        {pieces[-1]}{end}"]
 
 
-def _returned(values: Sequence[str]) -> list[str]:
+def _return_statement(values: Sequence[str]) -> list[str]:
     line = f"    return ({values[0]},)" if len(values) == 1 else f"    return {', '.join(values)}"
     if len(line) <= LINE_LENGTH:
         return [line]
-    return ["    return (", *(line for value in values for line in _indented(value, ",")), "    )"]
+    return [
+        "    return (",
+        *(line for value in values for line in _lines_in_parentheses(value, ",")),
+        "    )",
+    ]

@@ -1,4 +1,4 @@
-"""What a page shows, as a table that JSON can hold."""
+"""Content of a page as a table for JSON."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     variable = data_variables(layout.system).get(name)
     registered = {} if variable is None or variable.flags is None else dict(variable.flags)
     sentences = registered if list(registered) == flags else {}
-    texts = cells.texts(layout.scene) if name == "regularity" else {}
+    texts = cells.regularity_texts(layout.scene) if name == "regularity" else {}
     table: dict[str, Any] = {
         "flags": [
             {
@@ -418,7 +418,7 @@ class Layout:
     problem: str  # why there is none, of an atlas that names one
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
-    further: list[str]  # the other dimensions
+    panel_dims: list[str]  # the other dimensions
     points: bool  # whether these are single points without axes
     notes: list[str]  # sentences about what is left out
 
@@ -430,7 +430,7 @@ class Layout:
     @property
     def n_maps(self) -> int:
         """Number of maps, one for each value of the further dimensions."""
-        return math.prod(self.ds.sizes[dim] for dim in self.further)
+        return math.prod(self.ds.sizes[dim] for dim in self.panel_dims)
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -444,8 +444,8 @@ class Layout:
 
     def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
         """Each map: the index of its points in an array over all points, and the part of the atlas that it shows."""
-        for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.further)):
-            along = dict(zip(self.further, index, strict=True))
+        for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.panel_dims)):
+            along = dict(zip(self.panel_dims, index, strict=True))
             yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
@@ -460,7 +460,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
-    """What a page shows: every k-th value of the longest axes, at most max_points; BadInput without axes."""
+    """Layout of a page: every k-th value of the longest axes, at most max_points; BadInput without axes."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (
@@ -474,19 +474,19 @@ def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     while np.prod([-(-size[dim] // stride[dim]) for dim in dims]) > max_points:
         longest = max(dims, key=lambda dim: -(-size[dim] // stride[dim]))
         stride[longest] += 1
-    shown = (ds.isel({POINT: slice(None, None, stride[POINT])}) if single else in_order(ds, stride)).load()
-    problem = scene_problem(ds, shown)
+    part = (ds.isel({POINT: slice(None, None, stride[POINT])}) if single else in_order(ds, stride)).load()
+    problem = scene_problem(ds, part)
     scene = None if problem else scene_of(ds)
-    longest_two = sorted(dims, key=lambda dim: -shown.sizes[dim])[:2]
-    axes = scatter_axes(shown, None, None) if single else [dim for dim in dims if dim in longest_two]
-    further = [] if single else [dim for dim in dims if dim not in axes]
+    longest_two = sorted(dims, key=lambda dim: -part.sizes[dim])[:2]
+    axes = scatter_axes(part, None, None) if single else [dim for dim in dims if dim in longest_two]
+    panel_dims = [] if single else [dim for dim in dims if dim not in axes]
     left_out: list[str] = []
     for dim, k in stride.items():
         if k > 1:
             ending = "th" if k % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(k % 10, "th")
             what = "point" if dim == POINT else f"value of {axis_label(ds, dim, unit=False)}"
             left_out.append(f"{k}{ending} {what}")
-    counts = f"{math.prod(shown.sizes[dim] for dim in dims)} of {math.prod(size.values())} points"
+    counts = f"{math.prod(part.sizes[dim] for dim in dims)} of {math.prod(size.values())} points"
     notes = [f"This page shows every {' and '.join(left_out)}: {counts}."] if left_out else []
     notes += [f"No theory in this page: {problem}"] if problem else []
-    return Layout(ds, shown, scene, problem, dims, axes, further, single, notes)
+    return Layout(ds, part, scene, problem, dims, axes, panel_dims, single, notes)

@@ -1,4 +1,4 @@
-"""What a page needs to integrate the points of an atlas: equations, start values, constants, steps."""
+"""Equations, start values, constants and steps with which a page integrates the points of an atlas."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # Both as in `kernel.ensemble.Ensemble`; of a body whose equations have no `axis_in_frame` the state is followed by
-    # the first axis of the frame.
+    # State and constants are as in `kernel.ensemble.Ensemble`; the first axis of the frame follows the state of a body whose
+    # equations have no `axis_in_frame`.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
@@ -51,18 +51,18 @@ def sources(system: System, method: str) -> dict[str, str]:
     equations = with_frame_vector(system.equations)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
-    chosen = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
-    queue = list(chosen.values())
+    result = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
+    queue = list(result.values())
     while queue:
         for node in ast.walk(ast.parse(queue.pop())):
-            if isinstance(node, ast.Name) and node.id in texts and node.id not in chosen:
-                chosen[node.id] = texts[node.id]
+            if isinstance(node, ast.Name) and node.id in texts and node.id not in result:
+                result[node.id] = texts[node.id]
                 queue.append(texts[node.id])
     for name in ("rhs", "unscaled"):
-        chosen[name] = simplify(chosen[name], (), {}, equations.ONES)
+        result[name] = simplify(result[name], (), {}, equations.ONES)
     lines = assemble.step_lines(METHODS[method])
-    chosen["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
-    return chosen
+    result["step"] = "\n    ".join(["def step(state, slope, constants):", *lines])
+    return result
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:

@@ -93,31 +93,31 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
     checks.choice("damaged: the attribute atlas_method", method, METHODS)
     script, fault = "", {}
     try:
-        # Its trajectories are those of the atlas but for rounding: kernels fuse products and sums, browsers do not.
+        # Trajectories differ from the atlas by rounding: kernels fuse products and sums, browsers do not.
         texts = sources(system, method)
         script = f"{translate(texts)}\nreturn {{{', '.join(f'{name}: {name}$' for name in texts)}}};"
     except CannotTranslate as error:
         fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
     count = max_points
     while True:
-        shown = page_layout(ds, count)
-        store = Store(shown.shape)
+        layout = page_layout(ds, count)
+        store = Store(layout.shape)
         try:
-            motions = fault or motion_table(shown, store)
+            motions = fault or motion_table(layout, store)
         except BadInput as error:
             motions = {"fault": f"No motions in this page: {error}"}
-        table = page_table(shown, store, motions, file)
+        table = page_table(layout, store, motions, file)
         if store.nbytes <= MAX_BYTES or count < 1000:
             break
         count = int(count * min(0.9, MAX_BYTES / store.nbytes))
-    return Page(_assembled(table, script, _fallback(shown)))
+    return Page(_assembled(table, script, _fallback(layout)))
 
 
-def _fallback(shown: Layout) -> str:
+def _fallback(layout: Layout) -> str:
     """A picture of the map for readers without scripts, as a data address."""
-    middle = {dim: float(shown.ds[dim][shown.ds.sizes[dim] // 2]) for dim in shown.further}
+    middle = {dim: float(layout.ds[dim][layout.ds.sizes[dim] // 2]) for dim in layout.panel_dims}
     buffer = io.BytesIO()
-    figure = atlas_map(shown.ds, map_variable(shown.whole), select=middle or None, width="page")
+    figure = atlas_map(layout.ds, map_variable(layout.whole), select=middle or None, width="page")
     with rc_context(STYLE):
         figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

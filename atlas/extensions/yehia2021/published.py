@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...analysis.published import expression, load, row
-from ...systems.base import Array, PublishedEquation
+from ...systems.base import Array
 from ...systems.gyrostat.motions import angular_velocity
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.plane import PlaneMotions
@@ -39,7 +39,7 @@ def random_point(rng: np.random.Generator) -> Point:
 
 
 def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """The point with further values: numbers, or expressions in what stands before them."""
+    """The point with further values: numbers, or expressions in the names before them."""
     point = dict(point)
     for name, value in values.items():
         point[name] = expression(name, str(value)).value(point) + np.zeros(1)
@@ -71,7 +71,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """By how much a true motion breaks the printed limits; as true, its residual."""
+    """Amount by which a true motion breaks the printed limits; of the true reading the residual of the motion."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)
@@ -116,11 +116,11 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
         cosine, sine = np.cos(angle), np.sin(angle)
         return np.array([cosine * alpha - sine * beta, sine * alpha + cosine * beta, gamma])
 
-    still, moving = axes(), axes(1e-30j).imag / 1e-30
-    w = -0.5 * np.cross(still, moving, axis=1).sum(0)  # e' = e x w for each axis e
+    values, rates = axes(), axes(1e-30j).imag / 1e-30
+    w = -0.5 * np.cross(values, rates, axis=1).sum(0)  # e' = e x w for each axis e
     texts = entry.get("inertial_true", entry["inertial"]) if reading == "true" else entry["inertial"]
     precession, spin = (expression(entry["number"], str(text)).value(point) for text in texts)
-    return float(np.abs(w - precession * still[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
+    return float(np.abs(w - precession * values[2] - spin * np.array([[0.0], [0.0], [1.0]])).max())
 
 
 # Lagrange's equations on theta = theta0, psi = psi0 + n t, phi = m t: (8)-(13), and section 4.2, n/m irrational.
@@ -172,7 +172,7 @@ def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return max(float(np.abs(expression("vanish", text).value(values)).max()) for text in entry["vanish"])
 
 
-# What no expression says: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
+# Measures without an expression: the Lagrangian, Lagrange's equations at any state, the determinant (43), the apex of a cone.
 
 
 def _free(rng: np.random.Generator) -> Point:
@@ -236,7 +236,7 @@ def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest difference of w' by Lagrange's equations, corrected, from that of the Euler-Poisson equations, over |w'|."""
+    """Largest difference of w' by Lagrange's equations, corrected, and by the Euler-Poisson equations, over |w'|."""
     p = with_values(_free(rng), entry.get(f"as_{reading}", {}))
     state = np.array(euler_state(p))
 
@@ -250,14 +250,14 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Share of the paper's true conditions whose motions satisfy the Euler-Poisson equations too, or what it lacks of 1."""
+    """Share of the paper's true conditions whose motions satisfy the Euler-Poisson equations too; of the true reading 1 less this share."""
     rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
     return float(share if reading == "printed" else 1 - share)
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from what it is at amplitude 0."""
+    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from its value at amplitude 0."""
     p = with_values(random_point(rng), entry["plane"])
     motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
     if "rho" in entry:
@@ -269,7 +269,7 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """What f^4 - P f^2 + Q lacks of 0 at the frequencies of the normal form of a random motion."""
+    """Largest |f^4 - P f^2 + Q| at the frequencies f of the normal form of a random motion."""
     p = with_values(random_point(rng), entry["normal_form"])
     rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
     form = NormalForm.of(*derivatives(rest, np.zeros(1, int)))
@@ -296,7 +296,7 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# By the key or the function of an entry: the measure (entry, reading, random generator); [measures] describes them.
+# Measure (entry, reading, random generator) by the key or the function of an entry; [measures] describes each.
 MEASURES = {
     "lagrangian": _lagrangian_error,
     "lagrange": _equation_of_motion,
@@ -318,11 +318,12 @@ MEASURES = {
 ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
 
 
-def _published(entry: Entry) -> PublishedEquation:
-    """The row of an entry of equations.toml."""
-    key = entry.get("function") or next(key for key in MEASURES if key in entry)
-    readings = partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")
-    return row(entry, readings, CONTENT["measures"].get(key, "").format(**entry))
-
-
-PUBLISHED = tuple(map(_published, ENTRIES.values()))
+PUBLISHED = tuple(
+    row(
+        entry,
+        (partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")),
+        CONTENT["measures"].get(key, "").format(**entry),
+    )
+    for entry in ENTRIES.values()
+    for key in [entry.get("function") or next(key for key in MEASURES if key in entry)]
+)

@@ -1,6 +1,6 @@
 """Written by scripts/tools/make_faces.py; do not edit."""
 from atlas.extensions.page.page import Page
-from atlas.plotting.style import Width
+from atlas.plotting.options import Width
 from collections.abc import Mapping
 from collections.abc import Sequence
 from matplotlib.axes import Axes

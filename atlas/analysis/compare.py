@@ -82,9 +82,9 @@ def _compared(ds: xr.Dataset) -> xr.Dataset:
         flags_of(ds, name, len(Label), "damaged, averaged or masked")
     ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
     label = ds["label"]
-    for name, array in ds.items():
-        if {*array.dims} != {*label.dims} or (name == "predicted" and array.dims != label.dims):
-            raise BadInput(f"label and {name} lie along different dimensions: not an atlas")
+    for variable, array in ds.items():
+        if {*array.dims} != {*label.dims} or (variable == "predicted" and array.dims != label.dims):
+            raise BadInput(f"label and {variable} lie along different dimensions: not an atlas")
     if not label.size:
         raise BadInput("label: has no values here: the dataset is empty")
     return ds

@@ -21,7 +21,6 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Mask
-from .options import MapOptions as MapOptions
 
 # Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -48,7 +48,7 @@ class _Handler(HandlerPatch):
 Legend.update_default_handler_map({Attitude: _Handler()})
 
 
-def samples(ds: xr.Dataset) -> dict[str, Callable[[str], Attitude]]:
+def samples(ds: xr.Dataset) -> Mapping[str, Callable[[str], Attitude]]:
     """Samples of legends by the flags of ends, with the attitude of an equilibrium where all points that end there have the same."""
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
     if not {END, *names} <= {*ds}:

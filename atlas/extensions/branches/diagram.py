@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 
 from ...errors import BadInput, allowed_text, shown
 from ...flags import BifurcationKind, StabilityKind
-from ...plotting.content import MapOptions
 from ...plotting.maps import Entries, Sheet
-from ...plotting.style import COLOURS, STYLE, SYMBOLS, Width, axis_label, variable_label
+from ...plotting.options import MapOptions, Width
+from ...plotting.style import COLOURS, STYLE, SYMBOLS, axis_label, variable_label
 from ...plotting.trajectory import Sphere
 
 Style = dict[str, Any]

@@ -1,4 +1,4 @@
-"""The package without one of its extensions."""
+"""The package with more or fewer extensions."""
 
 import pytest
 
@@ -6,15 +6,23 @@ from atlas import extension, variables
 from atlas.analysis import metadata
 from atlas.systems.base import derived_variables
 
-
-def forget():
-    """Clear what is kept of the extensions."""
-    for kept in (extension.parts, derived_variables, variables._registry, metadata._registered):
-        kept.cache_clear()
+KEPT = extension._found, extension.parts, derived_variables, variables._registry, metadata._registered
 
 
 @pytest.fixture
-def without():
+def forget():
+    """Function that clears what this process keeps of the extensions, called once more after the test."""
+
+    def clear():
+        for each in KEPT:
+            getattr(each, "cache_clear", lambda: None)()
+
+    yield clear
+    clear()
+
+
+@pytest.fixture
+def without(forget):
     """Function of a name: from then on the extension is not installed."""
     extensions, broken = extension._found()
     with pytest.MonkeyPatch.context() as patched:
@@ -26,4 +34,3 @@ def without():
             forget()
 
         yield hide
-    forget()

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
-NAMES = sorted(path.name for path in EXAMPLES.iterdir() if (path / "pyproject.toml").is_file())
+NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/*.toml") if path.stem == path.parent.name)
 
 
 def install(name, folder):

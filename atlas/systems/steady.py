@@ -242,17 +242,26 @@ class _Starts(NamedTuple):
                 p, q = np.where(at_ratio, a, p), np.where(at_ratio, b, q)
         nodes = 2 * degree * (p + q) + 1
         p, q = np.sign(n) * p, np.sign(m) * q
-        terms, size = self.rounding(axes), np.abs(n) + length(self.frame) + np.abs(m * s)
-        if derived:
-            error = length(terms) / length(self.acceleration) * np.fmax(np.abs(m / n), np.abs(n / m))
-            terms = terms * (1 + np.where(two & (error < MAX_ERROR), error, 0.0))
+        size = np.abs(n) + length(self.frame) + np.abs(m * s)
         steady = np.asarray((np.abs(self.rest(axes)[0]) <= ROUNDING * size).all(0))
+        terms = np.zeros_like(size)
         # From the last node back: there both phases have changed, which is enough for most.
         for j in range(1, nodes.max(initial=0) + 1):
-            at = np.flatnonzero(steady & (j <= nodes))
+            if not (at := np.flatnonzero(steady & (j <= nodes))).size:
+                break
             angle = -2 * np.pi * j / nodes[at]
             node, its_axes = self.subset(at).along(axes.subset(at), p[at] * angle, q[at] * angle)
-            steady[at] = (node.residual(its_axes) <= ROUNDING * terms[:, at]).all(0)
+            residual = node.residual(its_axes)
+            if j == 1:
+                passes = length(residual) <= GATE * self.bound[at] ** 2
+                steady[:], at, residual = False, at[passes], residual[:, passes]
+                start = self.subset(at)
+                terms[:, at] = start.rounding(axes.subset(at))
+                if derived:
+                    error = length(terms[:, at]) / length(start.acceleration)
+                    error *= np.fmax(np.abs(m / n), np.abs(n / m))[at]
+                    terms[:, at] *= 1 + np.where(two[at] & (error < MAX_ERROR), error, 0.0)
+            steady[at] = (residual <= ROUNDING * terms[:, at]).all(0)
         return steady
 
     def undamped(self, duration: Array) -> Array:

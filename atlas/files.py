@@ -23,9 +23,9 @@ from typing import Any
 from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
-# Free bytes, more than a tile, below which a write fails because the disk is full.
+# A write that fails with fewer free bytes than this, more than a tile, means a full disk.
 MIN_FREE_BYTES = 1 << 25
-# Limits for files from anyone: bytes of JSON, and bytes of numbers, above MIN_CLAIM, for each stored byte (compression: 3000).
+# Limits for files from anyone: bytes of JSON; beyond MIN_CLAIM, bytes of numbers for each stored byte (compression: 3000).
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
@@ -161,7 +161,7 @@ def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
 
 
 def check_claim(claimed: int, stored: int) -> None:
-    """Raise ValueError if a file claims so many bytes of numbers that its own cannot hold them."""
+    """Raise ValueError if a file claims more bytes of numbers than its own bytes can hold."""
     if claimed > max(MIN_CLAIM, MAX_RATIO * stored):
         raise ValueError(f"it claims {claimed:.3g} bytes of numbers, more than {stored} bytes can hold")
 

@@ -35,6 +35,10 @@ class Label(Flag):
     UNRESOLVED = 4, "not decided: see status"
 
 
+# Measured variables with values of `Label`: about the third axis, about any axis; in the system's frame, in inertial space.
+LABELS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial")
+
+
 class Steadiness(Flag):
     """Kind of motion of a system with observables, with numbers as in `Label`."""
 

@@ -98,8 +98,7 @@ def parser() -> argparse.ArgumentParser:
         studies.print_conditions,
         studies.run_stress_cases,
         scenes.list_kernels,
+        *extension.every("commands"),
     ):
-        each.add(commands)
-    for each in extension.every("commands"):
         each.add(commands)
     return top

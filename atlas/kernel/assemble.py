@@ -266,16 +266,8 @@ def _generated_functions(
     if of is integrate:
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
-        lines, row, first = [], 0, 0
-        for plug in plugs:
-            arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
-            if plug.add_node is None:
-                lines += _level_lines(equations, row, first, plug.sums)
-            else:
-                lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
-            row, first = row + plug.sums, first + plug.given
         signature = "plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants"
-        generated_lines[f"add_to_plugged({signature})"] = lines
+        generated_lines[f"add_to_plugged({signature})"] = _plugged_lines(equations, plugs)
     if of is tangent:
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
@@ -364,6 +356,19 @@ def _integral_lines(equations: ModuleType, name: str) -> list[str]:
     """Lines that assign the sum of a first integral's terms to `total`."""
     terms = _terms(equations, name)
     return [f"{', '.join(terms)}, = {name}(state, constants)", f"total = {' + '.join(terms)}"]
+
+
+def _plugged_lines(equations: ModuleType, plugs: Sequence[Plug]) -> list[str]:
+    """Lines that add a node to the sums of all instruments."""
+    lines, row, first = list[str](), 0, 0
+    for plug in plugs:
+        arguments = f"plugged, {row}, given, {first}, l, nodes, i, intervals, spacing, inverse_unit[l]"
+        if plug.add_node is None:
+            lines += _level_lines(equations, row, first, plug.sums)
+        else:
+            lines += ["for l in range(WIDTH):", f"    {plug.add_node.__name__}({arguments})"]
+        row, first = row + plug.sums, first + plug.given
+    return lines
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:

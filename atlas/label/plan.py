@@ -87,8 +87,7 @@ class Plan:
     @property
     def kernel_hash(self) -> str:
         """Hash of the kernel, and of the kernel with tangent vectors if there are any."""
-        sources = [specialization.source(self.system, self.settings.method, self.specialization, self.plugs)]
-        if self.has_chaos:
-            method = tangent.METHOD.name
-            sources.append(specialization.source(self.system, method, self.specialization, of=tangent))
-        return specialization.kernel_hash(*sources)
+        terms, source = self.specialization, specialization.source
+        kernel = source(self.system, self.settings.method, terms, self.plugs)
+        tangents = [source(self.system, tangent.METHOD.name, terms, of=tangent)] if self.has_chaos else []
+        return specialization.kernel_hash(kernel, *tangents)

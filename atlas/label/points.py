@@ -165,7 +165,7 @@ class _Labels:
 
     system: str
     settings: Settings
-    wanted: Collection[str] | None  # see `Plan.outputs`
+    variables: Collection[str] | None  # see `Plan.outputs`
     outputs: Sequence[str]  # variables that it returns
     names: Sequence[str]  # of the parameters
     duration: Duration | None  # in place of the last array
@@ -189,7 +189,7 @@ class _Labels:
         if self.warnings is not None:
             self.warnings.extend(_warnings(system, tile, self.duration or Duration()))
             log_warnings(self.warnings)
-        plan = Plan.of_points(system, self.settings, self.wanted, self.names)
+        plan = Plan.of_points(system, self.settings, self.variables, self.names)
         columns = _evaluate_in_tiles(plan, tile, self.outputs, self.threads, self.progress)
         results = tuple(columns[name].reshape(shape) for name in self.outputs)
         return results if len(results) > 1 else results[0]

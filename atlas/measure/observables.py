@@ -159,11 +159,11 @@ class Observables(MainInstrument):
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
         """Errors of the standard deviations: as large as those of the ranges of the observables."""
-        errors, measured = {}, run.measured
-        for name, size in sizes(run.system, measured).items():
-            spread = measured[f"{name}_max"] - measured[f"{name}_min"]
-            errors[f"{name}_std"] = relative * spread + ROUNDING * size
-        return errors
+        measured = run.measured
+        return {
+            f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"]) + ROUNDING * size
+            for name, size in sizes(run.system, measured).items()
+        }
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
         return self.errors(run, relative)
@@ -212,11 +212,9 @@ def whole_periods(
 
 def std_tolerances(system: System, settings: Any) -> dict[str, float]:
     """Largest standard deviation of each observable that counts as constant, in its unit."""
-    result = {}
-    for observable in system.observables:
-        default = settings.rate_tolerance if observable.tolerance is None else observable.tolerance
-        result[observable.name] = float((settings.std_tolerance or {}).get(observable.name, default))
-    return result
+    own, default = settings.std_tolerance or {}, settings.rate_tolerance
+    limits = {o.name: default if o.tolerance is None else o.tolerance for o in system.observables}
+    return {name: float(own.get(name, limit)) for name, limit in limits.items()}
 
 
 def label(measured: Measured, limits: Mapping[str, float]) -> Flags:

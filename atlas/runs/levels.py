@@ -20,6 +20,7 @@ import numpy as np
 from .. import extension
 from ..errors import BadInput
 from ..files import damaged_message, hash_of
+from ..flags import LABELS
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
 from ..store.tiling import MIN_POINTS_PER_TILE, Tiling
 from ..variables import variables
@@ -30,9 +31,7 @@ if TYPE_CHECKING:
 
 LEVELS, POINTS = "levels", "points.tile"
 # Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
-MEASURED = (
-    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "geometry", "status", "regularity",
-)  # fmt: skip
+MEASURED = (*LABELS, "geometry", "status", "regularity")
 MAX_VALUES = 32  # of integers without flags
 TILES_PER_LEVEL = 64  # if it has enough points, so that many processes can share it
 # Ascending flat indices of points in the finest grid, and their variables.

@@ -17,6 +17,12 @@ TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 
 
+def free_message(family: Family, name: str, where: str = "") -> str:
+    """Message about a parameter that is to be solved, and that the family leaves free."""
+    reason = f"the family {family.name} leaves it free{where}, every value is one"
+    return f"family.solve = {shown(name)}: {reason}; give it in [fixed], [axes] or [ties]"
+
+
 def solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
     """The points with the parameters of `solve` from the family's formulas, in that order."""
     result = dict(points)
@@ -61,10 +67,7 @@ def _with_values(
 def _check_not_free(family: Family, name: str, points: Points) -> None:
     """Raise BadInput if the points, which differ in one parameter, are all on the family, unless its motions fill regions."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
-        raise BadInput(
-            f"family.solve = {shown(name)}: the family {family.name} leaves it free here, every value is one;"
-            " give it in [fixed], [axes] or [ties]"
-        )
+        raise BadInput(free_message(family, name, " here"))
 
 
 def _failure_text(family: Family, points: Points) -> str:

@@ -20,6 +20,7 @@ from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .checks import checked
 from .expressions import Expression, PointColumn, Tie, evaluation_order
+from .family import free_message
 from .model import (
     DURATION_UNITS,
     SCHEMA,
@@ -334,10 +335,7 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
         raise BadInput(f"family.solve = {shown(solve)}: must be a list of parameter names")
     for parameter in solve:
         if parameter in family.free:
-            raise BadInput(
-                f"family.solve = {shown(parameter)}: the family {name} leaves it free, every value is one;"
-                " give it in [fixed], [axes] or [ties]"
-            )
+            raise BadInput(free_message(family, parameter))
         if parameter not in family.solve:
             raise BadInput(
                 f"family.solve = {shown(parameter)}: the family {name} cannot be solved for it;"

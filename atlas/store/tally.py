@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..flags import Label
+from ..flags import LABELS, Label
 
-COUNTED = (
-    "label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity", "status", "agreement", "computed",
-)  # fmt: skip
+COUNTED = (*LABELS, "regularity", "status", "agreement", "computed")
 # Groups of points with separate histograms of errors: drifting motions amplify errors, steady ones do not.
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
 # Histogram of errors: quarters of a decade from 1e-20 on.

@@ -165,11 +165,11 @@ class Tiles:
         return totals, dict(sorted(damaged.items()))
 
     def written(self) -> set[int]:
-        """Numbers of the tiles in the place."""
+        """Numbers of the written tiles."""
         return {int(match[1]) for name in self.place.walk() if (match := TILE.fullmatch(name))}
 
     def missing(self) -> list[int]:
-        """Numbers of the other tiles, in order."""
+        """Numbers of the missing tiles, ascending."""
         return sorted({*range(self.tiling.count)} - self.written())
 
     def is_written(self, tile: int) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..flags import Label
+from ..flags import LABELS, Label
 from ..kernel.statistics import RATES
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -56,7 +56,7 @@ def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | N
     full, half = (evaluate(plan, part, halved=halved, threads=threads) for halved in (False, True))
     # Points with a label at the full step and a different one, or none, at half the step.
     changed = np.zeros(indices.size, bool)
-    for name in ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial"):
+    for name in LABELS:
         if name in full:
             labelled = (full[name] != Label.NOT_COMPUTED) & (full[name] != Label.UNRESOLVED)
             changed |= labelled & (half[name] != full[name])

@@ -33,7 +33,7 @@ from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_stati
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
-# Most steps of a point at a level, which leaves others out.
+# A level leaves out points with more steps.
 MAX_STEPS = 10_000_000
 # Largest error of an accurate unsteadiness, relative to itself, or to the rate tolerance if that is larger.
 ACCURATE = 0.01
@@ -55,11 +55,8 @@ def stress(
     if isinstance(system, str):
         system = systems.get(system)
     own_cases = system.stress_cases() if cases is None else cases
-    parts, truths = [], []
-    for case in own_cases:
-        part = case_points(system, case)
-        parts.append(part)
-        truths.append(true_labels(system, part.points, part.duration, Settings(), part.truth, part.base))
+    parts = [case_points(system, case) for case in own_cases]
+    truths = [true_labels(system, p.points, p.duration, Settings(), p.truth, p.base) for p in parts]
     for case in generic_cases(system) if cases is None and not own_cases else ():
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())

@@ -400,16 +400,12 @@ labels wrong: labels that differ from the reference's, of those compared (upper 
 drift: largest relative change of a first integral; order: observed from the level before
 <=: the value is the uncertainty of the reference; *: the scene's own setting"""
 
-MEASURED = {
-    "rates": "rates: median error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound",
-    "observables": "observables: median error of the least accurate statistic of an observable, over its largest magnitude",
-}
-
 
 def report(ds: xr.Dataset) -> str:
     """The study as plain text: header, table of the levels, table of the statistics, advice."""
     rows = summary(ds)
-    legend = LEGEND.format(measured=MEASURED[ds.attrs["measured"]])
+    worst = attribute_text(ds["error_rates"].attrs, "long_name")
+    legend = LEGEND.format(measured=f"{ds.attrs['measured']}: median {worst}")
     exact, uncertainty = int(ds["reference_exact"].sum()), ds["reference_error"].values
     lines = [
         f"{attribute_text(ds.attrs, 'title')}: {ds.sizes['sample']} of {ds.attrs['atlas_points']} points;"

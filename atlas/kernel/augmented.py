@@ -24,7 +24,7 @@ import numpy as np
 
 from ..systems import arithmetic
 from ..systems.base import Array
-from .differentiate import PREFIX, differential, parsed, simplify
+from .differentiate import PREFIX, differential, function_tree, simplify
 
 # Names under which `with_losses` keeps the functions `scaled` and `unscaled` of the motion alone.
 SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
@@ -34,7 +34,7 @@ def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, 
     """Names of the functions of the losses that are not 0, by first integral."""
     sources, losses = arithmetic.functions(equations), {}
     for integral, function in getattr(equations, "LOSSES", {}).items():
-        match parsed(simplify(sources[function], zero, equal)).body[-1]:
+        match function_tree(simplify(sources[function], zero, equal)).body[-1]:
             case ast.Return(value=ast.Constant(value=0)):
                 pass
             case _:
@@ -108,7 +108,7 @@ def _with_states(
     for name, text in sources.items():
         if name in ("scaled", "unscaled"):
             continue
-        function = parsed(text)
+        function = function_tree(text)
         for statement in function.body:
             match statement:
                 case ast.Assign(targets=[ast.Tuple(elts=elements)], value=ast.Name(id="state")):

@@ -29,7 +29,7 @@ _DERIVATIVES = {
 }
 
 
-def parsed(text: str) -> ast.FunctionDef:
+def function_tree(text: str) -> ast.FunctionDef:
     """Syntax tree of the source of a function."""
     function = ast.parse(text).body[0]
     assert isinstance(function, ast.FunctionDef)
@@ -42,7 +42,7 @@ def differential(text: str, name: str) -> str:
     The text assigns names, or tuples of them, and returns a tuple. It consists of + - * / **, powers with
     exponents that do not depend on the state, and `systems.arithmetic.FUNCTIONS`; else ValueError.
     """
-    function = parsed(text)
+    function = function_tree(text)
     active: set[str] = set()  # names that depend on the state
     body: list[ast.stmt] = []
     for statement in function.body:
@@ -72,7 +72,7 @@ def differential(text: str, name: str) -> str:
                 pass
             case _:
                 raise ValueError(f"{function.name} cannot be differentiated: {ast.unparse(statement)}")
-    arguments = parsed("def _(state, constants, change): pass").args
+    arguments = function_tree("def _(state, constants, change): pass").args
     new = ast.FunctionDef(name, arguments, body, [], lineno=1)
     return ast.unparse(ast.fix_missing_locations(ast.Module([new], [])))
 

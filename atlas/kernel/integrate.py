@@ -87,7 +87,7 @@ def motion_of(state, constants, inverse_unit):
 
 
 def motion_change_of(state, constants, slope, inverse_unit):
-    """Time derivative of the motion, given the state's."""
+    """Time derivative of the motion, from the slope of the state."""
     u1, u2, u3, g1, g2, g3 = frame_motion_change(state, constants, slope)
     return u1 * inverse_unit, u2 * inverse_unit, u3 * inverse_unit, g1, g2, g3
 

@@ -149,7 +149,7 @@ def load(source: str) -> ModuleType:
 
 
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """Run the functions that `integrate` calls, whose decorators take a tenth of a second, or else the rest of a kernel."""
+    """Execute the source of the callees of `integrate`, whose decorators take a tenth of a second, or else the rest of it."""
     body = [
         node
         for name, node, _ in _statements(source)
@@ -206,7 +206,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
 
 
 def _at_level(level: tuple[int, int], compile_function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile a function with this level of optimisation and of vectorisation, maybe during the compilation of another."""
+    """Compile a function, also within the compilation of another one, at this level of optimisation and of vectorisation."""
     config: Any = numba.config
     with global_compiler_lock:
         before = config.OPT, config.LOOP_VECTORIZE

@@ -200,7 +200,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         # Measured errors decide the status only where all points have them, so that it does not depend on the sample.
         is_numeric = run.system.has_numeric_bound
         every = is_numeric or run.settings.check_half_step == "all"
-        sample = np.flatnonzero(usable & (every or _sampled(run)))
+        sample = np.flatnonzero(usable & (every or _sample(run)))
         if sample.size:
             # The second run has fewer steps: its overflow could change a label as well.
             part, expected = run.subset(sample), error[sample]
@@ -228,7 +228,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         return np.fmax(error, run.measured["integral_drift"]), step_sensitive
 
 
-def _sampled(run: Run) -> Mask:
+def _sample(run: Run) -> Mask:
     """One point in POINTS_PER_HALF_STEP, by a hash of the point; none unless the settings ask for a sample."""
     if run.settings.check_half_step != "sample":
         return np.zeros(run.ensemble.size, bool)

@@ -23,7 +23,7 @@ def free_message(family: Family, name: str, where: str = "") -> str:
     return f"family.solve = {shown(name)}: {reason}; give it in [fixed], [axes] or [ties]"
 
 
-def solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
+def solution(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
     """The points with the parameters of `solve` from the family's formulas, in that order."""
     result = dict(points)
     for name in solve:
@@ -34,15 +34,15 @@ def solved(family: Family, solve: Sequence[str], points: Points) -> dict[str, Ar
 def check_solution(family: Family, solve: Sequence[str], base: Points, *, exists: bool) -> None:
     """Raise BadInput if the family leaves a solved parameter free at some points, or does not exist at any of them."""
     with np.errstate(all="ignore"):
-        solution = solved(family, solve, base)
+        points = solution(family, solve, base)
         for i, name in enumerate(solve):
-            if np.isfinite(solution[name]).any():
-                values = solution[name] + TRIAL_CHANGES
-                _check_not_free(family, name, _with_values(family, solve[:i], solution, name, values))
+            if np.isfinite(points[name]).any():
+                values = points[name] + TRIAL_CHANGES
+                _check_not_free(family, name, _with_values(family, solve[:i], points, name, values))
             else:
                 values = np.zeros_like(base[name]) + TRIAL_VALUES
                 trials = _with_values(family, solve[:i], base, name, values)
-                trials = solved(family, solve[i + 1 :], trials)
+                trials = solution(family, solve[i + 1 :], trials)
                 _check_not_free(family, name, trials)
                 best = trials[name].flat[np.argmin(on_family(family, trials))]
                 limits = f"; its limits: {family.exists}" if family.exists else ""
@@ -52,7 +52,7 @@ def check_solution(family: Family, solve: Sequence[str], base: Points, *, exists
                 )
         if not exists:
             raise BadInput(
-                f"family.name = {shown(family.name)}: {_failure_text(family, solution)} at the nearest point of the scene"
+                f"family.name = {shown(family.name)}: {_failure_text(family, points)} at the nearest point of the scene"
             )
 
 
@@ -61,7 +61,7 @@ def _with_values(
 ) -> dict[str, Array]:
     """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
-    return solved(family, solve, repeated) | {name: values}
+    return solution(family, solve, repeated) | {name: values}
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:

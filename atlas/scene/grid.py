@@ -27,7 +27,7 @@ from ..systems.base import (
 )
 from .checks import check_range
 from .family import ON_FAMILY as ON_FAMILY
-from .family import check_solution, solved
+from .family import check_solution, solution
 from .model import Duration, Scene
 
 # Most points of a tile: a constant, so that results never depend on the tiles.
@@ -85,7 +85,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # One number in memory for all points, but an array for ties: NumPy rounds some powers otherwise with a scalar exponent.
+    # Constants are one number in memory for all points, except in ties: NumPy rounds powers with one exponent otherwise.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -124,7 +124,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
         no_motion = no_value
         if scene.family is not None:
             family = system.families[scene.family]
-            base = solved(family, scene.solve, base)
+            base = solution(family, scene.solve, base)
             exists = on_family(family, base) < ON_FAMILY
             possible = possible_body(system, base)
             for name in scene.solve:

@@ -259,7 +259,7 @@ def _final_and_range(
 ) -> tuple[Array, Array, Array] | None:
     """States and sums after the unit of time, and the range of some values; None if a step fails.
 
-    values_along: values at states (states, points, instants), and their derivatives per time unit, for cubics in every step.
+    values_along: gives the values at states (states, points, instants), and their derivatives per time unit.
     """
     states, size = start.shape
     # The quadratures follow the steps of the states and shorten them only where a rate has a peak.

@@ -74,12 +74,12 @@ def _compared(ds: xr.Dataset) -> xr.Dataset:
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
         )
-    for name in ("label", "predicted"):
-        if name not in ds:
+    for flags in ("label", "predicted"):
+        if flags not in ds:
             raise BadInput(
-                f"{name}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
+                f"{flags}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
             )
-        flags_of(ds, name, len(Label), "damaged, averaged or masked")
+        flags_of(ds, flags, len(Label), "damaged, averaged or masked")
     ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
     label = ds["label"]
     for variable, array in ds.items():

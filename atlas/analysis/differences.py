@@ -19,7 +19,10 @@ from ..variables import main_instrument
 from .compare import confusion, place
 from .metadata import flag_names, flags_of, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
 
-OVER_BOUND = (*RATES, *circle.RATES)  # variables whose errors count over the bound of the fastest frequency
+OVER_BOUND = (
+    *RATES,
+    *circle.RATES,
+)  # variables whose error is relative to the bound of the fastest frequency
 
 
 def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:

@@ -61,7 +61,7 @@ def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Strongest lines of a motion; signal and frequency, or 0, of the fastest line that its samples miss."""
+    """Strongest lines of a motion, and the fastest line that its samples miss: signal and frequency, 0 if there is none."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     dims, shape = ("signal", "line"), (len(columns), lines)

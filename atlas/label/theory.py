@@ -148,7 +148,9 @@ class Theory:
         prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
-        max_residual = np.fmin(np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step), FAMILY_TOLERANCE)
+        max_residual = np.fmin(
+            np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step), FAMILY_TOLERANCE
+        )
         exact = ~prediction.pushed if plan.nudged else prediction.start_residual <= max_residual
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
         about_vertical = system.growth_about_vertical(tile.points) * tile.duration

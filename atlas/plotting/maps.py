@@ -88,9 +88,19 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
     panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
     if name == "regularity":
         options = replace(options, labels={**cells.regularity_texts(scene), **(options.labels or {})})
-    drawing = Drawing.of(plane, array, options, edges, log)
-    flags = {} if drawing.is_curve else options.flag_colours(array)
-    entries, notes = map_legend(panels, flags, options, drawing.families, samples)
+    flags = options.flag_colours(array)
+    drawing = Drawing(
+        name=name,
+        label=options.text(name, variable_label(array)),
+        edges=edges,
+        log=log,
+        scale=cells.color_scale(array, options),
+        exponents=cells.exponent_scale(plane, name) if len(dims) == 2 else None,
+        flags={options.text(flag, flag.replace("_", " ")): colour for flag, colour in flags.items()},
+        levels=np.unique(array.values.astype(int)).tolist() if flags else [],
+        families=list(system_of(ds).families),
+    )
+    entries, notes = map_legend(panels, {} if drawing.is_curve else flags, options, drawing.families, samples)
     notes += remarks(ds, filled=not drawing.flags)
     if options.caption:
         notes.append(caption(nearest_on_axes(ds, select)))
@@ -123,25 +133,6 @@ class Drawing:
     flags: Mapping[str, str]  # text of each flag -> its colour, in the order of the values; empty for numbers
     levels: list[int]  # values of the flags that occur
     families: list[str]  # of the system, in the order of their flags
-
-    @staticmethod
-    def of(
-        plane: xr.Dataset, array: xr.DataArray, options: MapOptions, edges: list[np.ndarray], log: list[bool]
-    ) -> Drawing:
-        """The drawing of the values of a variable in all panels."""
-        name = str(array.name)
-        colours = options.flag_colours(array).items()
-        return Drawing(
-            name=name,
-            label=options.text(name, variable_label(array)),
-            edges=edges,
-            log=log,
-            scale=cells.color_scale(array, options),
-            exponents=cells.exponent_scale(plane, name) if len(edges) == 2 else None,
-            flags={options.text(flag, flag.replace("_", " ")): colour for flag, colour in colours},
-            levels=np.unique(array.values.astype(int)).tolist() if colours else [],
-            families=list(system_of(plane).families),
-        )
 
     @property
     def is_curve(self) -> bool:
@@ -222,7 +213,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions, samples: Sample
         plotnonfinite=False,
     )  # fmt: skip
     for which, column in zip("xy", columns, strict=True):
-        # Logarithmic for positive values whose logarithms are spread more evenly than themselves.
+        # Positive values get a logarithmic axis if it spreads them more evenly.
         log = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
         log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
         cells.set_axis(ax, which, log, inner=False)

@@ -127,7 +127,7 @@ class MapOptions:
         return self.size if self.size is not None else (WIDTHS[self.width], None)
 
     def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
-        """Raise BadInput for options that a variable over some axes does not have."""
+        """Raise BadInput for options that do not suit a variable over some axes."""
         from ..analysis.metadata import flag_names
 
         flags = flag_names(array)

@@ -208,7 +208,7 @@ def _change_by_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[F
 
 
 def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[FastSpin], Any]) -> Array:
-    """h'' + f^2 h - 1 at a random time, for 1/f times the integral h of 1 with the kernel sin(w (tau - t1))."""
+    """h'' + f^2 h - 1 at a random time; h is the integral of sin(w (tau - t1)) / f over t1 from 0 to tau."""
     (f, w), tau = frequencies(spin), rng.uniform(0.5, 5.0)
     return (w * np.cos(w * tau) + f**2 * (1 - np.cos(w * tau)) / w) / f - 1
 

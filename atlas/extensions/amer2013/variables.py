@@ -26,7 +26,7 @@ def _errors(form: str) -> dict[str, DerivedVariable]:
     suffix = "" if form == "true" else f"_{form}"
     names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
 
-    def together(
+    def compute_group(
         _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
     ) -> dict[str, Array]:
         from . import fast_spin, published
@@ -49,7 +49,7 @@ def _errors(form: str) -> dict[str, DerivedVariable]:
         (names[0], "rad", f"largest error of gamma {text}"),
         (names[1], "1", f"largest error of p + i q {text}, over its largest magnitude"),
     )
-    return {row[0]: DerivedVariable.of_group(together, *row, comment, check=check) for row in rows}
+    return {row[0]: DerivedVariable.of_group(compute_group, *row, comment, check=check) for row in rows}
 
 
 def periodic_solutions(system: System) -> dict[str, DerivedVariable]:
@@ -58,7 +58,7 @@ def periodic_solutions(system: System) -> dict[str, DerivedVariable]:
         return {}
     names = "periodic_stability", "periodic_period", "periodic_trace"
 
-    def together(
+    def compute_group(
         _: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
     ) -> dict[str, NDArray[Any]]:
         from .periodic import of_points
@@ -83,6 +83,6 @@ def periodic_solutions(system: System) -> dict[str, DerivedVariable]:
         (names[2], "1", f"rho + 1/rho {text}, rho the multiplier that is not 1"),
     )
     return {
-        row[0]: DerivedVariable.of_group(together, *row, comment, check=check, flags=flags.get(row[0]))
+        row[0]: DerivedVariable.of_group(compute_group, *row, comment, check=check, flags=flags.get(row[0]))
         for row in rows
     }

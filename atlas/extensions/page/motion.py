@@ -111,7 +111,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     steps = steps_between_instants(settings, count, finite, SAMPLES - 1)
 
     def shaped(values: np.ndarray) -> np.ndarray:
-        """An array with the points along its last axis, over their dimensions."""
+        """An array whose last axis, the points, is split into their dimensions."""
         return values.reshape(*values.shape[:-1], *sizes.values())
 
     return Motions(

@@ -1,5 +1,10 @@
 """The fast-spin solution against the equations of motion: its order, and the errors of the printed one."""
 
+import re
+import tomllib
+from importlib import resources
+from string import Formatter
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -314,6 +319,19 @@ def test_the_claims_of_the_paper_have_their_verdicts():
     assert "exact periodic solution is stable with the paper's data" in judged[6].measured
     assert "rho + 1/rho = 2.201" in judged[6].measured
     assert "1.37 |mu/Omega| at most as printed, < 1e-9" in judged[9].measured
+
+
+def test_every_claim_has_a_measure_all_of_whose_values_are_in_its_text():
+    text = resources.files(claims.__package__).joinpath("claims.toml").read_text("utf-8")
+    entries, rows = tomllib.loads(text), claims.figure_table((0.0, 20.0))
+    assert entries.keys() == claims.MEASURES.keys()
+    for name, measure in claims.MEASURES.items():
+        names = {
+            re.match(r"\w+", field)[0]
+            for _, field, *_ in Formatter().parse(entries[name]["measured"])
+            if field
+        }
+        assert measure(rows)[1].keys() == names, name
 
 
 @pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)

@@ -34,7 +34,7 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """Flags of at most `points` points of a grid for several values of settings; `label_change` names the settings that change any.
+    """Flags of at most `points` points of a grid for several values of settings; `label_change`: which settings change any.
 
     Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; changes are in the direction of VARIED.
     """

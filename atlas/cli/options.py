@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..files import check_name, without_suffix
+from ..plotting.options import FORMATS as FIGURES
 from ..scene.text import read_text
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
-FIGURES = (".png", ".pdf", ".svg")
 FILES = (*FIGURES, ".nc", ".csv")
 
 Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE

@@ -21,8 +21,8 @@ from matplotlib.mathtext import MathTextParser
 from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import atomic_write, writable
+from .options import FORMATS
 
-FORMATS = (".png", ".pdf", ".svg")
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
     "font.family": [FONT],

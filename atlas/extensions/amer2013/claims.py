@@ -281,7 +281,7 @@ def _phase_planes(rows: Sequence[Row]) -> Judgement:
     growth = float(np.sqrt(np.maximum(0, -((1 + slow.A1) ** 2) - 4 * slow.eps**2 * pull)) / 2)
     same = abs(float(published.frequency_squared(slow) / published.frequency_squared(spin)) - 1) < 1e-14
     # A fast body with a rotor, l1 = l2 = l3 = A r0 / 10, whose multipliers are real
-    band = FastSpin.of(1.0, 0.8, 0.8 / 0.352, 0.0, 10.0, 10.0, 10.0, 100.0, 0.352).of_shape((1,))
+    band = FastSpin(1.0, 0.8, 0.8 / 0.352, 0.0, 10.0, 10.0, 10.0, 100.0, 0.352).of_shape((1,))
     exact = periodic.solutions(band)
     same &= bool(published.frequency_squared(band)[0] > 0)
     stable = all(row.stability == "stable" for row in periodic_table())
@@ -301,12 +301,12 @@ def _singularity(rows: Sequence[Row]) -> Judgement:
     printed, true, errors = list[float](), list[float](), list[float]()
     for distance in (1e-2, 1e-4, 1e-6):
         l3 = A * r0 * (A1**2 - 1 + distance) / (2 * A1)  # omega'^2 = 1 - distance
-        spin = FastSpin.of(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
+        spin = FastSpin(A, A * (1 + A1), 1.0, 1.0, 0.0, 0.0, l3, r0, 0.5)
         printed.append(float(published.coefficients(spin)["chi1"] / spin.G0))
         true.append(float(spin.chi1 / spin.G0))
     tau = np.linspace(0, 2 * np.pi, 41)
     for Omega in (1 / 3, 0.5, 1.0, 2.0, 3.0):
-        spin = FastSpin.of(A, 1.5, 1.0, 1.0, 0.5, 0.5, A * r0 * (Omega - 0.5), r0, 0.5)
+        spin = FastSpin(A, 1.5, 1.0, 1.0, 0.5, 0.5, A * r0 * (Omega - 0.5), r0, 0.5)
         y = first_order(spin, tau)
         errors.append(float(np.abs(y - integrate(spin, y[:, 0], tau)).max() / spin.eps**2))
     values = {"printed": _list(printed, 3), "true": _list(true, 3), "error": max(errors)}
@@ -317,7 +317,7 @@ def _limiting_case(N: float, l3: float, r0: float) -> FastSpin:
     """The body A < C with l1 = l2 = 0, at its weight on the ground: with the paper's, rounding hides the errors."""
     A, C = PAPER_BODIES["A < C"]
     weight = PAPER_DATA["M"] * PAPER_DATA["z0"] * 9.81
-    return FastSpin.of(A, C, weight, N, 0.0, 0.0, l3, r0, PAPER_DATA["gamma0"])
+    return FastSpin(A, C, weight, N, 0.0, 0.0, l3, r0, PAPER_DATA["gamma0"])
 
 
 def _errors_of_33(spin: FastSpin) -> Array:

@@ -38,15 +38,15 @@ PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "g
 class FastSpin:
     """A body of the paper and its numbers (4), (5), (10), (30), numbers or arrays; BadInput where a formula is undefined."""
 
-    A: Array  # = B, kg m2
-    C: Array  # kg m2
-    weight: Array  # Mg z0, N m
-    N: Array  # s-2
-    l1: Array  # N m s
-    l2: Array
-    l3: Array
-    r0: Array  # rad s-1
-    gamma0: Array  # gamma0'' = cos theta0
+    A: Any  # = B, kg m2; all are numbers or arrays, and become arrays
+    C: Any  # kg m2
+    weight: Any  # Mg z0, N m
+    N: Any  # s-2
+    l1: Any  # N m s
+    l2: Any
+    l3: Any
+    r0: Any  # rad s-1
+    gamma0: Any  # gamma0'' = cos theta0
 
     @np.errstate(all="ignore")
     def __post_init__(self) -> None:
@@ -79,11 +79,6 @@ class FastSpin:
         self.G0 = self.z / self.a - self.k * self.A1
         self.chi1, self.nu = -self.G0 / (1 + self.Omega), 1 / (1 + self.Omega)
         self.M3 = np.sqrt(1 - self.gamma0**2) / self.gamma0  # tan theta0, (30)
-
-    @classmethod
-    def of(cls, *values: Any) -> FastSpin:
-        """The body of numbers or arrays, in the order of the fields."""
-        return cls(*values)
 
     def of_shape(self, shape: tuple[int, ...]) -> FastSpin:
         """The body with all fields broadcast to one shape."""
@@ -256,7 +251,7 @@ def paper_body(name: str, rotor: float | Array) -> FastSpin:
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
     N = 3 * d["lambda"] / d["R"] ** 3
-    return FastSpin.of(A, C, weight, N, rotor, rotor, rotor, d["r0"], d["gamma0"])
+    return FastSpin(A, C, weight, N, rotor, rotor, rotor, d["r0"], d["gamma0"])
 
 
 def paper_start(spin: FastSpin) -> Array:
@@ -277,7 +272,7 @@ def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:
         "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
         "r0": rng.uniform(4, 8), "gamma0": rng.uniform(0.3, 0.7),
     }  # fmt: skip
-    return FastSpin.of(*(values | given).values())
+    return FastSpin(*(values | given).values())
 
 
 def paper_spin(rng: np.random.Generator) -> FastSpin:

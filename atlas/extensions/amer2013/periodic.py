@@ -118,7 +118,7 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
         target = np.minimum(share + step, 1)[active]
         length, before = target - share[active], x[:, active]
         guess = before + slope[:, active] * length
-        part = FastSpin.of(*(getattr(spin, name)[active] for name in spin.__dataclass_fields__))
+        part = FastSpin(*(getattr(spin, name)[active] for name in spin.__dataclass_fields__))
         after, defect = correct(replace(part, weight=target * part.weight, N=target * part.N), guess, 4)
         accepted = (defect < DEFECT) & (np.abs(after - guess) < LARGEST_CORRECTION).all(0)
         x[:, active] = np.where(accepted, after, before)

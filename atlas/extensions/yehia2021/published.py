@@ -250,7 +250,7 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Share of the paper's true conditions whose motions satisfy the Euler-Poisson equations too; of the true reading 1 less this share."""
+    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; as true 1 less this share."""
     rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
     return float(share if reading == "printed" else 1 - share)

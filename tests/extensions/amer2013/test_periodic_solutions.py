@@ -19,7 +19,7 @@ def gyrostats(eps, rotor, C, z0=1.0, N=0.0, gamma0=0.352):
         np.ravel(x).astype(float) for x in np.broadcast_arrays(*map(np.atleast_1d, (eps, rotor, C, z0, N)))
     )
     momentum, one = rotor / eps, np.ones_like(eps)
-    return fast_spin.FastSpin.of(
+    return fast_spin.FastSpin(
         one, C, z0 * C / gamma0, N, momentum, momentum, momentum, 1 / eps, gamma0
     ).of_shape(eps.shape)
 
@@ -43,7 +43,7 @@ def orbits():
 
 def case(i):
     """The body of a case."""
-    return fast_spin.FastSpin.of(*(getattr(SPINS, name)[i] for name in SPINS.__dataclass_fields__))
+    return fast_spin.FastSpin(*(getattr(SPINS, name)[i] for name in SPINS.__dataclass_fields__))
 
 
 def in_dimensions(spin):
@@ -146,7 +146,7 @@ def test_without_a_transverse_rotor_it_is_the_regular_precession(C, z0, N):
     """Rate, period and nutation frequency in closed form, up to the spin at which the precession ends."""
     eps = np.array([0.05, 0.2, 0.3])
     spin = gyrostats(eps, 0.1, C, z0, N)
-    spin = fast_spin.FastSpin.of(
+    spin = fast_spin.FastSpin(
         *(getattr(spin, f) * (f not in ("l1", "l2")) for f in spin.__dataclass_fields__)
     )
     reached = periodic.solutions(spin)
@@ -163,7 +163,7 @@ def test_an_upright_top_has_the_solution_while_its_precession_exists():
     """(C r0 + l3)^2 > 4 A Mg |z0| cos theta0, without a transverse rotor."""
     limit = np.sqrt((0.7 + 0.1) ** 2 / (4 * 0.7))  # at a tilt for which no nutation is in resonance before
     spin = gyrostats(limit * np.array([0.9, 0.98, 1.02, 1.1]), 0.1, 0.7, -1.0, gamma0=0.95)
-    spin = fast_spin.FastSpin.of(
+    spin = fast_spin.FastSpin(
         *(getattr(spin, f) * (f not in ("l1", "l2")) for f in spin.__dataclass_fields__)
     )
     reached = periodic.solutions(spin).stability != PeriodicSolution.NOT_REACHED

@@ -76,8 +76,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line that is too fast for the samples appears at another frequency, or as a constant; its ratio to the derivative
-        # has the true frequency. The frequency of a line as weak as errors counts as true.
+        # A line that is too fast for the samples appears at another frequency, or as a constant; the ratio of
+        # its derivative to it has the true frequency. The frequency of a line as weak as errors counts as true.
         candidates = [*line_frequencies, 0.0]
         fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()

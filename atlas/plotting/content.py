@@ -168,7 +168,7 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
 
 
 def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
-    """Sentences about values that were not computed at their own point, if gaps are filled, or not yet."""
+    """Sentences under a map: on gaps that are filled with the nearest values, and on an unfinished run."""
     tiles = tiles_done(ds)
     sentences = []
     if filled and "computed" in ds:

@@ -148,7 +148,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
                 group = "theory"
             lines = (
                 "inertial" if name.endswith("_inertial") else "frame"
-            )  # of theory, which belong on the map
+            )  # kind of lines of theory on its map
             texts = {
                 "name": name,
                 "label": text_runs(label),
@@ -384,7 +384,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Type in JavaScript, size and data of each array: in base64, by zlib, all first bytes first."""
+        """Type in JavaScript, size and data of each array: first bytes of all numbers first, by zlib, in base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))

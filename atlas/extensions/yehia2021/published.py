@@ -211,7 +211,7 @@ def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
 
 
 def determinant_quotient(angles: Array) -> float:
-    """The determinant of (43) over the product of sines on its right, which is to be c_*."""
+    """The determinant of (43) over the product of sines on its right, c_* by the paper."""
     columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
     pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
     return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
@@ -257,7 +257,7 @@ def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of the pitch and its rate by elliptic functions, by differences, or of rho from its value at amplitude 0."""
+    """Largest error of pitch and rate by elliptic functions, by differences, or of rho against its value at amplitude 0."""
     p = with_values(random_point(rng), entry["plane"])
     motion = PlaneMotions.of(SATELLITE.body(p), *SATELLITE.start(p))
     if "rho" in entry:

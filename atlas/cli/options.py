@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..files import check_name, without_suffix
-from ..plotting.options import FORMATS as FIGURES
+from ..plotting.options import FORMATS
 from ..scene.text import read_text
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
+FIGURES = FORMATS
 FILES = (*FIGURES, ".nc", ".csv")
 
 Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE

@@ -172,8 +172,8 @@ def _generating(rng: np.random.Generator, entry: Entry) -> Values:
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
     """Two states given by their variables at several eps, k and the rotor the same, and p2'', gamma2'' of the motion."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
-    C, gamma0, rotor = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
-    spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), *rotor, 1 / eps, gamma0).of_shape(eps.shape)
+    C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
+    spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
     x0, x = rng.normal(size=(2, 4, 1)) * np.ones(eps.size)
     y = of_variables(spin, x, of_variables(spin, x0))
     rate = fast_spin.rhs(spin, y)

@@ -21,7 +21,7 @@ from ..variables import variables
 from .metadata import axes_of, flag_values, is_logarithmic, resolved_scene, scene_of, system_of
 from .plane import IN_SPACE, Plane, Theory
 from .select import plane_of
-from .tracer import Classes, Lines, cached_lines, class_borders, contours, crossings, values_at
+from .tracer import Classes, Lines, cached_lines, class_borders, contours, crossings, on_axes, values_at
 
 
 def boundary(
@@ -107,26 +107,15 @@ class Kind(NamedTuple):
     rate: str = ""  # which is 0 on the line
 
 
-def _by_stability(theory: Theory, frame: str, nudged: bool) -> np.ndarray:
-    return np.where(theory.exists, theory.stable, Stability.UNKNOWN)
-
-
-def _by_existence(theory: Theory, frame: str, nudged: bool) -> np.ndarray:
-    return np.where(theory.exists, 1, 2)
-
-
-def _by_label(theory: Theory, frame: str, nudged: bool) -> np.ndarray:
-    label, _ = theory.frames[frame]
+def _labels(theory: Theory, frame: str, nudged: bool) -> np.ndarray:
     sides = Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION
-    return np.select([theory.exists & (label == side) for side in sides], [1, 2], 0)
+    return np.select([theory.exists & (theory.frames[frame][0] == side) for side in sides], [1, 2], 0)
 
 
-def _by_rate(name: str, theory: Theory, frame: str, nudged: bool) -> np.ndarray:
+def _signs(rate: str, theory: Theory, frame: str, nudged: bool) -> np.ndarray:
     """Signs of a rate of regular precessions; a nudged unstable motion has no label of its own, so that no line divides it."""
-    label, rates = theory.frames[frame]
-    lasts = (theory.stable != Stability.UNSTABLE) | (not nudged)
-    regular = theory.exists & (label == Label.REGULAR_PRECESSION)
-    return np.where(regular & lasts, np.where(rates[name] < 0, 1, 2), 0)
+    regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
+    return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
 
 STABILITY = "stability limit"
@@ -134,10 +123,10 @@ LABEL = "precession limit"
 EXISTENCE = "edge of existence"
 ZERO_RATES = {"n": "permanent rotation: psi' = 0", "m": "permanent rotation: phi' = 0"}
 KINDS: Mapping[str, Kind] = {
-    STABILITY: Kind(_by_stability, of_frame=False),
-    LABEL: Kind(_by_label),
-    EXISTENCE: Kind(_by_existence, of_frame=False),
-    **{kind: Kind(partial(_by_rate, rate), rate=rate) for rate, kind in ZERO_RATES.items()},
+    STABILITY: Kind(lambda theory, *_: np.where(theory.exists, theory.stable, 0), of_frame=False),
+    LABEL: Kind(_labels),
+    EXISTENCE: Kind(lambda theory, *_: np.where(theory.exists, 1, 2), of_frame=False),
+    **{kind: Kind(partial(_signs, rate), rate=rate) for rate, kind in ZERO_RATES.items()},
 }
 
 
@@ -148,28 +137,26 @@ def theory_borders(plane: Plane) -> Lines:
     unstable motions, regular precession from permanent rotation, and points with a motion from points without; and a regular
     precession has psi' = 0 or phi' = 0 on them, so that it is a permanent rotation on the line alone.
     """
+    frames, nudged = ("", IN_SPACE), bool(plane.scene.nudge)
     kinds = {
-        name: kind for name, kind in KINDS.items() if kind.rate not in plane.extent
-    }  # an axis needs no line at 0
+        name + frame: (kind, frame)
+        for name, kind in KINDS.items()
+        for frame in frames[: 1 + kind.of_frame]
+        if kind.rate not in plane.extent  # an axis needs no line at 0
+    }
 
     def classes(positions: Array) -> Classes:
-        """Classes at positions (points, axes)."""
-        theory, nudged = plane.theory(plane.coordinates(positions)), bool(plane.scene.nudge)
+        theory = plane.theory(plane.coordinates(positions))
+        present = {name: each for name, each in kinds.items() if each[1] in theory.frames}
         return {
-            name + frame: kind.classes(theory, frame, nudged).astype(np.int8)
-            for name, kind in kinds.items()
-            for frame in (theory.frames if kind.of_frame else ("",))
+            name: kind.classes(theory, frame, nudged).astype(np.int8)
+            for name, (kind, frame) in present.items()
         }
 
     def magnitude(rate: str, frame: str, positions: Array) -> Array:
         return np.abs(plane.theory(plane.coordinates(positions)).frames[frame][1][rate])
 
-    zeros = {
-        name + frame: partial(magnitude, kind.rate, frame)
-        for name, kind in kinds.items()
-        for frame in ("", IN_SPACE)
-        if kind.rate
-    }
+    zeros = {name: partial(magnitude, kind.rate, frame) for name, (kind, frame) in kinds.items() if kind.rate}
     return class_borders(plane, classes, zeros)
 
 
@@ -180,44 +167,29 @@ RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind")
 RESONANCE_SAMPLES = 200  # along each axis
 
 
-class Samples(NamedTuple):
-    """Evenly spaced samples over two axes of a plane."""
-
-    axes: list[Array]
-    coordinates: Mapping[str, Array]  # of all samples, (RESONANCE_SAMPLES**2,)
-    stable: Mask  # where a motion exists that is not unstable
-
-    @classmethod
-    def of(cls, plane: Plane) -> Samples:
-        """RESONANCE_SAMPLES along each axis of a plane."""
-        axes = [plane.samples(dim, RESONANCE_SAMPLES) for dim in plane.extent]
-        grids = np.meshgrid(*axes, indexing="ij")
-        coordinates = dict(zip(plane.extent, (grid.ravel() for grid in grids), strict=True))
-        theory = plane.theory(coordinates)
-        return cls(axes, coordinates, theory.exists & (theory.stable != Stability.UNSTABLE))
-
-    def on_axes(self, column: Array, shown: Mask) -> Array:
-        """Values over the two axes, nan where they are not shown."""
-        return np.where(shown, column, np.nan).reshape(2 * (RESONANCE_SAMPLES,))
-
-
 def resonances(plane: Plane) -> Lines:
     """Lines of RESONANCES of motions that are not unstable."""
-    samples = Samples.of(plane)
-    return resonance_lines(plane, samples, samples.stable)
+    axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
+    return resonance_lines(plane, axes, coordinates, not_unstable(plane, coordinates))
 
 
-def resonance_lines(plane: Plane, samples: Samples, shown: Mask) -> Lines:
-    """Lines, by RESONANCES, where two frequencies have the ratio 1, 2 or 3, among samples that are shown.
+def not_unstable(plane: Plane, coordinates: Mapping[str, Array]) -> Mask:
+    """Where a motion exists that is not unstable."""
+    theory = plane.theory(coordinates)
+    return theory.exists & (theory.stable != Stability.UNSTABLE)
+
+
+def resonance_lines(plane: Plane, axes: list[Array], coordinates: Mapping[str, Array], shown: Mask) -> Lines:
+    """Lines, by RESONANCES, where two frequencies have the ratio 1, 2 or 3, among the points of a lattice that are shown.
 
     A resonance 1:1 at which stability ends is a stability limit and is left out.
     """
-    columns = plane.derived(samples.coordinates, FREQUENCIES)
-    frequencies = [samples.on_axes(columns[name], shown) for name in FREQUENCIES]
+    columns = plane.derived(coordinates, FREQUENCIES)
+    frequencies = [on_axes(columns[name], shown, axes) for name in FREQUENCIES]
     result = {}
     for ratio, kind in zip(RESONANCE_RATIOS, RESONANCES, strict=True):
         differences = [large - ratio * small for large, small in combinations(frequencies, 2)]
         traced = [crossings(each) if ratio == 1 else contours(each, 0.0) for each in differences]
-        if lines := [values_at(line, samples.axes) for each in traced for line in each]:
+        if lines := [values_at(line, axes) for each in traced for line in each]:
             result[kind] = lines
     return result

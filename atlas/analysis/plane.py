@@ -98,6 +98,12 @@ class Plane:
                 values[dim] = low + (high - low) * position
         return values
 
+    def lattice(self, count: int) -> tuple[list[Array], dict[str, Array]]:
+        """Evenly spaced values along each axis, and the coordinates of all points of them, (points,)."""
+        axes = [self.samples(dim, count) for dim in self.extent]
+        grids = np.meshgrid(*axes, indexing="ij")
+        return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))
+
     def positions(self, dim: str, values: Array) -> Array:
         """Fractions of the extent of an axis at some values."""
         scale = np.log if is_logarithmic(self.scene, dim, self.extent[dim]) else np.asarray

@@ -6,7 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from itertools import pairwise, product
 from pathlib import Path
@@ -97,31 +97,22 @@ def class_borders(
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
     else:
         samples, trisections = _refined_samples(classes), TRISECTIONS
-    result = {}
+    cells, result = len(next(iter(samples.values()))) - 1, {}
+
+    def is_above(positions: Array, kind: str) -> Mask:
+        return np.asarray(classes(positions / cells)[kind] > 1)
+
+    def magnitude(positions: Array, kind: str) -> Array:
+        return zeros[kind](positions / cells)
+
     for kind, column in samples.items():
-        if lines := _borders_of_kind(column, kind, classes, zeros.get(kind), trisections):
-            result[kind] = [np.stack(list(plane.coordinates(line).values()), -1) for line in lines]
+        values = np.where(column > 0, column, np.nan)
+        lines, edges = narrowed_lines(values, 1.5, partial(is_above, kind=kind), trisections)
+        if kind in zeros:
+            lines = without_poles(partial(magnitude, kind=kind), edges, lines)
+        if lines:
+            result[kind] = [np.stack(list(plane.coordinates(line / cells).values()), -1) for line in lines]
     return result
-
-
-def _borders_of_kind(
-    samples: Flags,
-    kind: str,
-    classes: Callable[[Array], Classes],
-    magnitude: Callable[[Array], Array] | None,
-    trisections: int,
-) -> list[Array]:
-    """Polylines of one kind, as fractions of the axes, from the classes of evenly spaced samples."""
-    cells = len(samples) - 1
-    lines, edges = narrowed_lines(
-        np.where(samples > 0, samples, np.nan),
-        1.5,
-        lambda positions: np.asarray(classes(positions / cells)[kind] > 1),
-        trisections,
-    )
-    if magnitude is not None:
-        lines = without_poles(lambda positions: magnitude(positions / cells), edges, lines)
-    return [line / cells for line in lines]
 
 
 def narrowed_lines(
@@ -244,6 +235,11 @@ def values_at(positions: Array, axes: list[Array]) -> Array:
     """Axis values at positions (vertices, axes) that are indices of values, or fractions between them."""
     columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
     return np.stack(columns, -1)
+
+
+def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
+    """Values at the points of a lattice over its axes, nan where they are not shown."""
+    return np.where(shown, column, np.nan).reshape([axis.size for axis in axes])
 
 
 def lines_at(values: Array, level: float) -> list[Array]:

@@ -5,9 +5,17 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from ...analysis.boundary import Samples, borders, resonance_lines
+from ...analysis.boundary import RESONANCE_SAMPLES, borders, not_unstable, resonance_lines
 from ...analysis.plane import Plane
-from ...analysis.tracer import TRISECTIONS, Lines, cached_lines, narrowed_lines, values_at, without_poles
+from ...analysis.tracer import (
+    TRISECTIONS,
+    Lines,
+    cached_lines,
+    narrowed_lines,
+    on_axes,
+    values_at,
+    without_poles,
+)
 from ...flags import NonlinearStability
 from ...systems.base import Array
 
@@ -26,23 +34,19 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 def nonlinear_lines(plane: Plane) -> Lines:
     """Resonances where the energy does not decide, and DETERMINANT_ZERO, where the normal form does not either."""
-    samples = Samples.of(plane)
-    columns = plane.derived(samples.coordinates, (_VERDICT, _DETERMINANT))
-    shown = samples.stable & (columns[_VERDICT] != NonlinearStability.ENERGY)
+    axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
+    columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
+    shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
         """D at positions that are indices."""
-        coordinates = dict(zip(plane.extent, values_at(positions, samples.axes).T, strict=True))
+        coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 
-    zeros, edges = narrowed_lines(
-        samples.on_axes(columns[_DETERMINANT], shown),
-        0.0,
-        lambda positions: determinant(positions) > 0,
-        TRISECTIONS,
-    )
+    values = on_axes(columns[_DETERMINANT], shown, axes)
+    zeros, edges = narrowed_lines(values, 0.0, lambda positions: determinant(positions) > 0, TRISECTIONS)
     zeros = without_poles(lambda positions: np.abs(determinant(positions)), edges, zeros)
-    result = resonance_lines(plane, samples, shown)
-    if zeros := [values_at(line, samples.axes) for line in zeros if len(line) > 1]:
+    result = resonance_lines(plane, axes, coordinates, shown)
+    if zeros := [values_at(line, axes) for line in zeros if len(line) > 1]:
         result[DETERMINANT_ZERO] = zeros
     return result

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from atlas.analysis import boundary
 from atlas.analysis.plane import Plane
+from atlas.extensions.normal_form import lines as module
 from atlas.extensions.normal_form.lines import DETERMINANT_ZERO, nonlinear_lines
 from atlas.scene.read import scene_from
 
 
 def lines_and_values(monkeypatch, family, axes, ties, extent):
     """Lines on a plane of symmetric satellites, and a function of positions on it: derived variables."""
-    monkeypatch.setattr(boundary, "RESONANCE_SAMPLES", 80)
+    monkeypatch.setattr(module, "RESONANCE_SAMPLES", 80)
     scene = {
         "schema": 1, "title": "nonlinear", "system": "satellite", "fixed": {"A": 1.0}, "ties": {"B": "A"} | ties,
         "axes": {name: {"from": low, "to": high, "count": 5} for name, (low, high) in zip(axes[:2], extent, strict=True)},

@@ -18,6 +18,7 @@ from ..scene.checks import typed, whole_number
 from ..scene.tables import Table, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..systems.base import Array, Points, System, check_possible, possible_body, subset
+from ..systems.gyrostat.equilibria import numbers
 
 _UNITS = {
     "theta0": ("rad", "angle from the vertical to the third body axis"),
@@ -150,13 +151,7 @@ def _kinds(system: System) -> dict[str, np.ndarray]:
 def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
     """Equilibria of possible bodies, and their numbers."""
     every = system.equilibria_of_bodies(bodies, lambda: None)
-    isolated = every["completeness"] == Completeness.COMPLETE
-    masks = {
-        "equilibrium_count": every["index"] >= 0,
-        "equilibrium_stable_count": every["stable"] == Stability.STABLE,
-        "equilibrium_energy_stable_count": every["index"] == 0,
-    }
-    return {**every, **{name: np.where(isolated, mask.sum(1), np.nan) for name, mask in masks.items()}}
+    return {**every, **numbers(every)}
 
 
 def _equilibria_of_bodies(

@@ -121,10 +121,8 @@ def _write_csv(ds: Dataset, path: Path) -> None:
 def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
     from ..analysis.metadata import system_of
-    from ..store import netcdf
 
-    name = options.out or f"{default_name(options.scene)}_trajectory.png"
-    out = netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    out = file_of_scene(options, "trajectory")
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)
     write_or_draw(tr, out, "plot")
@@ -133,6 +131,14 @@ def draw_trajectory(options: argparse.Namespace) -> None:
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")
     span = f"{values.min():.9g} to {values.max():.9g}{'' if unit == '1' else ' ' + unit}"
     say(f"{variable} from {span} in {float(tr['time'][-1]):.9g} time units; wrote {out}")
+
+
+def file_of_scene(options: argparse.Namespace, what: str) -> Path:
+    """The file of what is computed from a scene, a dataset or its figure, which may be written."""
+    from ..store import netcdf
+
+    name = options.out or f"{default_name(options.scene)}_{what}.png"
+    return netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
 
 
 def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:

@@ -1,12 +1,12 @@
 """Relative equilibria against a parameter: all of them at each value, joined to branches that meet at bifurcations.
 
 Branches are not followed one by one: `equilibria_of_bodies` lists all solutions at each value, and those of neighbouring values
-are joined where the tangents of both predict one another far better than any other solution. An interval in which a solution is
-not joined so, or changes its index, is divided until each of its bifurcations follows from Newton's method on
+are matched where the tangents of both predict one another far better than any other solution. An interval in which a solution has
+no match, or changes its index, is divided until each of its bifurcations follows from Newton's method on
 
     gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
 
-So is one in which two complex solutions of an end may become real: there Newton's method starts from their real part. Over two
+An interval is also divided where two complex solutions at an end may become real: there Newton's method starts from their real part. Over two
 parameters the same equations define curves of bifurcations, which are followed from points on them by their arc length.
 
 Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Solutions are joined if the sum of both errors of prediction is below the first, and below the second times that of any other.
-_JOINED, _DISTINCT = 0.3, 0.25
+# Two solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the error of every rival.
+_CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # of a prediction and of a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that meet no special value
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
@@ -39,7 +39,7 @@ _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # step of Newton's method that no other follows
 _CONVERGED = 1e-9  # last step of Newton's method, in units of the range
 _SETTLED = 1e-6  # the same with its rotation: from beside a pitchfork steps only halve
-_BLOCK = 512  # intervals joined together
+_BLOCK = 512  # intervals whose solutions are matched at once
 _SAME = 1e-3  # distance of points that are one, and a hundred times that of values
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
@@ -60,7 +60,7 @@ class Singular(NamedTuple):
 
     @property
     def error(self) -> Array:
-        """Of the values, in units of the ranges; infinite where Newton's method does not converge."""
+        """Error of the values in units of their ranges; infinite where Newton's method does not converge."""
         return np.where(length(self.step) < _SETTLED, np.abs(self.step[:, 3:]).max(-1), np.inf)
 
     @property
@@ -74,12 +74,12 @@ class Singular(NamedTuple):
 
     @property
     def tangent(self) -> Array:
-        """Unit tangents of curves over two parameters; across the null vector where that is one more solution, at pitchforks."""
+        """Unit tangents of curves over two parameters; at pitchforks the tangent across the null vector."""
         null = np.concatenate([self.null, 0 * self.values], 1) * _SAME
         return np.linalg.svd(np.concatenate([self.slopes, null[:, None]], 1))[2][:, -1]
 
 
-class Family(NamedTuple):
+class BodyFamily(NamedTuple):
     """Bodies that depend on parameters."""
 
     system: Gyrostat
@@ -89,7 +89,7 @@ class Family(NamedTuple):
     axis: int  # and about this axis of the body; -1: none
 
     @classmethod
-    def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> Family:
+    def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
         """The family on the range of some values, (bodies, parameters), with the symmetries that most of them have."""
         body = system.body_at_rest(points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
@@ -103,7 +103,7 @@ class Family(NamedTuple):
         return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
-        """What no turn about a cyclic direction changes, (..., components)."""
+        """Coordinates that are invariant under the symmetry, (..., components)."""
         alpha, gamma, axis = frames[..., 0, :], frames[..., 2, :], frames[..., self.axis]
         if self.axis < 0:
             return gamma if self.upright else np.concatenate([alpha, gamma], -1)
@@ -125,7 +125,7 @@ class Family(NamedTuple):
         return gradient / unit, hessian + projector, projector
 
     def singular(self, values: Array, frames: Array, fixed: Array) -> Singular:
-        """Where the eigenvalue vanishes that is nearest to 0 at the start; no step has a part along fixed, (N, -1, 3 + parameters).
+        """Where the eigenvalue vanishes that is nearest to 0 at the start; steps are orthogonal to fixed, (N, -1, 3 + parameters).
 
         Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
         """
@@ -181,7 +181,7 @@ class Bifurcation(NamedTuple):
 
 
 def solutions_at(
-    family: Family, values: Array, stability: bool = False
+    family: BodyFamily, values: Array, stability: bool = False
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
     """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them, maybe with their stability."""
     points = family.points(values[:, None])
@@ -219,7 +219,7 @@ def solutions_at(
     return Nodes(values, frames, index, turn, distance, usable), listed
 
 
-def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) -> Array:
+def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Places) -> Array:
     """Distances of the solutions at some nodes, continued along their tangents, from those at others, (N, places, places)."""
     turn = nodes.turn[start] * (nodes.values[end] - nodes.values[start])[:, None, None]
     turn = turn / np.maximum(1.0, length(turn) / _MAX_TURN)[..., None]
@@ -229,26 +229,31 @@ def prediction_errors(family: Family, nodes: Nodes, start: Places, end: Places) 
     return np.where(real, errors, np.inf)
 
 
-def joined(family: Family, nodes: Nodes, low: Places, high: Places) -> Places:
+def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places) -> Places:
     """Which solution at the upper ends of intervals follows each one at the lower ends, -1: none, (intervals, places)."""
     followers = []
     for first in range(0, low.size, _BLOCK):
         a, b = low[first : first + _BLOCK], high[first : first + _BLOCK]
         backward = np.swapaxes(prediction_errors(family, nodes, b, a), 1, 2)
-        followers.append(clear_choices(prediction_errors(family, nodes, a, b) + backward))
+        followers.append(unambiguous_matches(prediction_errors(family, nodes, a, b) + backward))
     return np.concatenate(followers)
 
 
-def clear_choices(errors: Array) -> Places:
-    """Column of the least error in each row, (N, rows); -1 where it is not small or not far the least of row and column."""
+def unambiguous_matches(errors: Array) -> Places:
+    """Column of the least error in each row, (N, rows); -1 where it is not small or not clearly the least of its row and column."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
-    return np.where(least < np.minimum(_JOINED, _DISTINCT * rival), choice, -1)
+    return np.where(least < np.minimum(_CLOSE, _DISTINCT * rival), choice, -1)
 
 
-def meetings(
-    family: Family, nodes: Nodes, starts: list[Solution], kinds: list[Mask], singular: Singular, limits: Array
+def bifurcations_between(
+    family: BodyFamily,
+    nodes: Nodes,
+    starts: list[Solution],
+    kinds: list[Mask],
+    singular: Singular,
+    limits: Array,
 ) -> tuple[list[Bifurcation], bool]:
     """The bifurcations between two nodes, and whether these explain which solutions end there or change their index.
 
@@ -270,7 +275,7 @@ def meetings(
     own = family.place(np.array([nodes.frames[start] for start in starts]))
     distances = length(own[:, None] - family.place(np.array([point.frame for point in points])))
     nearest, result = np.where(real, distances.argmin(1), -1), []
-    is_explained = bool((distances.min(1) < _JOINED)[real].all())
+    is_explained = bool((distances.min(1) < _CLOSE)[real].all())
     for i, point in enumerate(points):
         meeting = np.flatnonzero(nearest == i).tolist()
         merging, sides = ends[meeting].sum(), {starts[j][0] for j in meeting if ends[j]}
@@ -279,7 +284,7 @@ def meetings(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # of a line of solutions others count
+        else:  # only singular points of other solutions count
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -297,7 +302,7 @@ class Branches(NamedTuple):
     total: int  # of the branches, also of those that exist between two values alone
 
 
-def follow(family: Family, values: Array, part: Places, stability: bool = False) -> Branches:
+def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
     """Branches of all solutions over increasing values, (values,); none goes on from one part of them to another."""
     nodes, listed = solutions_at(family, values, stability)
     usable = np.flatnonzero(nodes.usable)
@@ -307,7 +312,7 @@ def follow(family: Family, values: Array, part: Places, stability: bool = False)
     for attempt in range(_ROUNDS):
         if not len(pending):
             break
-        limits, follower = nodes.values[pending], joined(family, nodes, *pending.T)
+        limits, follower = nodes.values[pending], match_solutions(family, nodes, *pending.T)
         interval, place = np.nonzero(follower >= 0)
         joins, ends = links_of(pending, follower), nodes.morse[pending] >= 0
         ends[interval, 0, place] = ends[interval, 1, joins[:, 1, 1]] = False
@@ -326,21 +331,14 @@ def follow(family: Family, values: Array, part: Places, stability: bool = False)
             starts = list(zip(node[own].tolist(), place[own].tolist(), strict=True))
             kinds = [each[i, side[own], place[own]] for each in (ends, changes)]
             some = Singular._make(each[own] for each in singular)
-            inside, done[i] = meetings(family, nodes, starts, kinds, some, limits[i])
+            inside, done[i] = bifurcations_between(family, nodes, starts, kinds, some, limits[i])
             real = [start for start, *kind in zip(starts, *kinds, strict=True) if any(kind)]
             narrow = np.ptp(limits[i]) < _SETTLED * family.span[0] and not real
             if not done[i] and (attempt == _ROUNDS - 1 or narrow):
                 done[i] = True
-                where, error = float(limits[i].mean()), 0.5 * float(np.ptp(limits[i]))
-                point = (
-                    where,
-                    nodes.frames[starts[0]],
-                    np.full(3, np.nan),
-                    BifurcationKind.UNRESOLVED,
-                    error,
-                    real,
-                )
-                inside = [Bifurcation(*point)] if real else inside
+                where, frame = float(limits[i].mean()), nodes.frames[starts[0]]
+                kind, error = BifurcationKind.UNRESOLVED, 0.5 * float(np.ptp(limits[i]))
+                inside = [Bifurcation(where, frame, np.full(3, np.nan), kind, error, real)] if real else []
             points += inside if done[i] else []
         intervals.append(pending[done])
         links.append(joins[done[interval]])
@@ -352,13 +350,13 @@ def follow(family: Family, values: Array, part: Places, stability: bool = False)
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
             halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
             pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
-    # The values given that are no nodes, at bifurcations: solutions that the nodes on both sides predict.
+    # Given values at bifurcations have no node of their own: the nodes on both sides predict their solutions.
     every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
     low, high = nodes.values[every].T
     which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))
     pairs = np.stack([every[i].ravel(), np.repeat(degenerate[which], 2)], 1)
-    links.append(links_of(pairs, clear_choices(2 * prediction_errors(family, nodes, *pairs.T))))
-    branch, total = numbered(nodes, np.concatenate(links))
+    links.append(links_of(pairs, unambiguous_matches(2 * prediction_errors(family, nodes, *pairs.T))))
+    branch, total = number_branches(nodes, np.concatenate(links))
     points.sort(key=lambda point: point.value)
     meeting = [sorted({int(branch[each]) for each in point.solutions}) for point in points]
     return Branches(listed, branch[: values.size], points, meeting, total)
@@ -370,7 +368,7 @@ def links_of(pairs: Places, follower: Places) -> Places:
     return np.stack([pairs[pair], np.stack([place, follower[pair, place]], 1)], -1)
 
 
-def numbered(nodes: Nodes, links: Places) -> tuple[Places, int]:
+def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
     """Number of the branch of each solution, -1: none, in the order of the lowest values; links: (links, 2, node and place)."""
     from scipy.sparse import coo_array  # here, because every command imports the systems
     from scipy.sparse.csgraph import connected_components
@@ -389,7 +387,7 @@ def numbered(nodes: Nodes, links: Places) -> tuple[Places, int]:
     return branch.reshape(shape), where.size
 
 
-def on_segments(family: Family, start: Array, end: Array, count: int) -> tuple[Array, Array, Places]:
+def on_segments(family: BodyFamily, start: Array, end: Array, count: int) -> tuple[Array, Array, Places]:
     """Points at which the number of solutions changes on segments (segments, parameters), from so many values on each.
 
     Returns the parameters (N, parameters), frames and numbers of the eigenvalues that vanish.
@@ -410,7 +408,7 @@ def on_segments(family: Family, start: Array, end: Array, count: int) -> tuple[A
     return where, frames, np.abs(np.linalg.eigvalsh(family.linear(where, frames)[1])).argmin(1)
 
 
-def curves(family: Family, values: Array, frames: Array) -> list[tuple[Array, Places]]:
+def curves(family: BodyFamily, values: Array, frames: Array) -> list[tuple[Array, Places]]:
     """Curves of bifurcations of a family of two parameters through points on them, (N, 2), by pseudo-arclength continuation.
 
     Each ends where it leaves the limits, or closes. Returns the parameters of its vertices and the number of the eigenvalue that vanishes.

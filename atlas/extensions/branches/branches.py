@@ -20,7 +20,7 @@ from ...store import dataset
 from ...systems.base import Array, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.equilibria import described
-from .bifurcations import Branches, Family, follow
+from .bifurcations import BodyFamily, Branches, follow
 
 _OWN = {  # variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>
     variable.name: variable.attributes()
@@ -113,7 +113,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     body = system.body_at_rest(points(some[:, None]))
     if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
         raise BadInput(f"branches: {name} changes no equilibria; take a parameter of body or field")
-    family = Family.of(system, points, some[:, None])
+    family = BodyFamily.of(system, points, some[:, None])
     result = follow(family, some, possible - np.arange(possible.size), stability=True)
     variables = _variables(name, values.size, possible, family, result)
     ds = dataset.dataset(replace(scene, outputs=()), {})
@@ -129,7 +129,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
 
 
 def _variables(
-    along: str, size: int, possible: np.ndarray, family: Family, result: Branches
+    along: str, size: int, possible: np.ndarray, family: BodyFamily, result: Branches
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Variables of the branches, which are over those values of the axis at which a body is possible, and of their points."""
     node, place = np.nonzero(result.branch >= 0)

@@ -16,7 +16,7 @@ from ...analysis.tracer import TRACING, Lines, cached_lines, lines_at, narrowed_
 from ...kernel import compiling
 from ...systems.base import Array, Mask, Points, possible_body
 from ...systems.gyrostat import Gyrostat
-from .bifurcations import Family, curves, on_segments
+from .bifurcations import BodyFamily, curves, on_segments
 
 CHANGE = "change of the number"
 COUNT_TRISECTIONS = 4  # of the distance between two neighbouring points of the atlas
@@ -91,7 +91,7 @@ def _merging_lines(
     def in_units(positions: Array) -> Array:
         return np.stack(list(plane.coordinates(positions).values()), -1)
 
-    family = Family.of(system, points, np.array(list(product((0.0, 0.4, 1.0), repeat=len(axes)))))
+    family = BodyFamily.of(system, points, np.array(list(product((0.0, 0.4, 1.0), repeat=len(axes)))))
     if len(axes) == 1:
         where, _, number = on_segments(family, np.zeros((1, 1)), np.ones((1, 1)), axes[0].size)
         where = where[(number == 0) | (not minima)]

@@ -187,6 +187,17 @@ def equilibria_of_bodies(
     return padded(columns, count, homotopy.PATHS) | {"completeness": completeness}
 
 
+def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+    """Numbers of the equilibria of bodies, of the linearly stable ones and of the minima, (bodies,); nan for incomplete lists."""
+    complete = equilibria["completeness"] == Completeness.COMPLETE
+    masks = {
+        "equilibrium_count": equilibria["index"] >= 0,
+        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
+        "equilibrium_energy_stable_count": equilibria["index"] == 0,
+    }
+    return {name: np.where(complete, mask.sum(1), np.nan) for name, mask in masks.items()}
+
+
 def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
     """Columns over equilibria, with "row" the body of each, as arrays (bodies, places) with unused places at the end."""
     order = np.argsort(columns["row"], kind="stable")

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from atlas.analysis.boundary import KINDS, RESONANCES
 from atlas.analysis.plane import Plane
 from atlas.extensions.normal_form import lines as module
 from atlas.extensions.normal_form.lines import DETERMINANT_ZERO, nonlinear_lines
+from atlas.plotting import cells
 from atlas.scene.read import scene_from
 
 
@@ -68,3 +70,8 @@ def test_zeros_of_the_determinant_are_no_poles(monkeypatch):
     for line in lines.get(DETERMINANT_ZERO, []):
         on, off = (np.abs(values(line + np.array([0, shift]), name)[name]) for shift in (0.0, 0.01))
         assert (on < 0.2 * off).mean() > 0.9
+
+
+def test_the_zeros_have_a_colour_of_their_own():
+    colours = [cells.border_style(kind)["color"] for kind in (*KINDS, *RESONANCES, DETERMINANT_ZERO)]
+    assert colours.count(colours[-1]) == 1

@@ -1,0 +1,110 @@
+"""The cache of lines: what they depend on, of extensions too; lines of an extension of one's own on a map."""
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas import extension
+from atlas.analysis import tracer
+from atlas.analysis.plane import Plane
+from atlas.extension import Extension
+from atlas.plotting import cells
+
+SCENE = """
+schema = 1
+title = "lines"
+system = "fixed_point"
+[axes.n]
+from = 0.1
+to = 2.0
+count = 6
+[axes.m]
+from = 0.1
+to = 2.0
+count = 5
+[integration]
+duration = 1.0
+[outputs]
+variables = ["label", "theta_max"]
+"""
+LINES = """
+import numpy as np
+
+STYLE = {"color": "tab:cyan", "linestyle": "--", "linewidth": 0.7}
+
+
+def diagonal(plane, ds):
+    return {"equal rates": [np.array([[0.5, 0.5], [1.5, 1.5]])], "other": [np.array([[0.5, 0.6], [1.5, 0.6]])]}
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Record of an extension that is installed for one test; its modules are in tmp_path / "own_lines"."""
+    package = tmp_path / "own_lines"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "lines.py").write_text(LINES)
+    monkeypatch.syspath_prepend(tmp_path)
+    record = Extension(
+        "own_lines",
+        "own_lines",
+        "lines of equal rates",
+        lines={"theta_max": "lines:diagonal"},
+        line_styles={"equal rates": "lines:STYLE"},
+    )
+    extensions, broken = extension._found()
+    monkeypatch.setattr(extension, "_found", lambda: (extensions | {"own_lines": record}, broken))
+    extension.parts.cache_clear()
+    yield package
+    monkeypatch.undo()
+    extension.parts.cache_clear()
+    tracer._code.cache_clear()
+
+
+def test_kept_lines_depend_on_the_code_of_extensions(own, tmp_path, monkeypatch):
+    monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(tracer, "WORTH_KEEPING", -1.0)
+    plane = Plane(atlas.load_scene(SCENE), {"n": (0.1, 2.0), "m": (0.1, 2.0)}, {})
+    traced = []
+
+    def is_traced(what="own"):
+        count = len(traced)
+        lines = tracer.cached_lines(lambda: traced.append(1) or {"kind": [np.eye(2)]}, plane, what)
+        np.testing.assert_array_equal(lines["kind"], [np.eye(2)])
+        return len(traced) > count
+
+    assert is_traced()
+    assert not is_traced()
+    assert is_traced("other")
+    tracer._code.cache_clear()  # as in another process
+    assert not is_traced()
+    (own / "helper.py").write_text("FACTOR = 2")
+    assert not is_traced()
+    tracer._code.cache_clear()
+    assert is_traced()
+    assert not is_traced()
+    extensions, broken = extension._found()
+    others = {name: each for name, each in extensions.items() if name != "own_lines"}
+    monkeypatch.setattr(extension, "_found", lambda: (others, broken))
+    assert is_traced()
+
+
+def test_maps_draw_the_lines_of_an_extension_alone(own):
+    ds = atlas.run(atlas.load_scene(SCENE), progress=False)
+    assert list(dict.fromkeys(ds.atlas.boundary(variable="theta_max").kind.values)) == [
+        "equal rates",
+        "other",
+    ]
+    figure = ds.atlas.map("theta_max")
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "equal rates (theory)",
+        "other (theory)",
+    ]
+    drawn = {
+        line.get_color(): line.get_xydata()[:2] for line in figure.axes[0].lines if len(line.get_xydata()) > 1
+    }
+    np.testing.assert_array_equal(drawn["tab:cyan"], [[0.5, 0.5], [1.5, 1.5]])
+    np.testing.assert_array_equal(drawn["black"], [[0.5, 0.6], [1.5, 0.6]])
+    assert cells.border_style("other") == {"color": "black", "linestyle": "-", "linewidth": 0.6}
+    assert "equal rates" not in ds.atlas.boundary(variable="label").kind.values

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
-from .errors import BadInput, one_line
+from . import sources
+from .errors import BadInput, allowed_text, one_line
 
 GROUP = "atlas.extensions"
 # "module:name", of a module in the package of the record.
@@ -72,10 +75,27 @@ class Extension:
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
 
+    @property
+    def folder(self) -> Path:
+        """The folder of its modules."""
+        return Path(import_module(self.package).__path__[0])
+
+    @property
+    def code(self) -> str:
+        """Hash of its modules, as they were when a part of it was first loaded."""
+        return sources.code(sources.of_extension(self.folder))
+
     def load(self, reference: Reference) -> Any:
-        """The object that a reference names."""
+        """The object that a reference names; BadInput with one line if its module cannot be imported."""
         module, _, name = reference.partition(":")
-        return getattr(import_module(f"{self.package}.{module}"), name)
+        try:
+            sources.of_extension(self.folder)
+            return getattr(import_module(f"{self.package}.{module}"), name)
+        except BadInput:
+            raise
+        except Exception as error:  # whatever its code raises
+            why = _found()[1][self.name] = f"{type(error).__name__}: {one_line(error)}"
+            raise BadInput(f"the extension {self.name} cannot be loaded ({why})") from error
 
 
 # Kinds of parts: names -> references.
@@ -107,6 +127,11 @@ def not_loaded() -> str:
     return "".join(f"; the extension {name} cannot be loaded ({why})" for name, why in _found()[1].items())
 
 
+def available_text(value: object, names: Collection[str]) -> str:
+    """End of a message about an unknown name: the names, as `allowed_text`, and the extensions that cannot be loaded."""
+    return f"{allowed_text(value, names)}{not_loaded()}"
+
+
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
     """Every part of one of the PARTS by name; BadInput if two extensions give the same name."""
@@ -128,5 +153,17 @@ def load(kind: str, name: str) -> Any:
 
 
 def every(kind: str) -> list[Any]:
-    """The different objects of one of the PARTS, in the order of the extensions."""
-    return [extension.load(reference) for extension, reference in dict.fromkeys(parts(kind).values())]
+    """The different objects of one of the PARTS, in the order of the extensions; without those that cannot be loaded."""
+    objects = []
+    for extension, reference in dict.fromkeys(parts(kind).values()):
+        with suppress(BadInput):  # which not_loaded() keeps
+            objects.append(extension.load(reference))
+    return objects
+
+
+def used(variables: Iterable[str], families: Iterable[str]) -> list[Extension]:
+    """The extensions that give some of these variables and families, in alphabetical order."""
+    given = [parts(kind).get(name) for kind in ("variables", "instruments") for name in variables]
+    given += [parts("families").get(name) for name in families]
+    names = {part[0].name for part in given if part}
+    return [extension for name, extension in extensions().items() if name in names]

@@ -178,3 +178,12 @@ class Regularity(Flag):
         "not steady, mean MEGNO between 2.5 and 5, or growth that one passage of an unstable motion explains",
     )
     HYPERBOLIC = 5, "mean MEGNO above 5 of a steady motion, or from a start on an unstable one: not chaotic"
+
+
+# Families of extensions, name -> motion: their flags follow those of the system's own in this order, whatever is installed.
+SATELLITE_RESERVED_FAMILIES = {
+    "plane_libration": "libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
+    "plane_rotation": (
+        "rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor"
+    ),
+}

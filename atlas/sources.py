@@ -1,8 +1,9 @@
-"""The source files that the numbers of an atlas depend on, at the import of the package."""
+"""The source files that the numbers of an atlas depend on, as they were when this process imported them."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
@@ -10,31 +11,51 @@ PACKAGE = Path(__file__).parent
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/execution.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
-    "runs/plan.py", "extensions/**/*.py",
+    "runs/plan.py",
     "validation/half_step.py",
 )  # fmt: skip
+EVERY_MODULE = ("**/*.py",)
+
+# Time of the last change, in ns, and hash of files, by their names in a folder.
+Files = dict[str, tuple[int, str]]
 
 
-def read() -> dict[str, tuple[int, str]]:
-    """Time of the last change, in ns, and hash of each of these files, by its name in the package."""
-    files = {}
-    for path in sorted(path for pattern in NUMERIC_SOURCES for path in PACKAGE.glob(pattern)):
+def read(folder: Path | None = None) -> Files:
+    """The files of the folder of an extension, or of this package."""
+    files, root = {}, PACKAGE if folder is None else folder
+    patterns = NUMERIC_SOURCES if folder is None else EVERY_MODULE
+    for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
         content = hashlib.sha256(path.read_bytes()).hexdigest()
-        files[path.relative_to(PACKAGE).as_posix()] = path.stat().st_mtime_ns, content
+        files[path.relative_to(root).as_posix()] = path.stat().st_mtime_ns, content
     return files
 
 
 # The package imports this module before all others, which are at least as new.
 AT_IMPORT = read()
+# Folder of an extension -> its files, as they were before a part of it was imported.
+OF_EXTENSIONS: dict[Path, Files] = {}
 
 
-def changed() -> list[str]:
-    """Names of the files written since the import: modules loaded before and after may not fit together."""
-    now = read()
-    return sorted(name for name in AT_IMPORT.keys() | now if AT_IMPORT.get(name) != now.get(name))
+def of_extension(folder: Path) -> Files:
+    """The files of the folder of an extension, as they were when it was first asked for them."""
+    if folder not in OF_EXTENSIONS:
+        OF_EXTENSIONS[folder] = read(folder)
+    return OF_EXTENSIONS[folder]
 
 
-def code() -> str:
-    """Hash of these files as they were at the import."""
-    text = "\n".join(f"{name} {content}" for name, (_, content) in AT_IMPORT.items())
+def changed(folders: Iterable[Path] = ()) -> list[Path]:
+    """Files of this package and of extensions written since the import: modules loaded before and after may not fit together."""
+    states = [(PACKAGE, AT_IMPORT, read()), *((each, of_extension(each), read(each)) for each in folders)]
+    return sorted(
+        folder / name
+        for folder, before, now in states
+        for name in before.keys() | now
+        if before.get(name) != now.get(name)
+    )
+
+
+def code(files: Files | None = None) -> str:
+    """Hash of files, by default of those of this package, as they were at the import."""
+    files = AT_IMPORT if files is None else files
+    text = "\n".join(f"{name} {content}" for name, (_, content) in files.items())
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -88,7 +88,7 @@ def whole_kernels():
     """Integrate every point with the kernel that has all terms, whichever of them vanish at the points of a test.
 
     That kernel is compiled once for all modules that use it; a kernel for each set of terms takes some 10 s.
-    `tests/engine/test_simplify.py` compares both kinds.
+    `tests/kernel/test_simplify.py` compares both kinds.
     """
     from atlas.kernel.specialization import GENERIC, Specialization
 
@@ -149,6 +149,43 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     assert run.tiling.count == 18
     assert plan.points.kernel_hash == whole.atlas_kernel_hash
     return tmp_path, run, whole
+
+
+@pytest.fixture
+def installed_extensions():
+    """Function that replaces the extensions of all packages, and those that cannot be loaded, until the end of the test.
+
+    Without arguments it looks for the installed ones anew.
+    """
+    import atlas.variables
+    from atlas import extension
+    from atlas.analysis import metadata
+    from atlas.systems import base
+
+    patched = pytest.MonkeyPatch()
+    caches = (
+        extension._found, extension.parts, base.families_of, base.derived_variables, atlas.variables._registry,
+        metadata._registered,
+    )  # fmt: skip
+
+    def replace(found: Mapping[str, object] | None = None, broken: Mapping[str, str] | None = None) -> None:
+        if found is not None:
+            patched.setattr(extension, "_found", lambda: (dict(found), dict(broken or {})))
+        for each in caches:
+            each.cache_clear()
+
+    yield replace
+    patched.undo()
+    for each in caches:
+        each.cache_clear()
+
+
+@pytest.fixture
+def without_extension(installed_extensions):
+    """Function of a name: the extension is as if it were not installed, until the end of the test."""
+    from atlas.extension import extensions
+
+    return lambda name: installed_extensions({key: e for key, e in extensions().items() if key != name})
 
 
 @pytest.fixture

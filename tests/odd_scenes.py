@@ -26,6 +26,7 @@ from atlas.runs.plan import ScenePlan
 from atlas.scene import expressions, grid, tables
 from atlas.store.dataset import dataset
 from atlas.systems import SYSTEMS
+from atlas.systems.base import families_of
 from atlas.variables import variables
 
 ROOT = Path(__file__).parent.parent
@@ -280,7 +281,7 @@ def _change(rng: Random, table: dict[str, Any]) -> None:
             names = [*variables(system), *system.derived]
             _section(table, "outputs")["variables"] = rng.sample(names, rng.randint(1, 6))
         case "family":
-            family = rng.choice(list(system.families.values()))
+            family = rng.choice(list(families_of(system).values()))
             solve = rng.sample(list(family.solve), rng.randint(0, len(family.solve)))
             table["family"] = {"name": family.name, "solve": solve}
 

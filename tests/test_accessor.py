@@ -21,6 +21,7 @@ from atlas.accessor import Atlas
 from atlas.analysis import metadata, plane
 from atlas.analysis.metadata import map_variable
 from atlas.flags import Agreement, Label
+from atlas.systems.base import families_of
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -471,6 +472,6 @@ def test_systems_are_described():
     text = atlas.systems.describe("satellite")
     system = atlas.systems.get("satellite")
     first = [line.split()[0] for line in text.splitlines()[1:]]
-    assert first == [*system.parameters, *system.families]
+    assert first == [*system.parameters, *families_of(system)]
     with pytest.raises(atlas.BadInput, match="did you mean 'satellite'"):
         atlas.systems.describe("satelite")

@@ -299,3 +299,17 @@ def state(tiles):
     return SimpleNamespace(
         done=[tile for tile in written if tile not in damaged], damaged=damaged, missing=missing
     )
+
+
+def check_whole_periods(motion):
+    """An exact motion has its period, and the statistics of a run of many periods and a part are sums over its parts."""
+    from atlas.validation import exact
+
+    time = np.linspace(0, 2 * motion.period, 40)
+    now, later = motion(time), motion(time + motion.period)
+    np.testing.assert_allclose(later, now, rtol=0, atol=1e-12)
+    duration = 3.3 * motion.period
+    whole = exact.statistics(motion, duration)
+    nodes, weight = exact._quadrature(motion, duration)
+    for name, value in exact.moments(motion(nodes), weight / duration).items():
+        np.testing.assert_allclose(whole[name], value, rtol=1e-12, atol=1e-12)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput, allowed_text
-from ..systems.base import PublishedEquation, System
+from ..errors import BadInput
+from ..extension import available_text
+from ..systems.base import PublishedEquation, System, families_of
 from .published import published_equations
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
@@ -17,10 +18,11 @@ N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ..
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     """Rows on the families of exact steady motions, with the largest residuals of published equations."""
-    if name is not None and name not in system.families:
-        raise BadInput(f"family {name}: unknown; {allowed_text(name, system.families)}")
+    every = families_of(system)
+    if name is not None and name not in every:
+        raise BadInput(f"family {name}: unknown; {available_text(name, every)}")
     rows = []
-    for family in system.families.values():
+    for family in every.values():
         if name not in (None, family.name):
             continue
         stability = family.stability_text or (

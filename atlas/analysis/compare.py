@@ -16,7 +16,7 @@ from ..runs.plan import ScenePlan
 from ..scene import grid
 from ..scene.checks import whole_number
 from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
-from ..systems.base import Flags, on_family, unsteady
+from ..systems.base import Flags, families_of, on_family, unsteady
 from ..validation import half_step
 from .metadata import (
     chunks,
@@ -70,7 +70,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
 
 def _compared(ds: xr.Dataset) -> xr.Dataset:
     """Label, predicted, and what else an atlas has to compare them by; BadInput unless they have flags of the same points."""
-    if "atlas_system" in ds.attrs and not system_of(ds).families:
+    if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
         )
@@ -243,7 +243,7 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
         return []
     system = system_of(ds)
     drifting = ds.isel(point=np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST])
-    families = [f for f in system.families.values() if f.conditions and not (f.axes or f.rate_std)]
+    families = [f for f in families_of(system).values() if f.conditions and not (f.axes or f.rate_std)]
     if not drifting.sizes["point"] or not families or not set(system.parameters) <= set(ds.coords):
         return []
     points = {n: np.broadcast_to(drifting[n].values, drifting.sizes["point"]) for n in system.parameters}

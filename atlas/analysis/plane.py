@@ -14,7 +14,7 @@ from ..errors import BadInput
 from ..label.theory import predict
 from ..scene import grid
 from ..scene.model import Duration, Scene
-from ..systems.base import Array, Family, Mask, derived_values, on_family
+from ..systems.base import Array, Family, Mask, derived_values, families_of, on_family
 from .metadata import axes_of, is_logarithmic
 from .select import cell_edges
 
@@ -157,8 +157,8 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
                 lines.append(line)
         return {str(scene.family): lines} if lines else {}
     curves = {}
-    for name in [scene.family] if scene.family is not None else list(scene.system.families):
-        family = scene.system.families[name]
+    for name in [scene.family] if scene.family is not None else list(families_of(scene.system)):
+        family = families_of(scene.system)[name]
         if family.rate_std:  # its motions fill regions
             continue
         # The longest of the curves solved for each axis; another may be a single point.

@@ -20,6 +20,7 @@ from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_te
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
 from ..kernel.compiling import Stopwatch
+from ..systems.base import families_of
 from .options import (
     QUIET,
     RUN_FOLDER,
@@ -164,7 +165,7 @@ def check_scene(options: argparse.Namespace) -> None:
     )
     reason = polynomial_degree(scene.system)
     if isinstance(reason, str) and not scene.system.observables:
-        starts = "starts on no family" if scene.system.families else "any start"
+        starts = "starts on no family" if families_of(scene.system) else "any start"
         say(f"predicted: not of {starts}: {printable(reason, MAX_MESSAGE)}")
     for warning in [*grid.warnings(scene, plan.sample), *plan.step_warnings(), *plan.chaos_warnings()]:
         say(f"warning: {printable(warning, MAX_MESSAGE)}")

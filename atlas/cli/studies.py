@@ -14,6 +14,7 @@ from typing import Any
 from .. import systems
 from ..errors import say, text_table
 from ..files import atomic_write
+from ..systems.base import stress_cases_of
 from .options import (
     FAILED,
     FIGURES,
@@ -175,7 +176,7 @@ def measure_accuracy(options: argparse.Namespace) -> None:
 )
 def run_stress_cases(options: argparse.Namespace) -> int | None:
     """Run stiff and extreme cases and compare every label with the true one."""
-    with_cases = [name for name, system in systems.SYSTEMS.items() if system.stress_cases()]
+    with_cases = [name for name, system in systems.SYSTEMS.items() if stress_cases_of(system)]
     names = [systems.get(options.system).name] if options.system else with_cases
     files = [f"{name}{suffix}" for name in names for suffix in (".nc", ".png")]
     folder = output_folder(options.out, files, force=options.force) if options.out else None

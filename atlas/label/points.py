@@ -12,6 +12,7 @@ import xarray as xr
 
 from .. import systems
 from ..errors import BadInput, allowed_text, shown
+from ..extension import available_text
 from ..kernel.compiling import Stopwatch
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
@@ -115,7 +116,7 @@ def label_points(
     if variables is not None:
         for name in (variables := texts("variables", variables)):
             if name not in registry:
-                raise BadInput(f"variables: {shown(name)} is unknown; {allowed_text(name, registry)}")
+                raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
         outputs = [name for name in registry if name in variables]
     source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
     text = parse_duration(duration) if isinstance(duration, str) else None
@@ -153,7 +154,7 @@ def label_points(
         ds[name].attrs = dataset.variable_attributes(description, name, outputs)
     ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
     ds.attrs = dataset.provenance(
-        description, settings, plan.kernel_hash, title=f"points of the {system}", points=ds[outputs[0]].size,
+        description, settings, plan.kernel_hash, title=f"points of the {system}", outputs=outputs, points=ds[outputs[0]].size,
         seconds=None if lazy else stopwatch.seconds(), warnings=warnings,
     )  # fmt: skip
     return ds

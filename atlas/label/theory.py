@@ -25,6 +25,7 @@ from ..systems.base import (
     SharedValues,
     System,
     TwoAxes,
+    families_of,
     motion_about_axes,
     rate_std,
     shape_of,
@@ -39,6 +40,7 @@ from ..systems.steady import (
     SteadyMotion,
     condition_residual,
     departure,
+    lacks_theory,
     polynomial_degree,
     steady_motions,
 )
@@ -137,6 +139,7 @@ class Theory:
     )
     unstable: Mask  # whether the start is, to rounding, an unstable steady motion or one in the plane
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
+    unknown_growth: Mask  # whether only a missing extension could give the growth
 
     @classmethod
     def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes) -> Theory:
@@ -144,7 +147,7 @@ class Theory:
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
             nothing = Prediction({}, None, zero, zero, zero, zero > 0, zero > 0, zero)
-            return cls(nothing, zero, zero, zero > 0, {"label": zero})
+            return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
@@ -161,6 +164,7 @@ class Theory:
             about_vertical,
             on_motion & (prediction.variables["stable"] == Stability.UNSTABLE),
             {name.replace("predicted", "label"): rate for name, rate in frames.items()},
+            lacks_theory(system, tile.base) & (prediction.variables["family"] == 0) & (not plan.nudged),
         )
 
     def error_amplified(self, step_sizes: StepSizes, settings: Settings) -> Mask:
@@ -172,10 +176,15 @@ class Theory:
     def rounding(self, run: Run) -> tuple[Array, Array]:
         """Logarithms of the growth of rounding errors: in a run, and up to a tolerance."""
         # No tilt can grow where the third axis never left the vertical by a bit.
-        on_vertical = run.measured.get("sine_max", np.ones(run.ensemble.size)) == 0.0
+        sine, residual = (
+            run.measured.get("sine_max", np.ones(run.ensemble.size)),
+            self.prediction.start_residual,
+        )
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
-        growth = np.where(on_vertical, least, self.rounding_growth)
-        return growth, rounding_limit(self.prediction.start_residual, run.bound, run.settings.tolerances)
+        growth = np.where(sine == 0.0, least, self.rounding_growth)
+        measured = np.log(sine / np.fmax(residual, ROUNDOFF))  # of a tilt by as much as the residual
+        growth = np.where(self.unknown_growth, measured, growth)
+        return growth, rounding_limit(residual, run.bound, run.settings.tolerances)
 
     def departed(self, run: Run) -> Mask:
         """Which drifting motions may have left an unstable one by integration errors."""
@@ -200,7 +209,10 @@ def steady_motions_of(
     if isinstance(polynomial_degree(system), str):
         return None
     motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle)
-    return motion._replace(answer=np.where(within_range(system, points), motion.answer, Existence.NEAR))
+    decided = within_range(system, points) & (
+        (motion.answer == Existence.EXACT) | ~lacks_theory(system, points)
+    )
+    return motion._replace(answer=np.where(decided, motion.answer, Existence.NEAR))
 
 
 @np.errstate(all="ignore")
@@ -306,7 +318,7 @@ def _frame_rates(system: System, points: Points) -> dict[str, Array]:
 
 def _about_other_axes(system: System, family: Flags) -> Mask:
     """Whether a family's motion is about other axes than the third and the vertical."""
-    return np.isin(family, [f.flag for f in system.families.values() if f.axes is not None])
+    return np.isin(family, [f.flag for f in families_of(system).values() if f.axes is not None])
 
 
 def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:

@@ -47,9 +47,8 @@ class Rates(MainInstrument):
     """The main instrument of a body in a frame."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        families = {"none": "no family of steady motions"} | {
-            f.name: f.title for f in system.families.values()
-        }
+        own = {name: family.title for name, family in system.families.items()}
+        families = {"none": "no family of steady motions", **own, **system.reserved_families}
         flag = [
             Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
             Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
@@ -203,9 +202,10 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if len(system.geometries) < 2:
         missing |= {"geometry"}
-    if not system.families:
+    has_families = bool(system.families or system.reserved_families)
+    if not has_families:
         missing |= {"family", "stable", "growth_rate"}
-    if not (predicted := system.families or isinstance(polynomial_degree(system), int)):
+    if not (predicted := has_families or isinstance(polynomial_degree(system), int)):
         missing |= {"condition_residual"}
     return tuple(
         variable

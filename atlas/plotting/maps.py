@@ -35,7 +35,7 @@ from ..analysis.metadata import (
 from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
 from ..errors import BadInput, allowed_text, attribute_text
 from ..flags import Regularity
-from ..systems.base import Mask
+from ..systems.base import Mask, families_of
 from ..variables import POINT
 from . import cells
 from .content import MIN_VISIBLE, NO_VALUE, SLOW, Panel, panel_of, remarks, visible
@@ -98,7 +98,7 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
         exponents=cells.exponent_scale(plane, name) if len(dims) == 2 else None,
         flags={options.text(flag, flag.replace("_", " ")): colour for flag, colour in flags.items()},
         levels=np.unique(array.values.astype(int)).tolist() if flags else [],
-        families=list(system_of(ds).families),
+        families=list(families_of(system_of(ds))),
     )
     entries, notes = map_legend(panels, {} if drawing.is_curve else flags, options, drawing.families, samples)
     notes += remarks(ds, filled=not drawing.flags)

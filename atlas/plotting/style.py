@@ -21,6 +21,7 @@ from matplotlib.mathtext import MathTextParser
 from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import atomic_write, writable
+from ..systems.base import families_of
 from .options import FORMATS
 
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
@@ -253,7 +254,7 @@ def caption(ds: xr.Dataset) -> str:
         if parameters:
             sentences.append(f"Parameters: {', '.join(parameters)}; the others have their defaults.")
         if scene.family is not None:
-            family = system.families[scene.family]
+            family = families_of(system)[scene.family]
             solved = f", solved for {', '.join(scene.solve)}" if scene.solve else ""
             sentences.append(f"Starts on the family {family.name} [{family.equations}]{solved}.")
         if scene.nudge:

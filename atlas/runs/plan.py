@@ -26,7 +26,7 @@ from ..kernel.tangent import METHOD as TANGENT_METHOD
 from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
-from ..systems.base import Array
+from ..systems.base import Array, extensions_of
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
@@ -200,7 +200,8 @@ def identity(plan: Plan) -> dict[str, str]:
 
     # The kernel's hash reads source files: it comes before the check whether they have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
-    changed: Any = [sources.PACKAGE / name for name in sources.changed()] or [origin and origin.changed()]
+    extensions = extensions_of(plan.system, plan.names)
+    changed: Any = sources.changed(each.folder for each in extensions) or [origin and origin.changed()]
     if changed[0]:
         raise BadInput(
             f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
@@ -213,6 +214,7 @@ def identity(plan: Plan) -> dict[str, str]:
     return {
         "atlas": __version__,
         "code": sources.code(),
+        **{f"extension_{each.name}": each.code for each in extensions},
         **system_code,
         "kernel": kernel,
         "cpu": machine_code.cpu(),

@@ -20,11 +20,13 @@ from ..systems.base import (
     System,
     check_possible,
     derived_variables,
+    families_of,
     on_family,
     possible_body,
     shape_of,
     within_range,
 )
+from ..systems.steady import lacks_theory
 from .checks import check_range
 from .family import ON_FAMILY as ON_FAMILY
 from .family import check_solution, solution
@@ -123,7 +125,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
     with np.errstate(all="ignore"):
         no_motion = no_value
         if scene.family is not None:
-            family = system.families[scene.family]
+            family = families_of(system)[scene.family]
             base = solution(family, scene.solve, base)
             exists = on_family(family, base) < ON_FAMILY
             possible = possible_body(system, base)
@@ -216,7 +218,7 @@ def check(scene: Scene) -> Grid:
             chosen = candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)]
             values = parameter_values(scene, chosen)
             base = {name: values[name] for name in scene.system.parameters}
-            family = scene.system.families[scene.family]
+            family = families_of(scene.system)[scene.family]
             check_solution(family, scene.solve, base, exists=bool(exists.any()))
         if not grid.exists.any():
             raise BadInput(
@@ -290,6 +292,11 @@ def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
 def system_warnings(system: System, points: Points) -> list[str]:
     """Warnings of the system about points that are computed, and about angles in degrees and numbers out of range."""
     messages = system.warnings(points)
+    if lacks_theory(system, points).any():
+        messages.append(
+            "at some points the third axis stays on the vertical and the rate about it changes: no installed extension has"
+            " the theory of such motions, and nothing is predicted there"
+        )
     for name, parameter in system.parameters.items():
         largest = np.abs(points[name]).max(initial=0.0, where=np.isfinite(points[name]))
         if parameter.unit == "rad" and largest > 2 * np.pi:

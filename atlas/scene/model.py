@@ -10,6 +10,7 @@ from typing import Any
 
 import tomli_w
 
+from .. import extension
 from ..errors import MAX_TEXT, printable
 from ..kernel.tableaux import METHODS
 from ..measure.instrument import Tolerances
@@ -227,6 +228,13 @@ class Scene:
         return math.prod(self.shape)
 
     @property
+    def extensions(self) -> list[str]:
+        """Names of the extensions that give its variables and its family, in alphabetical order."""
+        variables = [name for name in self.outputs if name not in self.system.derived]
+        families = [] if self.family is None or self.family in self.system.families else [self.family]
+        return [each.name for each in extension.used(variables, families)]
+
+    @property
     def nudges_angles(self) -> bool:
         """Whether the nudge changes angles and their rates, not the optional start values of the system."""
         return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
@@ -251,6 +259,7 @@ class Scene:
         """The scene with every default written out; `load_scene` of this text gives the same scene."""
         settings, duration = self.settings, self.duration
         table: dict[str, Any] = {
+            "extensions": self.extensions,
             "seed": self.seed,
             "about": self.about.table(),
             "axes": {} if self.points else {axis.name: dict(axis.table) for axis in self.axes.values()},

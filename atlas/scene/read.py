@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
-from ..systems.base import Array, System
+from ..systems.base import Array, System, families_of
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .checks import checked
@@ -53,7 +53,7 @@ TABLES = (
 )
 # First bytes of NetCDF files, in the HDF5 format and in the classic ones.
 NETCDF_BEGINS = (b"\x89HDF", b"CDF")
-KEYS = ("schema", "title", "system", "seed", *TABLES)
+KEYS = ("schema", "title", "system", "extensions", "seed", *TABLES)
 
 
 def load_scene(source: str | Path | Scene) -> Scene:
@@ -152,6 +152,11 @@ def scene_from(
     if (count := sum(len(section[key]) for key in ("fixed", "axes", "ties"))) > MAX_NAMES:
         raise BadInput(f"{count} names are given values; allowed: at most {MAX_NAMES}")
     system = systems.get(checks.text("system", table["system"]))
+    for each in checks.texts("extensions", table.get("extensions", [])):
+        if each not in (installed := extension.extensions()) and not of_atlas:
+            raise BadInput(
+                f"extensions: {shown(each)} is not installed; installed: {', '.join(installed)}{extension.not_loaded()}"
+            )
     title = checks.text("title", table.get("title", name))
     fixed = {key: checks.quantity(f"fixed.{key}", value) for key, value in section["fixed"].items()}
     for key, number in fixed.items():
@@ -233,7 +238,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
     unknown = [name for name in listed if not isinstance(name, str) or name not in registry]
     for name in [] if of_atlas else unknown:
         raise BadInput(
-            f"outputs.variables: {shown(name)} is unknown; {allowed_text(name, registry)}{extension.not_loaded()}"
+            f"outputs.variables: {shown(name)} is unknown; {extension.available_text(name, registry)}"
         )
     outputs = tuple(name for name in registry if name in listed)
     allowed = (*outputs, *unknown)
@@ -324,12 +329,14 @@ def _spaced(key: str, table: Mapping[str, Any], count: int) -> Array:
 def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
     """Name of the family, and its solved parameters in the order of its formulas."""
     checks.check_keys(table, "family.", ("name", "solve"))
+    families = families_of(system)
     if "name" not in table:
-        raise BadInput(f"family.name is missing; {allowed_text(None, system.families)}")
+        raise BadInput(f"family.name is missing; {allowed_text(None, families)}")
     name = checks.text("family.name", table["name"])
-    if name not in system.families:
-        raise BadInput(f"family.name = {shown(name)}: unknown family; {allowed_text(name, system.families)}")
-    family = system.families[name]
+    if name not in families:
+        why = "of a missing extension" if name in system.reserved_families else "unknown family"
+        raise BadInput(f"family.name = {shown(name)}: {why}; {extension.available_text(name, families)}")
+    family = families[name]
     solve = table.get("solve", [])
     if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):
         raise BadInput(f"family.solve = {shown(solve)}: must be a list of parameter names")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .. import systems as all_systems
-from ..systems.base import System
+from ..systems.base import System, families_of
 from ..variables import variables
 from . import checks, points, read
 from .expressions import RESERVED
@@ -49,6 +49,7 @@ def scene_schema() -> Schema:
                 "enum": [s.name for s in systems],
                 "description": "; ".join(f"{s.name}: {s.title}" for s in systems),
             },
+            "extensions": checks.texts.schema | {"description": "extensions that must be installed"},
             "seed": points.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
             "fixed": {
@@ -152,7 +153,7 @@ def _properties_of(system: System) -> Schema:
         ties[name] = {"type": "string"} | description
         if parameter.start:
             nudge[name] = NUMBER | description
-    for name, family in system.families.items():
+    for name, family in families_of(system).items():
         conditions = "; ".join(condition.text for condition in family.conditions)
         solve = {
             "type": "array",

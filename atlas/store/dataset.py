@@ -19,7 +19,7 @@ from ..errors import BadInput
 from ..measure.observables import std_tolerances
 from ..scene import grid
 from ..scene.model import About, Scene, Settings
-from ..systems.base import System
+from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables
 
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
@@ -143,9 +143,9 @@ def log_warnings(warnings: list[str]) -> None:
 
 def provenance(
     system: System, settings: Settings, kernel_hash: str, *, points: int, warnings: list[str],
-    seconds: float | None = None, title: str = "", scene: Scene | None = None,
+    seconds: float | None = None, title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title.
+    """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title and variables.
 
     seconds: wall-clock time, if known.
     """
@@ -177,6 +177,8 @@ def provenance(
         "atlas_platform": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "atlas_versions": ", ".join(f"{name} {import_module(name).__version__}" for name in packages),
     }
+    if extensions := extensions_of(system, outputs if scene is None else scene.outputs):
+        attributes["atlas_extensions"] = ", ".join(f"{each.name} {each.code}" for each in extensions)
     if seconds is not None:
         attributes["atlas_seconds"] = seconds
         attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan

@@ -8,7 +8,7 @@ from typing import Any
 from .. import extension
 from ..errors import BadInput, allowed_text, one_line, shown, text_table
 from . import arithmetic, plugins
-from .base import Observable, Parameter, System
+from .base import Observable, Parameter, System, families_of
 from .check import check, check_complete, check_start
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
@@ -126,7 +126,9 @@ def describe(name: str | None = None) -> str:
         return text_table([(key, system.title) for key, system in available().items()])
     system = get(name)
     parameters = [(n, p.unit, f"{p.default:g}", p.meaning) for n, p in system.parameters.items()]
-    families = [(n, f"solves {', '.join(f.solve) or 'nothing'}", f.title) for n, f in system.families.items()]
+    families = [
+        (n, f"solves {', '.join(f.solve) or 'nothing'}", f.title) for n, f in families_of(system).items()
+    ]
     return "\n".join(
         [f"{name}: {system.title}", text_table(parameters), text_table(families or [("no families",)])]
     )

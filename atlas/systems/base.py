@@ -106,8 +106,9 @@ class Family:
     # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
     # which the formulas may be used together
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability
+    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability and System.rough_stability
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
+    rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None
     stability_text: str = ""  # what decides the stability, for the catalogue
     # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
     motion: Callable[[Points, Array], Array] | None = None
@@ -192,9 +193,10 @@ class StressCase:
     solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
     may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
-    # the exact motion of validation.exact that the points follow, or "departure" where the additions are tiny offsets
-    # from an unstable equilibrium; empty: the true label follows from theory or from the reference integrator
-    truth: str = ""
+    # the exact motion that the points follow, by its name in validation.exact or as a function from one point to a
+    # validation.exact.Motion, or "departure" where the additions are tiny offsets from an unstable equilibrium; empty: the
+    # true label follows from theory or from the reference integrator
+    truth: str | Callable[[Points], Any] = ""
 
 
 class System(ABC):
@@ -214,9 +216,9 @@ class System(ABC):
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `warnings`, and what is physically possible:
         `moments_of_inertia`, `possible_start`, `start_condition`.
     Theory
-        `families`, `identify_family`, `squared_rate`, `linear_stability`, `log_growth`, `growth_about_vertical`,
-        `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`, `equilibria_of_bodies`, `published`,
-        `stress_cases`.
+        `families`, `reserved_families`, `identify_family`, `squared_rate`, `linear_stability`, `rough_stability`,
+        `log_growth`, `growth_about_vertical`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`,
+        `equilibria_of_bodies`, `published`, `stress_cases`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -388,6 +390,8 @@ class System(ABC):
 
     families: Mapping[str, Family] = MappingProxyType({})
     """Families of exact steady motions by name, their flags counted from 1 in this order."""
+    reserved_families: Mapping[str, str] = MappingProxyType({})
+    """Name -> title of families that extensions may add; their flags follow in this order, whatever is installed."""
     geometries: Mapping[str, str] = MappingProxyType({"none": "drifting or unresolved"})
     """Name -> sentence of each value of the flag variable `geometry`, in the order of the values."""
     derived: Mapping[str, DerivedVariable] = MappingProxyType({})
@@ -446,8 +450,9 @@ class System(ABC):
             That residual, dimensionless; where there is no family, the least residual of any (inf if there
             are no families).
         """
-        others = [family for family in self.families.values() if family.axes or family.rate_std]
-        return identify(points, [each for each in self.families.values() if each not in others], others)
+        every = families_of(self).values()
+        others = [family for family in every if family.axes or family.rate_std]
+        return identify(points, [family for family in every if family not in others], others)
 
     def squared_rate(self, points: Points) -> Array:
         """Largest squared rate of each start, of body, frame and fields, by which `condition_residual` is divided, (points,).
@@ -477,7 +482,7 @@ class System(ABC):
             Largest real part of the characteristic exponents, rad per time unit; nan where unknown.
         """
         stable, growth = np.full(flags.shape, Stability.UNKNOWN, np.int8), np.full(flags.shape, np.nan)
-        for family in self.families.values():
+        for family in families_of(self).values():
             members = np.flatnonzero(flags == family.flag)
             if members.size and family.stability is not None:
                 stable[members], growth[members] = family.stability(subset(points, members))
@@ -491,7 +496,12 @@ class System(ABC):
         flags : int8 array (points,)
             Families, as `identify_family` gives them.
         """
-        return self.linear_stability(points, flags)
+        rough = {f.flag: f.rough_stability for f in families_of(self).values() if f.rough_stability}
+        stable, growth = self.linear_stability(points, np.where(np.isin(flags, list(rough)), 0, flags))
+        for flag, decide in rough.items():
+            if (members := np.flatnonzero(flags == flag)).size:
+                stable[members], growth[members] = decide(subset(points, members))
+        return stable, growth
 
     def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
         """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
@@ -596,12 +606,48 @@ def within_range(system: System, points: Points) -> Mask:
     return ~np.any([*too_large, *too_small], axis=0)
 
 
+@cache
+def families_of(system: System) -> Mapping[str, Family]:
+    """Families of steady motions by name: of the system, then of extensions, which have the reserved flags and titles."""
+    added: dict[str, Family] = {}
+    for families in extension.every("families"):
+        added |= families(system)
+    if unknown := added.keys() - system.reserved_families.keys():
+        raise BadInput(
+            f"the system {system.name}: an extension has a family {min(unknown)}, for which no flag is reserved"
+        )
+    every = dict(system.families)
+    for flag, (name, title) in enumerate(system.reserved_families.items(), 1 + len(every)):
+        if name in added:
+            every[name] = replace(added[name], name=name, flag=flag, title=title)
+    return MappingProxyType(every)
+
+
+def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
+    """Extensions on which numbers of a system depend: of these variables, and of families, any of which a start may be on."""
+    families = families_of(system).keys() - system.families.keys()
+    return extension.used([name for name in variables if name not in system.derived], families)
+
+
+def stress_cases_of(system: System) -> list[StressCase]:
+    """Stress cases of a system, then of an extension."""
+    cases = list(system.stress_cases())
+    if system.name in extension.parts("stress_cases"):
+        cases += extension.load("stress_cases", system.name)(system)
+    return cases
+
+
+def other_families(system: System, names: Collection[str]) -> list[Family]:
+    """Families of a system and of extensions but the named ones."""
+    return [family for name, family in families_of(system).items() if name not in names]
+
+
 def identify(
-    points: Points, families: Collection[Family], about_any_axes: Collection[Family] = ()
+    points: Points, families: Collection[Family], others: Collection[Family] = ()
 ) -> tuple[Flags, Array]:
     """Flag and residual of the first family that each point belongs to, see System.identify_family.
 
-    Families are tested in order, about_any_axes last and without a part in the least residual. Conditions are
+    Families are tested in order, the others last and without a part in the least residual. Conditions are
     computed one by one, at the points that satisfy the earlier ones, which are few as a rule.
     """
     shape = shape_of(points)
@@ -620,7 +666,7 @@ def identify(
             least[free] = np.minimum(least[free], worst[free])
             flag[free & (worst <= FAMILY_TOLERANCE)] = family.flag
         with np.errstate(all="ignore"):
-            for family in about_any_axes:
+            for family in others:
                 _identify_members(part, family, flag, least)
     return flags, residual
 
@@ -718,13 +764,13 @@ def shape_of(points: Points) -> tuple[int, ...]:
 
 def unsteady(system: System, flags: Flags) -> Mask:
     """Where a family is one of motions of which the rate about the vertical varies, (points,)."""
-    return np.isin(flags, [each.flag for each in system.families.values() if each.rate_std])
+    return np.isin(flags, [each.flag for each in families_of(system).values() if each.rate_std])
 
 
 def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
     """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
     result = np.zeros(flags.shape)
-    for family in system.families.values():
+    for family in families_of(system).values():
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
             result[members] = family.rate_std(subset(points, members), duration[members])
     return result

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import arithmetic
-from .base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, TwoAxes, shape_of, subset
+from .base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, TwoAxes, families_of, shape_of, subset
 from .jacobian import STEP
 from .vectors import cross, dot, length, principal, ratio, turned, unit
 
@@ -390,6 +390,21 @@ def _departure(start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple
     where = np.flatnonzero((lasting <= FAR) & (result > lasting))
     lasting[where] = np.fmax(lasting[where], result[where] * start.subset(where).undamped(duration[where]))
     return lasting
+
+
+def lacks_theory(system: System, points: Points) -> Mask:
+    """Whether families that a missing extension could give may decide on a start, (points,).
+
+    Its third axis stays on the vertical at first, while the rate about it changes: no other start can be on such a family.
+    """
+    is_complete = system.reserved_families.keys() <= families_of(system).keys()
+    if is_complete or isinstance(polynomial_degree(system), str):
+        return np.zeros(shape_of(points), bool)
+    start = _Starts.of(system, points)
+    along, square = dot(start.acceleration, start.vertical), start.bound**2
+    across = length(start.acceleration - along * start.vertical)
+    upright = np.hypot(*start.vertical[:2]) <= FAMILY_TOLERANCE
+    return np.asarray(upright & (np.abs(along) > ROUNDING * square) & (across <= GATE * square))
 
 
 def condition_residual(system: System, points: Points) -> Array:

@@ -7,15 +7,14 @@ and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0) the angular veloci
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import ellipkm1, elliprf
 
 from ..systems.base import Array, Points, System
-from ..systems.gyrostat.plane import Mean, PlaneMotions
-from ..systems.satellite import SATELLITE
+from ..systems.elliptic import EllipticFunctions
 
 # Samples of the precession of a free body about its angular momentum, over one period.
 FOURIER_SAMPLES = 1024
@@ -49,7 +48,7 @@ def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
     """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0."""
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
-    mean = Mean.of(np.asarray(1.0 - complement), np.asarray(complement))
+    mean = EllipticFunctions.of(np.asarray(1.0 - complement), np.asarray(complement))
     return mean.functions(argument * mean.a[-1] / (2 * np.pi))
 
 
@@ -313,24 +312,14 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
     )
 
 
-class PlanarLibration:
-    """Satellite whose third axis stays on the orbit normal, see `systems.gyrostat.plane`; a rotor along it has no effect."""
-
-    def __init__(self, motion: PlaneMotions):
-        self.motion = motion
-        self.rate = 2 * abs(float((motion.frequency * motion.unit)[0]))
-        self.period = float((motion.period() * np.where(motion.rotates, 0.5, 1.0))[0])
-
-    def __call__(self, time: Array) -> EulerMotion:
-        """Angles and rates at the times; psi' and phi' have no meaning here."""
-        rate = self.motion.pitch(np.asarray(time, float)[..., None])[1][..., 0]
-        zero, nan = np.zeros_like(rate), np.full_like(rate, np.nan)
-        return EulerMotion(zero, zero, nan, nan, rate, zero)
+# The exact motions of points of a system, by what stress cases name.
 
 
-def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
-    """Exact motion of a point: "symmetric top", "free gyrostat" or "planar libration"; else ValueError."""
+def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:
+    """Exact motion of a point: "symmetric top", "free gyrostat" or that of a function, see StressCase; else ValueError."""
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
+    if callable(kind):
+        return kind(points)
     p = {name: float(values[0]) for name, values in points.items()}
     satellite = system.name == "satellite"
     rotor = np.array([p[f"{'k' if satellite else 'l'}{i}"] for i in (1, 2, 3)])
@@ -352,9 +341,6 @@ def motion_of(system: System, kind: str, points: Points, index: int) -> Motion:
         state, constants = system.initial_state(points), system.constants(points)
         motion = np.array(system.equations.frame_motion(state, constants))[:, 0]
         return FreeGyrostat(inertia, rotor, motion[:3] + frame_rate * motion[3:], motion[3:], frame_rate)
-    upright = satellite and p["theta0"] == 0 and p["theta_dot0"] == 0 and not any([*rotor[:2], *weight[:2]])
-    if kind == "planar libration" and upright and not any(others[:3]):
-        return PlanarLibration(PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points)))
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 

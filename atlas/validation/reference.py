@@ -14,7 +14,7 @@ from ..kernel.statistics import NEEDS_PSI, RATES, Row, finish
 from ..measure import observables, rates
 from ..measure.rates import state_distance
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.base import Array, Flags, Mask, Points, System, families_of, subset
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
 
@@ -140,7 +140,7 @@ def largest_sine(theta_min: Array, theta_max: Array) -> Array:
 def _closed_forms(system: System, points: Points, duration: Array, cylinder: float) -> tuple[Run, Mask]:
     """The steady motion of each start by the closed form of its family, and a mask of the starts exactly on a family."""
     flags, _ = system.identify_family(points)
-    motions = {f.flag: f.motion for f in system.families.values() if f.motion is not None}
+    motions = {f.flag: f.motion for f in families_of(system).values() if f.motion is not None}
     exact = (condition_residual(system, points) <= EXACT_RESIDUAL) & np.isin(flags, list(motions))
     start = system.initial_state(points)
     motion = system.equations.frame_motion(start, system.constants(points))

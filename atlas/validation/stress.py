@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -24,7 +25,7 @@ from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Mask, Points, StressCase, System, subset
+from ..systems.base import Array, Mask, Points, StressCase, System, families_of, stress_cases_of, subset
 from ..variables import main_instrument, variables
 from .reference import reference_where_possible
 from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
@@ -54,7 +55,7 @@ def stress(
     """Run stress cases, or `generic_cases`, by every method at every level and compare each label with the true one."""
     if isinstance(system, str):
         system = systems.get(system)
-    own_cases = system.stress_cases() if cases is None else cases
+    own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
     truths = [true_labels(system, p.points, p.duration, Settings(), p.truth, p.base) for p in parts]
     for case in generic_cases(system) if cases is None and not own_cases else ():
@@ -313,7 +314,7 @@ class CasePoints:
     duration: Array  # time units
     names: tuple[str, ...]  # of the points: the parameters, and the duration, that vary within the case
     may_stay_unresolved: str
-    truth: str  # as in StressCase
+    truth: str | Callable[[Points], Any]  # as in StressCase
 
     def subset(self, where: Mask) -> CasePoints:
         """The points where a mask is true."""
@@ -335,7 +336,7 @@ def case_points(system: System, case: StressCase) -> CasePoints:
     )
     if case.solve is not None:
         family, parameter = case.solve
-        points[parameter] = system.families[family].solve[parameter](points)
+        points[parameter] = families_of(system)[family].solve[parameter](points)
     base = dict(points)
     for name, amount in case.additions.items():
         points[name] = points[name] + np.asarray(amount, float)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ from ..label.theory import predict, rounding_limit
 from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System, subset
+from ..systems.base import Array, Flags, Mask, Points, System, families_of, subset
 from ..systems.gyrostat import Gyrostat
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
@@ -60,7 +60,7 @@ def true_labels(
     points: Points,
     duration: Array,
     settings: Settings,
-    truth: str = "",
+    truth: str | Callable[[Points], exact.Motion] = "",
     base: Points | None = None,
 ) -> TrueLabels:
     """True label of each point, by the sources in docs/stress.md, and its unsteadiness; ValueError where no source decides."""
@@ -71,7 +71,9 @@ def true_labels(
             _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
             for i in range(duration.size)
         ]
-        return _labels_of_runs(system, runs, settings, truth, 1e-3 + STATE_ROUNDING / np.abs(offset).max(0))
+        return _labels_of_runs(
+            system, runs, settings, "departure", 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
+        )
     if truth:
         motions = (exact.motion_of(system, truth, points, i) for i in range(duration.size))
         runs = [exact.statistics(motion, T) for motion, T in zip(motions, duration, strict=True)]
@@ -180,7 +182,7 @@ def linear_growth(
     system: System, points: Points, flags: Flags, duration: Array, indices: np.ndarray
 ) -> Array:
     """Logarithm of the growth of a disturbance of each steady motion over the run, where theory gives no growth rate."""
-    motions = {family.flag: family.motion for family in system.families.values()}
+    motions = {family.flag: family.motion for family in families_of(system).values()}
     result = []
     for i in indices:
         point = subset(points, slice(i, i + 1))

@@ -14,6 +14,7 @@ import time
 import numpy as np
 
 from atlas.systems import get
+from atlas.systems.base import families_of
 from atlas.systems.steady import condition_residual
 
 SATELLITE = get("satellite")
@@ -58,7 +59,7 @@ def main() -> None:
         f"linear_stability      {time.perf_counter() - began:7.2f} s, {np.bincount(stable, minlength=3)} unknown, stable, unstable"
     )
     print(f"together              {time.perf_counter() - total:7.2f} s")
-    for name, family in SATELLITE.families.items():
+    for name, family in families_of(SATELLITE).items():
         print(f"  {name}: {(flags == family.flag).sum()} points")
 
     print_numeric_stability(min(count, 2000))

@@ -13,6 +13,7 @@ import time
 import numpy as np
 
 from atlas import label_points
+from atlas.extensions.plane.stress_cases import PlaneMotion
 from atlas.flags import Label
 from atlas.scene.tables import point_columns
 from atlas.systems import get
@@ -33,7 +34,10 @@ def true_rates(name: str, points: dict[str, np.ndarray], duration: float) -> dic
     """Mean and standard deviation of the rate about the normal, by closed form."""
     if name == "planar libration":
         size = points["A"].size
-        runs = [exact.statistics(exact.motion_of(SATELLITE, name, points, i), duration) for i in range(size)]
+        runs = [
+            exact.statistics(exact.motion_of(SATELLITE, PlaneMotion, points, i), duration)
+            for i in range(size)
+        ]
         return {key: np.array([run[key] for run in runs]) for key in ("normal_rate_mean", "normal_rate_std")}
     mean = points["n"] + points["m"] * np.cos(points["theta0"])
     return {"normal_rate_mean": mean, "normal_rate_std": np.zeros_like(mean)}

@@ -21,7 +21,7 @@ from atlas.extensions.amer2013.figures import amplitude_table, periodic_solution
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
-from atlas.systems.base import System
+from atlas.systems.base import System, families_of
 from atlas.variables import variables
 
 ROOT = Path(__file__).parents[2]
@@ -241,7 +241,7 @@ def dataset(system: System) -> str:
 def families(system: System) -> str:
     """Table of the families of steady motions."""
     rows = [("family", "equations", "solves for", "motion", "conditions")]
-    for f in system.families.values():
+    for f in families_of(system).values():
         rows.append(
             (
                 f"`{f.name}`",

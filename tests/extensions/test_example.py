@@ -25,7 +25,7 @@ outputs = { variables = ["label", "start_energy"] }
 
 
 @pytest.fixture
-def installed(tmp_path, forget):
+def installed(tmp_path, installed_extensions):
     """The extension is installed as far as Python can tell."""
     project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
     info = tmp_path / "atlas_start_energy-1.0.dist-info"
@@ -37,7 +37,7 @@ def installed(tmp_path, forget):
     with pytest.MonkeyPatch.context() as patched:
         for folder in (FOLDER, tmp_path):
             patched.syspath_prepend(folder)
-        forget()
+        installed_extensions()
         yield
 
 

@@ -12,6 +12,7 @@ import atlas
 from atlas import systems
 from atlas.flags import Label, Status
 from atlas.systems import Parameter, System, steady
+from atlas.systems.base import families_of
 from atlas.systems.steady import Existence, polynomial_degree, steady_motions
 from atlas.systems.vectors import cross, length
 
@@ -33,7 +34,7 @@ def family_rates(system, points):
     """Sine of the angle between the axes, n and m of the family of each start."""
     flags, _ = system.identify_family(points)
     sine, n, m = (np.array(values) for values in system.steady_rates(points))
-    for family in system.families.values():
+    for family in families_of(system).values():
         members = np.flatnonzero(flags == family.flag)
         if family.axes is not None and members.size:
             axes = family.axes({name: values[members] for name, values in points.items()})

@@ -27,6 +27,7 @@ from atlas.measure.rates import Rates, rule
 from atlas.scene.model import Settings, Tolerances
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
+from atlas.systems.base import families_of
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -313,7 +314,7 @@ FREE_ANGLES = {
 )
 def test_a_nudge_along_the_family_is_no_push(name, draw):
     system = SYSTEMS[name]
-    flags = {system.families[family].flag: angles for family, angles in FREE_ANGLES[name].items()}
+    flags = {families_of(system)[family].flag: angles for family, angles in FREE_ANGLES[name].items()}
     points, growth = unstable(system, draw(np.random.default_rng(10), 200))
     family = system.identify_family(points)[0]
     chosen = np.isin(family, list(flags))
@@ -392,7 +393,7 @@ def test_whatever_counts_as_upright_is_predicted_to_rotate_about_the_vertical(
     points, _ = point_columns(SYSTEMS[name], upright | ({"l3": 6.0} if name == "fixed_point" else {}))
     flag = SYSTEMS[name].identify_family(points)[0]
     predicted = predict(SYSTEMS[name], points, 1e-5, nudged=False)
-    upright_flags = [family.flag for family in SYSTEMS[name].families.values() if family.axes is None]
+    upright_flags = [family.flag for family in families_of(SYSTEMS[name]).values() if family.axes is None]
     if flag[0] in upright_flags:
         assert predicted["predicted"][0] == Label.PERMANENT_ROTATION
 

@@ -10,7 +10,7 @@ from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
-from atlas.systems.base import unsteady
+from atlas.systems.base import families_of, unsteady
 
 # Steps of the coarser of two runs, by the order of the method.
 COARSE_STEPS_GYROSTAT = {4: 240, 8: 30}
@@ -76,7 +76,7 @@ def test_order_on_every_steady_family(name, method):
     points, flags = select(points, steady), flags[steady]
     duration = 20.0 / system.frequency_bound(points)
     exact = np.empty((len(system.equations.STATE), flags.size))
-    for family in system.families.values():
+    for family in families_of(system).values():
         for i in np.flatnonzero(flags == family.flag):
             exact[:, i] = family.motion(select(points, i), duration[i])[:, 0]
     order = METHODS[method].order

@@ -40,7 +40,7 @@ from ...plotting.maps import as_math, scatter_axes
 from ...plotting.options import MapOptions
 from ...plotting.style import axis_label, caption, flag_colours, unit_text, variable_label
 from ...scene.model import Scene
-from ...systems.base import System, derived_variables
+from ...systems.base import System, derived_variables, families_of
 from ...variables import POINT, data_variables
 from . import motion
 from .text import Run, plain, text_runs
@@ -249,7 +249,7 @@ def _lines(layout: Layout, part: xr.Dataset, panel: Panel) -> list[dict[str, Any
 
 def _styles(system: System, slices: list[list[dict[str, Any]]]) -> dict[str, Any]:
     """Text, width and dashes of each kind of line."""
-    families = list(system.families)
+    families = list(families_of(system))
     named = {"-": (), ":": rcParams["lines.dotted_pattern"], "--": rcParams["lines.dashed_pattern"],
              "-.": rcParams["lines.dashdot_pattern"]}  # fmt: skip
     styles: dict[str, Any] = {}

@@ -12,12 +12,12 @@ from ...analysis.published import expression, load, row
 from ...systems.base import Array
 from ...systems.gyrostat.motions import angular_velocity
 from ...systems.gyrostat.oscillations import Equilibria
-from ...systems.gyrostat.plane import PlaneMotions
 from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
 from ..normal_form.nonlinear import NormalForm, derivatives
+from ..plane.motions import PlaneMotions
 from . import lagrange
 
 Point = dict[str, Array]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array, Flags, Mask, Points, identify, shape_of, shared
+from ..base import Array, Flags, Mask, Points, identify, other_families, shape_of, shared
 from ..gyrostat import Body, Gyrostat, rotations
 from ..gyrostat.equilibria import NOT_CERTAIN
 from ..gyrostat.stress_cases import fixed_point_cases
@@ -75,7 +75,7 @@ class FixedPoint(Gyrostat):
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the vertical, else one about any axes."""
-        return identify(points, families.ORDER, any_axis.FAMILIES.values())
+        return identify(points, families.ORDER, other_families(self, families.FAMILIES))
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:

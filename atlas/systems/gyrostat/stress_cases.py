@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base import Array, StressCase, System, subset
-from .plane import PlaneMotions
 from .system import Gyrostat
 
 OVERFLOW = "the numbers overflow"
@@ -19,7 +18,6 @@ SPINS, FIELDS = 10.0 ** np.arange(-6, 5, 2), 10.0 ** np.arange(-8, 7, 2)
 TILTS = np.array([1e-2, 1e-3, 1e-4, 3e-5, 1e-6, 1e-8, 1e-12, 0.0])
 # Offsets from unstable motions, rad, and the logarithms by which they grow.
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)
-OFF_SEPARATRIX = np.array([-0.65, -0.1, -1e-3, -1e-6, 1e-6, 1e-3, 0.1, 2.0])
 # Distances at which the axis passes the vertical, rad, and its speed there.
 SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
 # Bodies with exact motions that pass the vertical, with the kind of motion: spherical ones on the orbit, where gravity has
@@ -136,13 +134,6 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     hyperbola = {"theta0": 0.8, "psi0": np.pi / 2, "C": 0.7}  # a stable perp_velocity motion
     unstable = {"theta0": 1.0, "psi0": np.pi / 2, "C": 1.2, "m": 0.3}
     flip = {"A": 1.0, "B": 2.0, "C": 1.5, "Omega": 0.0, "m": 1.0}
-    pitch = {"A": 1.2, "B": 1.0, "C": 0.9}
-    pitch_growth = np.sqrt(3 * (pitch["A"] - pitch["B"]) / pitch["C"])
-    # librations and rotations, up to beside the separatrix at the rate 0.75, and their periods
-    plane, rates = {"A": 1.0, "B": 1.3, "C": 1.6, "k3": -0.5, "mu3": 1.0, "h3": 0.4}, 0.75 + OFF_SEPARATRIX
-    bodies = {name: np.full(rates.size, plane.get(name, p.default)) for name, p in system.parameters.items()}
-    bodies |= {"n": rates}
-    period = PlaneMotions.of(system.body(bodies), *system.start(bodies)).period()
     m, duration = (values.ravel() for values in np.meshgrid([0.05, 0.02, 0.005], [30.0, 100.0]))
     s, c = np.sin(1.2), np.cos(1.2)
     h1 = m * s / (1 + m * c)
@@ -203,21 +194,10 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
                     "mu1": [0.0, 0.0, 1e300, 0.0], "h1": [0.0, 0.0, 1e300, 0.0],
                     "n": [0.0, 0.0, 0.0, 1e160]},
                    may_stay_unresolved=OVERFLOW),
-        StressCase("pitch", "libration and rotation in the plane of the orbit", 20.0,
-                   {"A": [1.0, 1.0, 1.0, 1.2, 1.2], "B": [1.3, 1.3, 1.3, 1.0, 1.0], "psi0": [0.1, 1.5, 0.1, 1.5, 0.3],
-                    "n": [0.0, 0.0, 2.0, 0.0, -1.0], "k3": 0.5},
-                   truth="planar libration"),
-        *(StressCase(f"pitch, {part} of the period", "its mean rate is the pitch at the end, with rotor and magnet",
-                     share * period, {**plane, "n": rates}, truth="planar libration")
-          for part, share in (("a tenth", 0.1), ("half", 0.5), ("all", 1.0))),
         # exact starts whose linear equations have a period much longer than the run
         StressCase("slow spin, unstable", "magnet across the axis, so that the linear equations are periodic",
                    duration, slow, may_stay_unresolved=GROWN),
         _departure("unstable rest, offset", "equilibria with rotor and magnet", *_unstable_satellites(system)),
-        StressCase("unstable pitch, offset", "on the normal, beside the unstable direction", LOGARITHMS / pitch_growth,
-                   {**pitch, "psi0": OFFSETS}, may_stay_unresolved=OFFSET, truth="planar libration"),
-        StressCase("unstable pitch, long", "the same over and over again", 100.0, {**pitch, "psi0": [2e-14, 1e-11]},
-                   may_stay_unresolved=OFFSET, truth="planar libration"),
         *_passages(system, "normal", _TOPS_ON_ORBIT, {"starts": ([0.01], [2.0]), "ends": ([2.0], [1.95]), "passes": ([1.5], [3.0])}),
     )  # fmt: skip
 

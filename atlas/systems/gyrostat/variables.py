@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability, StabilityKind
-from ..base import Array, DerivedVariable, Flags, Points, shared, subset, unsteady
-from .plane import PlaneMotions
+from ..base import Array, DerivedVariable, Flags, Points, shared, unsteady
 
 if TYPE_CHECKING:
     from .system import Gyrostat
 
-_CHUNK = 4096  # points whose multipliers are computed between two pauses
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 
 
@@ -81,29 +79,3 @@ def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
         StabilityKind.LINEARLY_STABLE: stable,
     }
     return np.select(list(kinds.values()), list(kinds), StabilityKind.UNKNOWN).astype(np.int8)
-
-
-def plane_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Period and multipliers of motions in the plane; nan elsewhere."""
-    names = ("plane_period", "plane_trace", "plane_second")
-
-    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        with np.errstate(all="ignore"):  # parameters may overflow
-            flags = system.identify_family(points)[0]
-        columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(unsteady(system, flags))
-        for first in range(0, members.size, _CHUNK):
-            pause()
-            some = members[first : first + _CHUNK]
-            part = subset(points, some)
-            with np.errstate(all="ignore"):
-                motions = PlaneMotions.of(system.body(part), *system.start(part))
-                columns[:, some] = motions.period(), *motions.multipliers()
-        return dict(zip(names, columns, strict=True))
-
-    equation = "of rho^2 - t rho + s - 2 = 0, rho = multiplier + 1/multiplier, over the period; nan where that is too long"
-    rows = (
-        (names[0], "s", "period of the libration in the plane, or of a whole turn", ""),
-        (names[1], "1", "sum of the multipliers out of the plane, t", equation),
-        (names[2], "1", "sum of the products of two multipliers out of the plane, s", equation),
-    )
-    return {row[0]: DerivedVariable.of_group(together, *row) for row in rows}

@@ -7,11 +7,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..base import Array, Flags, Mask, Points, shape_of, subset, unsteady
+from ...flags import SATELLITE_RESERVED_FAMILIES
+from ..base import Array, Flags, Mask, Points, shape_of
 from ..gyrostat import Gyrostat
 from ..gyrostat.stress_cases import satellite_cases
-from ..gyrostat.variables import plane_variables
-from . import any_axis, equations, families, initial, plane
+from . import any_axis, equations, families, initial
 
 
 class Satellite(Gyrostat):
@@ -38,7 +38,8 @@ class Satellite(Gyrostat):
 
     squared_rate = staticmethod(families.squared_rate)
     growth_about_vertical = staticmethod(initial.growth_about_vertical)
-    families = families.FAMILIES | any_axis.FAMILIES | plane.FAMILIES
+    families = families.FAMILIES | any_axis.FAMILIES
+    reserved_families = SATELLITE_RESERVED_FAMILIES
     geometries = MappingProxyType(
         {
             "none": "drifting or unresolved",
@@ -62,10 +63,6 @@ class Satellite(Gyrostat):
         " periodic"
     )
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.derived = {**self.derived, **plane_variables(self)}
-
     def possible_start(self, points: Points) -> Mask:
         """Everywhere: numbers that overflow get the status not_finite."""
         return np.ones(shape_of(points), bool)
@@ -88,12 +85,6 @@ class Satellite(Gyrostat):
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]
-
-    def rough_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        in_plane = unsteady(self, flags)
-        stable, growth = self.linear_stability(points, np.where(in_plane, 0, flags))
-        stable[in_plane], growth[in_plane] = plane.stability(subset(points, in_plane), rough=True)
-        return stable, growth
 
     def geometry(
         self,

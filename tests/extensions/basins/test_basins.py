@@ -200,10 +200,12 @@ def test_points_without_a_body_have_no_end():
     np.testing.assert_array_equal(np.isnan(ds["end_theta0"]), [False, True])
 
 
-def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(without, scene_text, ds):
+def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(
+    without_extension, scene_text, ds
+):
     scene = scene_text({})
     whole = atlas.run(atlas.load_scene(scene), progress=False)
-    without("basins")
+    without_extension("basins")
     assert "basin_fractions" not in dir(ds.atlas)
     with pytest.raises(AttributeError, match="no attribute 'basin_fractions'"):
         ds.atlas.basin_fractions()

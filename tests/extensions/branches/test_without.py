@@ -49,12 +49,12 @@ def legend(figure):
     return [text.get_text() for box in figure.legends for text in box.get_texts()]
 
 
-def test_what_it_gives_is_refused_by_name(without, tmp_path, monkeypatch, capsys):
+def test_what_it_gives_is_refused_by_name(without_extension, tmp_path, monkeypatch, capsys):
     ds = atlas.run(atlas.load_scene(SCENE), progress=False)
     assert "branches" in dir(atlas)
     assert "branches" in atlas.__all__
     assert "diagram" in dir(ds.atlas)
-    without("branches")
+    without_extension("branches")
     assert "branches" not in dir(atlas)
     assert "branches" not in atlas.__all__
     assert "diagram" not in dir(ds.atlas)
@@ -78,7 +78,7 @@ def test_what_it_gives_is_refused_by_name(without, tmp_path, monkeypatch, capsys
     assert "'branches'" in line
 
 
-def test_its_atlases_are_drawn_without_its_lines(without, counts, tmp_path):
+def test_its_atlases_are_drawn_without_its_lines(without_extension, counts, tmp_path):
     with atlas.open_atlas(counts) as ds:
         ds = ds.load()
     figure = ds.atlas.map()
@@ -86,7 +86,7 @@ def test_its_atlases_are_drawn_without_its_lines(without, counts, tmp_path):
     assert figure.axes[-1].get_ylabel() == "equilibrium stable count"
     here = {name: ds.atlas.map(name) for name in ("label",)}
     motion = ds.atlas.trajectory(k3=1.0, Omega=1.0, samples=5)
-    without("branches")
+    without_extension("branches")
     for name in (None, COUNTS[0]):
         alone = ds.atlas.map(name)
         assert not any(CHANGE in text for text in legend(alone))
@@ -99,10 +99,10 @@ def test_its_atlases_are_drawn_without_its_lines(without, counts, tmp_path):
     assert main(["compare", str(counts)]) == 0
 
 
-def test_other_variables_do_not_depend_on_it(without):
+def test_other_variables_do_not_depend_on_it(without_extension):
     text = SCENE.replace(', "label"', ', "label", "stable", "frequency_1"').replace("map = ", "# ")
     ds = atlas.run(atlas.load_scene(text), progress=False)
-    without("branches")
+    without_extension("branches")
     for name in COUNTS:
         text = text.replace(f'"{name}", ', "")
     alone = atlas.run(atlas.load_scene(text), progress=False)

@@ -394,12 +394,14 @@ def test_verdicts_share_linear_theory_with_the_variables_of_the_core(steps_of_th
         assert sorted(steps_of_theory) == sorted(["identify_family", *expected])
 
 
-def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(without, scene_text):
+def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(
+    without_extension, scene_text
+):
     text = scene_text(
         {"outputs.variables": ["label", "predicted", "stable", "growth_rate", "stability_kind"]}
     )
     whole = atlas.run(atlas.load_scene(text), progress=False)
-    without("normal_form")
+    without_extension("normal_form")
     for name in (NONLINEAR, *NORMAL_FORM):
         with pytest.raises(atlas.BadInput, match=f"^outputs.variables: '{name}' is unknown; [^\n]*$"):
             atlas.load_scene(scene_text({"outputs.variables": ["label", name]}))

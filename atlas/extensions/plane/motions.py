@@ -3,10 +3,9 @@
 With alpha = (cos x, -sin x, 0), rotor and fields along e3 and no field along alpha, whose gradient is g > 0, the pitch x obeys
 C x'' = -g (B - A) sin x cos x. For A < B it librates about x = 0, sin x = k sn(f t), x' = f k cn(f t), f^2 = g (B - A)/C, or
 rotates, x = am(f t), x' = f dn(f t), k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from
-pi/2. The elliptic functions are those of an arithmetic-geometric mean (M. Abramowitz and I. A. Stegun, Handbook of Mathematical
-Functions, 16.4, 16.12, 17.6), from 1 - k^2, which keeps its digits near the separatrix.
+pi/2.
 
-A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `floquet`, which hold along any
+A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `gyrostat.floquet`, which hold along any
 motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0) they are
 
     xi_1' = (p_1 - v xi_2 / 2)/A,    p_1' = P11 xi_1 + P12 xi_2 - v xi_2'/2,    P11 = (B - C)(w3^2 + g a2^2) - k3 w3 + h,
@@ -27,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import Stability
-from ..base import Array, Flags, Mask
-from .body import Body, length
-from .fundamental import GAUSS, LANES, of_steps
+from ...systems.base import Array, Flags, Mask
+from ...systems.elliptic import EllipticFunctions
+from ...systems.gyrostat.body import Body, length
+from ...systems.gyrostat.fundamental import GAUSS, LANES, of_steps
 
 
 class _Steps(NamedTuple):
@@ -57,52 +57,6 @@ _TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with
 _CHANGE = 3.2  # part of the change by the longest steps of an extrapolation that may be left as an error: 0.3 was measured
 # Of R H^-1 R beside the blocks of H transposed.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
-
-
-class Mean(NamedTuple):
-    """Arithmetic-geometric means of 1 and k', by level, each (points,)."""
-
-    a: list[Array]
-    b: list[Array]
-    c: list[Array]  # k, then c_n = (a_{n-1} - b_{n-1}) / 2 = a_n - b_{n-1}
-
-    @classmethod
-    def of(cls, modulus: Array, complement: Array) -> Mean:
-        """modulus, complement: k^2 and 1 - k^2."""
-        a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
-        while (unequal := c[-1] > 1e-9 * a[-1]).any():
-            # Further levels leave means that have met as they are to the bit, lest they depend on the other points.
-            b[-1] = np.where(unequal, b[-1], a[-1])
-            a.append(0.5 * (a[-1] + b[-1]))
-            b.append(np.sqrt(a[-2] * b[-1]))
-            c.append(np.where(unequal, c[-1] ** 2 / (4 * a[-1]), 0.0))
-        return cls(a, b, c)
-
-    def functions(self, turns: Array) -> tuple[Array, Array, Array]:
-        """sn, cn and dn at 4 K turns."""
-        sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
-        for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
-            ratio = c / a
-            below = 1 / (1 + ratio * sn * sn)
-            # b + c cn^2 = a - c sn^2, with its digits where that is small
-            sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
-        return sn, cn, dn
-
-    def periodic(self, turns: Array) -> tuple[Array, Array]:
-        """am(u) - 2 pi turns and Jacobi's Z(u) at u = 4 K turns."""
-        level = len(self.a) - 1
-        phase = 2 * np.pi * 2.0**level * (turns - np.round(turns))
-        amplitude, zeta = np.zeros_like(phase), np.zeros_like(phase)
-        for n in range(level, 0, -1):
-            sine = np.sin(phase)
-            correction = np.arcsin(self.c[n] / self.a[n] * sine)
-            amplitude, zeta = amplitude + correction / 2.0**n, zeta + self.c[n] * sine
-            phase = 0.5 * (phase + correction)
-        return amplitude, zeta
-
-    def squares(self, weight: float) -> Array:
-        """Sum over n > 0 of (weight - 2^(n-1)) c_n^2."""
-        return sum(((weight - 2.0**n) * c**2 for n, c in enumerate(self.c[1:])), np.zeros(1))
 
 
 class PlaneMotions(NamedTuple):
@@ -154,9 +108,9 @@ class PlaneMotions(NamedTuple):
         return PlaneMotions._make(values[where] for values in self)
 
     @property
-    def mean(self) -> Mean:
+    def mean(self) -> EllipticFunctions:
         """The elliptic functions."""
-        return Mean.of(self.modulus, self.complement)
+        return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
         """Of a libration, or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
@@ -280,7 +234,7 @@ class PlaneMotions(NamedTuple):
                 result[:, some] = np.concatenate([value, log_scale, np.abs(value - shorter)])[:, : some.size]
         return result
 
-    def _sums(self, rotates: bool, mean: Mean, matrices: Array) -> Array:
+    def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
         """The same by equal steps, LANES times in all; matrices: space for those of `of_steps`, 0 elsewhere."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)

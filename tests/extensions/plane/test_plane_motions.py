@@ -14,13 +14,13 @@ from truth import REFERENCE, monodromy_matrix
 import atlas
 from atlas.analysis.compare import report
 from atlas.errors import BadInput
+from atlas.extensions.plane.motions import PlaneMotions
 from atlas.flags import Label, Regularity, Stability
 from atlas.kernel import tangent
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import chaos
-from atlas.systems.base import derived_values, rate_std, unsteady
-from atlas.systems.gyrostat.plane import PlaneMotions
+from atlas.systems.base import derived_values, families_of, rate_std, unsteady
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.initial import constants, initial_state
@@ -45,7 +45,7 @@ TRACES = (
 )
 
 ORACLE = json.loads((REFERENCE / "plane_motions.json").read_text())
-LIBRATION, ROTATION = (SATELLITE.families[f"plane_{kind}"] for kind in ("libration", "rotation"))
+LIBRATION, ROTATION = (families_of(SATELLITE)[f"plane_{kind}"] for kind in ("libration", "rotation"))
 
 
 def motions_of(points):

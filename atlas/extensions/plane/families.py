@@ -1,6 +1,6 @@
 """Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
 
-They are no steady motions: the rate about the normal varies. The theory is that of `gyrostat.plane`, of which x is the pitch
+They are no steady motions: the rate about the normal varies. The theory is that of `motions`, of which x is the pitch
 chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and B.
 """
 
@@ -10,25 +10,27 @@ from functools import partial
 
 import numpy as np
 
-from ..base import Array, Condition, Family, Flags, Points, numbered
-from ..gyrostat import plane
-from ..gyrostat.motions import Equation, each
-from ..vectors import ratio
-from . import any_axis, families
-from . import conditions as the
-from .initial import body, directions, initial_state
+from ...systems.base import Array, Condition, Family, Flags, Points, System
+from ...systems.gyrostat.motions import Equation, each
+from ...systems.satellite import SATELLITE
+from ...systems.satellite import conditions as the
+from ...systems.satellite.families import nearest_pole
+from ...systems.satellite.initial import directions
+from ...systems.satellite.system import Satellite
+from ...systems.vectors import ratio
+from .motions import PlaneMotions
 
 
-def _motions(points: Points) -> plane.PlaneMotions:
-    state = np.moveaxis(initial_state(points), 0, -1)
-    return plane.PlaneMotions.of(body(points), state[:, :3], state[:, 3:6], state[:, 6:])
+def motions(points: Points) -> PlaneMotions:
+    """The motions that start at points in the plane."""
+    return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
 
 
 def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
     """Out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
     neighbouring motions have other periods, and their distance grows like t.
     """
-    return _motions(points).stability(rough)
+    return motions(points).stability(rough)
 
 
 def _excess(p: Points) -> Array:
@@ -48,11 +50,12 @@ def _bottom(p: Points) -> Array:
 _family = partial(
     Family,
     stability=stability,
-    rate_std=lambda points, duration: _motions(points).rate_std(duration),
+    rough_stability=partial(stability, rough=True),
+    rate_std=lambda points, duration: motions(points).rate_std(duration),
     labels="drifting; permanent rotation in both frames where the rate varies by no more than rate_tolerance",
     free=("C", "k3", "h3"),
 )
-_CONDITIONS = (
+CONDITIONS = (
     the.STEADY_TILT, the.UPRIGHT, the.AXIAL_ROTOR, the.AXIAL_MAGNET, the.NO_RADIAL_TORQUE,
     Equation("damping = 0", lambda p: p["damping"], the.momentum_scale),
     Condition("Omega > 0", lambda p: np.where(p["Omega"] > 0, 0.0, 1.0)),
@@ -61,26 +64,29 @@ _CONDITIONS = (
 _ENERGY = "C (n cos theta0 + m)^2 {} 3 Omega^2 |B - A| cos^2 chi"
 _LIBRATES = Condition(_ENERGY.format("<"), lambda p: np.where(_excess(p) < 0, 0.0, 1 + _excess(p)))
 _ROTATES = Condition(_ENERGY.format(">"), lambda p: np.where(_excess(p) > 0, 0.0, 1 - _excess(p)))
-_SOLVE = {**each(families.nearest_pole, "theta0"), "psi0": _bottom}
+_SOLVE = {**each(nearest_pole, "theta0"), "psi0": _bottom}
 _BOTTOM = "psi0 is solved for the bottom, where n and m are the largest rate"
-FAMILIES = numbered(
-    (
+FAMILIES = {
+    family.name: family
+    for family in (
         _family(
             name="plane_libration",
-            title="libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
             equations="references [4], [6], [7]; with rotor and magnet derived from (1)-(3)",
-            conditions=(*_CONDITIONS, _LIBRATES),
+            conditions=(*CONDITIONS, _LIBRATES),
             solve={**_SOLVE, "m": lambda p: -p["n"] * the.tilt(p)[1]},
             exists=f"{_BOTTOM}; m for rest, where the pitch is the amplitude",
         ),
         _family(
             name="plane_rotation",
-            title="rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor",
             equations="references [6], [7]; with rotor and magnet derived from (1)-(3)",
-            conditions=(*_CONDITIONS, _ROTATES),
+            conditions=(*CONDITIONS, _ROTATES),
             solve=_SOLVE,
             exists=_BOTTOM,
         ),
-    ),
-    after=families.FAMILIES | any_axis.FAMILIES,
-)
+    )
+}
+
+
+def families(system: System) -> dict[str, Family]:
+    """The families of a satellite."""
+    return FAMILIES if isinstance(system, Satellite) else {}

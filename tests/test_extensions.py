@@ -1,0 +1,277 @@
+"""Extensions: what is left without one, names given twice, records and parts that cannot be loaded, what a run records."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import atlas
+from atlas import BadInput, cli, extension, sources
+from atlas.extension import PARTS, Extension, extensions
+from atlas.label.plan import Plan
+from atlas.runs import plan
+from atlas.runs.plan import ScenePlan
+from atlas.runs.run import RunFolder
+from atlas.systems.base import families_of
+from atlas.systems.satellite import SATELLITE
+from atlas.variables import variables
+
+OWN = [name for name, each in extensions().items() if each.package.startswith("atlas.extensions.")]
+TOP = """
+schema = 1
+system = "fixed_point"
+[fixed]
+Mg = 1.0
+z0 = 0.5
+N = 0.1
+C = 0.7
+[axes.n]
+values = [0.3, 0.6]
+[axes.theta0]
+values = [0.0, 0.8]
+[integration]
+duration = 5.0
+"""
+
+
+def run(text):
+    return atlas.run(atlas.load_scene(text), progress=False)
+
+
+@pytest.fixture(scope="module")
+def whole(small_scene_text, whole_kernels):
+    """Plain scenes of both systems, and their atlases with all extensions."""
+    return {text: run(text) for text in (small_scene_text, TOP)}
+
+
+@pytest.fixture(scope="module")
+def small_scene_text():
+    return (Path(__file__).parent / "small.toml").read_text()
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_plain_atlas_is_the_same_without_an_extension(name, whole, without_extension):
+    without_extension(name)
+    for text, expected in whole.items():
+        ds = run(text)
+        assert list(ds.variables) == list(expected.variables)
+        for variable in ds.variables:
+            assert ds[variable].values.tobytes() == expected[variable].values.tobytes()
+            assert str(ds[variable].attrs) == str(expected[variable].attrs)
+
+
+@pytest.mark.parametrize(
+    ("name", "part"), [(e, p) for e in OWN for p in PARTS if getattr(extensions()[e], p)]
+)
+def test_what_an_extension_gives_is_refused_without_it(name, part, scene_text, without_extension, capsys):
+    given = list(getattr(extensions()[name], part))
+    without_extension(name)
+    if part == "questions":
+        with pytest.raises(AttributeError, match=given[0]):
+            getattr(atlas.label_points("satellite", {}, duration=1.0, progress=False).atlas, given[0])
+    elif part == "functions":
+        owner = atlas.systems if given[0].startswith("systems.") else atlas
+        with pytest.raises(AttributeError, match=given[0].removeprefix("systems.")):
+            getattr(owner, given[0].removeprefix("systems."))
+    elif part == "commands":
+        with pytest.raises(SystemExit) as ended:
+            cli.main([given[0]])
+        assert ended.value.code == 2
+        assert f"argument COMMAND: '{given[0]}': allowed: run, " in capsys.readouterr().err
+    elif part == "variables":
+        outputs = f'[outputs]\nvariables = ["{given[0]}"]\n'
+        text = TOP if name == "amer2013" else scene_text({})
+        with pytest.raises(BadInput, match=rf"outputs\.variables: '{given[0]}' is unknown"):
+            atlas.load_scene(text.partition("[outputs]")[0] + outputs)
+        with pytest.raises(
+            BadInput, match=rf"^extensions: '{name}' is not installed; installed: [a-z0-9_, ]+$"
+        ):
+            atlas.load_scene(f'extensions = ["{name}"]\n{text.partition("[outputs]")[0]}{outputs}')
+    elif part == "families":
+        with pytest.raises(BadInput, match=rf"family\.name = '{given[0]}': of a missing extension"):
+            run(scene_text({"family": {"name": given[0]}}))
+        assert given[0] in variables(SATELLITE)["family"].flags  # which files list all the same
+
+
+def test_a_scene_lists_the_extensions_that_it_needs(scene_text):
+    plain = atlas.load_scene(scene_text({}))
+    assert plain.extensions == []
+    assert "extensions" not in plain.toml()
+    listed = scene_text({"outputs.variables": ["label", "plane_trace", "frequency_1"]})
+    on_family = scene_text({"family": {"name": "plane_rotation", "solve": ["theta0"]}, "axes.theta0": None,
+                            "ties": None, "axes.sigma": None, "axes.B": {"values": [1.1, 1.3]}, "fixed": {"m": 2.0}})  # fmt: skip
+    for text in (listed, on_family):
+        scene = atlas.load_scene(text)
+        assert scene.extensions == ["plane"]
+        assert 'extensions = [\n    "plane",\n]' in scene.toml()
+        assert atlas.load_scene(scene.toml()).toml() == scene.toml()
+    top = atlas.load_scene(TOP + '[outputs]\nvariables = ["label", "periodic_trace", "first_order_error"]\n')
+    assert top.extensions == ["amer2013"]
+    for value, message in ((3, "must be a string or a list"), (["plain"], "'plain' is not installed")):
+        with pytest.raises(BadInput, match=f"^extensions.*{message}"):
+            atlas.load_scene(scene_text({"extensions": value}))
+
+
+def module(folder, name, record, **files):
+    """A package with a record and modules in a folder."""
+    package = folder / name
+    package.mkdir()
+    (package / "__init__.py").write_text(record)
+    for key, text in files.items():
+        (package / f"{key}.py").write_text(text)
+    return package
+
+
+def test_a_name_of_two_extensions_is_refused_by_both_names(installed_extensions, scene_text):
+    second = Extension("second", "second", "a name again", variables={"plane_trace": "theory:variables"})
+    installed_extensions({**extensions(), "second": second})
+    message = "^plane_trace is among the variables of two extensions, plane and second: remove one$"
+    with pytest.raises(BadInput, match=message):
+        atlas.load_scene(scene_text({}))
+
+
+def test_a_family_without_a_reserved_flag_is_refused(installed_extensions, tmp_path, monkeypatch, scene_text):
+    module(tmp_path, "tumbling", "", theory="""
+from atlas.systems.base import Family
+def families(system):
+    return {"tumbling": Family("tumbling")}
+""")  # fmt: skip
+    monkeypatch.syspath_prepend(tmp_path)
+    new = Extension("tumbling", "tumbling", "more families", families={"tumbling": "theory:families"})
+    installed_extensions({**extensions(), "tumbling": new})
+    with pytest.raises(BadInput, match="an extension has a family tumbling, for which no flag is reserved"):
+        atlas.load_scene(scene_text({}))
+
+
+def test_a_broken_record_leaves_everything_else_working(tmp_path):
+    """In processes that find it by its entry point."""
+    module(tmp_path, "broken_record", "raise RuntimeError('no\\nsuch library')")
+    info = tmp_path / "broken_record-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-record\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[atlas.extensions]\nbroken = broken_record:EXTENSION\n")
+    code = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n"
+        "from atlas import extension\nfrom atlas.systems import SYSTEMS\nfrom atlas.systems.base import families_of\n"
+        "print(list(extension.extensions()), 'plane_libration' in families_of(SYSTEMS['satellite']))\n"
+        "import atlas\n"
+        'try: atlas.load_scene(\'schema = 1\\nsystem = "satellite"\\n[axes.m]\\nvalues = [1.0]\\n[outputs]\\nvariables = ["x"]\')\n'
+        "except atlas.BadInput as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found, message = done.stdout.splitlines()
+    assert found == f"{OWN} True"
+    assert message.endswith("; the extension broken cannot be loaded (RuntimeError: no such library)")
+
+
+def test_a_part_that_cannot_be_imported_is_as_if_missing(
+    installed_extensions, tmp_path, monkeypatch, scene_text
+):
+    module(tmp_path, "half_broken", "", theory="import no_such_library")
+    monkeypatch.syspath_prepend(tmp_path)
+    broken = Extension(
+        "half",
+        "half_broken",
+        "nothing",
+        variables={"new": "theory:variables"},
+        functions={"new": "theory:new"},
+    )
+    kept = {"half": broken, **extensions()}
+    installed_extensions(kept, found := {})
+    monkeypatch.setattr(extension, "_found", lambda: (kept, found))
+    assert atlas.load_scene(scene_text({})).extensions == []
+    why = r"the extension half cannot be loaded \(ModuleNotFoundError: No module named 'no_such_library'\)$"
+    with pytest.raises(BadInput, match=rf"^outputs\.variables: 'new' is unknown; .*; {why}"):
+        atlas.load_scene(scene_text({"outputs.variables": ["new"]}))
+    with pytest.raises(BadInput, match=f"^{why}"):
+        atlas.new  # noqa: B018
+
+
+def test_records_import_nothing_but_the_lowest_rooms():
+    code = (
+        "import sys; sys.argv[0] = 'atlas'\n"
+        "from atlas import extension\n"
+        "assert extension.extensions() and all(extension.parts(kind) is not None for kind in extension.PARTS)\n"
+        "print(*sorted(name for name in sys.modules if name.startswith('atlas')))\n"
+        "sys.exit(any(name in sys.modules for name in ('numpy', 'numba', 'scipy', 'matplotlib', 'xarray')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    low = {
+        "atlas",
+        *(f"atlas.{name}" for name in ("_version", "errors", "extension", "interruption", "sources")),
+    }
+    assert set(done.stdout.split()) == low | {
+        "atlas.extensions",
+        *(f"atlas.extensions.{name}" for name in OWN),
+    }
+
+
+def test_a_run_depends_on_the_code_of_the_extensions_that_it_uses(scene_text, tmp_path, monkeypatch):
+    """Families may have any start, so that each run of a system with families of an extension depends on it."""
+    scenes = {
+        "satellite": atlas.load_scene(scene_text({})),
+        "fixed_point": atlas.load_scene(TOP),
+        "with a variable": atlas.load_scene(TOP + '[outputs]\nvariables = ["label", "first_order_error"]\n'),
+    }
+    used = {"satellite": {"plane"}, "fixed_point": set(), "with a variable": {"amer2013"}}
+    before = {name: plan.identity(Plan.of(scene)) for name, scene in scenes.items()}
+    for name, identity in before.items():
+        assert {key for key in identity if key.startswith("extension_")} == {
+            f"extension_{e}" for e in used[name]
+        }
+    folder = RunFolder.prepare(ScenePlan.of(scenes["satellite"]), tmp_path / "run")
+    for edited in OWN:
+        path = extensions()[edited].folder
+        other = {**sources.of_extension(path), "more.py": (0, "another file")}
+        with monkeypatch.context() as patched:
+            patched.setitem(sources.OF_EXTENSIONS, path, other)
+            patched.setattr(sources, "read", lambda folder=None, path=path, read=sources.read, other=other: (
+                other if folder == path else read(folder)
+            ))  # fmt: skip
+            for name, scene in scenes.items():
+                identity = plan.identity(Plan.of(scene))
+                changes = {key for key in identity if identity[key] != before[name][key]}
+                assert changes == ({f"extension_{edited}"} if edited in used[name] else set())
+            if edited == "plane":
+                with pytest.raises(
+                    BadInput, match=r"It differs in extension_plane \([0-9a-f]{16} in the folder, "
+                ):
+                    folder.check_same(ScenePlan.of(scenes["satellite"]))
+            else:
+                folder.check_same(ScenePlan.of(scenes["satellite"]))
+
+
+def test_a_process_whose_extension_changed_after_the_import_is_refused(
+    installed_extensions, tmp_path, monkeypatch
+):
+    package = module(tmp_path, "changing", "", theory="""
+import numpy as np
+from atlas.systems.base import DerivedVariable
+def variables(system):
+    return {"twice_m": DerivedVariable("twice_m", "s-1", "twice m", lambda points, *_: 2 * points["m"])}
+""")  # fmt: skip
+    monkeypatch.syspath_prepend(tmp_path)
+    new = Extension("changing", "changing", "twice m", variables={"twice_m": "theory:variables"})
+    installed_extensions({**extensions(), "changing": new})
+    scene = atlas.load_scene(TOP + '[outputs]\nvariables = ["label", "twice_m"]\n')
+    ds = atlas.run(scene, progress=False)
+    assert scene.extensions == ["changing"]
+    assert ds.attrs["atlas_extensions"] == f"changing {new.code}"
+    np.testing.assert_array_equal(ds.twice_m, 0.0)
+    (package / "theory.py").write_text("")
+    with pytest.raises(BadInput, match=r"changing/theory\.py was written after this process"):
+        plan.identity(Plan.of(scene))
+    plan.identity(Plan.of(replace(scene, outputs=("label",))))
+
+
+def test_flags_of_families_are_reserved(without_extension):
+    flags = {name: family.flag for name, family in families_of(SATELLITE).items()}
+    meanings = variables(SATELLITE)["family"].flags
+    assert list(flags) == list(meanings)[1:]
+    without_extension("plane")
+    assert families_of(SATELLITE).keys() == flags.keys() - {"plane_libration", "plane_rotation"}
+    assert variables(SATELLITE)["family"].flags == meanings

@@ -16,7 +16,6 @@ from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
-from ..normal_form.nonlinear import NormalForm, derivatives
 from ..plane.motions import PlaneMotions
 from . import lagrange
 
@@ -270,6 +269,8 @@ def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Largest |f^4 - P f^2 + Q| at the frequencies f of the normal form of a random motion."""
+    from ..normal_form.nonlinear import NormalForm, derivatives  # another extension
+
     p = with_values(random_point(rng), entry["normal_form"])
     rest = Equilibria.of(SATELLITE.body(p), *SATELLITE.start(p))
     form = NormalForm.of(*derivatives(rest, np.zeros(1, int)))

@@ -54,7 +54,7 @@ def samples(ds: xr.Dataset) -> Mapping[str, Callable[[str], Attitude]]:
     if not {END, *names} <= {*ds}:
         return {}
     angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
-    result = {}
+    result: dict[str, Callable[[str], Attitude]] = {}
     for i in np.unique(ds[END].values[ds[END].values >= 0]):
         own = {name: angle.where(ds[END] == i) for name, angle in angles.items()}
         if all(angle.max() - angle.min() < 1e-6 for angle in own.values()):

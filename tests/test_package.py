@@ -58,13 +58,6 @@ def test_help_and_check_load_neither_compiler_nor_xarray(command):
     assert result.returncode == 0, result.stderr
 
 
-def test_the_stub_of_the_faces_is_current():
-    script = PACKAGE.parent / "scripts" / "tools" / "make_faces.py"
-    assert (
-        subprocess.run([sys.executable, script, "--check"], cwd=PACKAGE.parent, check=False).returncode == 0
-    )
-
-
 def test_extensions_and_the_compiler_are_loaded_by_what_uses_them():
     code = (
         "import sys, atlas, atlas.systems, atlas.label.pipeline, atlas.runs.execution\n"

@@ -1,9 +1,15 @@
 """Records of extensions: the names in them are those of what they load."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from atlas import extension
 from atlas.systems import SYSTEMS
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize("kind", ["instruments", "variables"])
@@ -17,3 +23,8 @@ def test_names_are_those_of_the_objects(each, kind):
         else:
             made = [[*part(system)] for system in SYSTEMS.values()]
         assert names in made
+
+
+def test_the_stub_of_the_faces_is_current():
+    script = ROOT / "scripts" / "tools" / "make_faces.py"
+    assert subprocess.run([sys.executable, script, "--check"], cwd=ROOT, check=False).returncode == 0

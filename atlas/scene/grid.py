@@ -294,8 +294,8 @@ def system_warnings(system: System, points: Points) -> list[str]:
     messages = system.warnings(points)
     if lacks_theory(system, points).any():
         messages.append(
-            "at some points the third axis stays on the vertical and the rate about it changes: no installed extension has"
-            " the theory of such motions, and nothing is predicted there"
+            "at some points the third axis stays on the vertical and the rate about it changes:"
+            " no installed extension has the theory of such motions, and nothing is predicted there"
         )
     for name, parameter in system.parameters.items():
         largest = np.abs(points[name]).max(initial=0.0, where=np.isfinite(points[name]))

@@ -392,6 +392,7 @@ def _departure(start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple
     return lasting
 
 
+@np.errstate(all="ignore")
 def lacks_theory(system: System, points: Points) -> Mask:
     """Whether families that a missing extension could give may decide on a start, (points,).
 

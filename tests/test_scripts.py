@@ -48,6 +48,7 @@ OTHERS = {
     "bench_page": "tests/extensions/page/test_in_browser.py",
     "bench_peers": "below",
     "check_packages": "below",
+    "make_faces": "tests/extensions/test_records.py",
     "draw_page": "tests/extensions/page/test_in_browser.py",
     "mutants": "below",
 }

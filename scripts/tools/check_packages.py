@@ -19,7 +19,11 @@ SOURCES = (
 def modules() -> set[str]:
     """Files of the package in the repository."""
     files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "atlas").rglob("*.py")}
-    page = {path.relative_to(ROOT).as_posix() for path in (ROOT / "atlas/page").iterdir() if path.is_file()}
+    page = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "atlas/extensions/page").iterdir()
+        if path.is_file()
+    }
     return files | page | {"atlas/py.typed"}
 
 

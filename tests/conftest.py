@@ -215,25 +215,25 @@ def steps_of_theory(monkeypatch):
 @pytest.fixture
 def evaluated(monkeypatch):
     """Numbers of points that are integrated, call by call."""
-    from atlas.runs import reuse
+    from atlas.runs import memory
 
-    sizes, evaluate = [], reuse.evaluate
+    sizes, evaluate = [], memory.evaluate
 
     def counted(plan, points, **options):
         sizes.append(int(points.exists.sum()))
         return evaluate(plan, points, **options)
 
-    monkeypatch.setattr(reuse, "evaluate", counted)
+    monkeypatch.setattr(memory, "evaluate", counted)
     return sizes
 
 
 @pytest.fixture
 def interrupt(monkeypatch, evaluated):
     """Function of a number: the integration of this number from then on is interrupted, and not counted by `evaluated`."""
-    from atlas.runs import reuse
+    from atlas.runs import memory
 
     def interrupt(number: int) -> None:
-        calls, evaluate = 0, reuse.evaluate
+        calls, evaluate = 0, memory.evaluate
 
         def interrupted(*arguments, **options):
             nonlocal calls
@@ -242,6 +242,6 @@ def interrupt(monkeypatch, evaluated):
                 raise KeyboardInterrupt
             return evaluate(*arguments, **options)
 
-        monkeypatch.setattr(reuse, "evaluate", interrupted)
+        monkeypatch.setattr(memory, "evaluate", interrupted)
 
     return interrupt

@@ -15,7 +15,7 @@ import xarray as xr
 from ..errors import BadInput, allowed_text, text_table
 from ..kernel.compiling import Stopwatch
 from ..measure.instrument import Variable
-from ..runs.execution import columns_of
+from ..runs.memory import columns_of
 from ..runs.plan import ScenePlan
 from ..scene.model import Scene
 from ..store import dataset

@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, allowed_text, option, shown
-from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 from .metadata import (
     CHANGED,
     axes_of,
@@ -176,6 +175,8 @@ def plane_of(
 
 def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
     """Motion of the point of an atlas nearest to some values, integrated as the atlas was."""
+    from ..label.trajectory import trajectory_of_point, trajectory_of_scene
+
     system = system_of(ds)
     point = nearest(ds, coordinates).squeeze()
     scene = resolved_scene(ds, point)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import MAX_MESSAGE, BadInput, attribute_text
-from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene, Settings
@@ -21,11 +18,12 @@ from ..store import dataset, finished
 from ..store.place import located
 from ..store.tile import DamagedTile
 from ..store.tiling import Tiling
-from ..systems.base import Mask, derived_values, derived_variables
-from ..variables import COMPUTED, data_variables, variables
+from ..systems.base import Mask, derived_variables
+from ..variables import COMPUTED, data_variables
 from .backend import open_atlas
+from .memory import HISTORY
 from .plan import differences, identity
-from .run import HISTORY, RESULT, RunFolder, result_hash
+from .run import RESULT, RunFolder, result_hash
 
 SAMPLE = 2048  # points of an earlier atlas sought in a scene before its run
 
@@ -122,40 +120,6 @@ def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
             f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
             " equal values of all parameters"
         )
-
-
-def evaluate_at(
-    plan: Plan,
-    scene: Scene,
-    indices: np.ndarray,
-    earlier: Sequence[Earlier] = (),
-    *,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Variables and parameters of points of a scene, the number of points with a motion, and the counts of reused points."""
-    points = grid.points_at_indices(scene, indices)
-    reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
-    remaining = np.arange(indices.size)
-    for atlas in earlier:
-        mask, columns = atlas.take(scene, indices[remaining], points.subset(remaining))
-        where, remaining = remaining[mask], remaining[~mask]
-        if where.size:
-            part = points.subset(where)
-            missing = [name for name in scene.outputs if name not in columns]
-            columns |= derived_values(scene.system, missing, part.base, part.duration, lambda: None)
-            parts.append((where, columns))
-            reused[atlas.history] += where.size
-    if remaining.size:
-        part = points.subset(remaining) if parts else points
-        parts.append((remaining, evaluate(plan, part, threads=threads, progress=progress)))
-    merged = dict(parts[0][1])
-    if len(parts) > 1:
-        registry = variables(scene.system)
-        merged = {name: np.empty(indices.size, registry[name].dtype) for name in scene.outputs}
-        for name, (where, some) in product(merged, parts):
-            merged[name][where] = some[name]
-    return merged | points.base, int(points.exists.sum()), reused
 
 
 def _facts(plan: Plan) -> dict[str, Any]:

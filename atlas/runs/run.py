@@ -19,7 +19,7 @@ import os
 import re
 import time
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -44,6 +44,7 @@ from ..store.tiling import Tiling
 from ..variables import COMPUTED, variables
 from . import claims
 from .levels import LEVELS, Level
+from .memory import history_text
 from .plan import ScenePlan, differences, identity
 
 FORMAT = 4
@@ -62,7 +63,6 @@ ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run
 RESULT = "atlas_result"  # attribute of an atlas: its `result_hash`
-HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 
 
 class RunFolder:
@@ -377,12 +377,6 @@ def remove_empty(path: Path | str) -> None:
 def result_hash(scene: str, programs: dict[str, str]) -> str:
     """Hash of all that the bits of an atlas depend on: the text of its scene, and its `identity`."""
     return files.hash_of({"scene": scene, "identity": programs})
-
-
-def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute with the numbers of points from earlier atlases; none without such points."""
-    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
-    return {HISTORY: "\n".join(lines)} if lines else {}
 
 
 def _new_manifest(plan: ScenePlan) -> dict[str, Any]:

@@ -253,6 +253,7 @@ def typed(target: Annotated) -> Annotated:
     return checked_function  # type: ignore[return-value]
 
 
+SEED = whole(0, 2**63 - 1)
 SPACINGS = ("linear", "log")
 
 

@@ -26,7 +26,6 @@ MAX_COLUMNS = 100  # of a table or file of points
 # Bytes of a file of points in a scene, and fields of a CSV file, names of points included.
 MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
-SEED = checks.whole(0, 2**63 - 1)
 RANGES = checks.Check(
     checks.mapping.read,
     {"type": "object", "minProperties": 1, "additionalProperties": checks.table_schema(checks.INTERVAL)},
@@ -41,7 +40,7 @@ class Sample:
         checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
     )
     count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
-    seed: int = checked(SEED, 0)  # seed of the random numbers
+    seed: int = checked(checks.SEED, 0)  # seed of the random numbers
     ranges: Mapping[str, Any] = checked(RANGES)  # name -> table with from, to and spacing
 
 

@@ -32,7 +32,6 @@ from .model import (
     Settings,
     optional_start_values,
 )
-from .points import SEED, read_points
 from .text import MAX_CHARACTERS, Source, read_text
 
 # Limits with which any text is read and checked as a scene within a few seconds and 500 MB; no larger object is allocated.
@@ -169,12 +168,14 @@ def scene_from(
     points: Mapping[str, Any] | None = None
     columns: dict[str, PointColumn] = {}
     if "points" in table:
+        from .points import read_points
+
         points, columns = read_points(system, section["points"], section["ties"], folder)
         count = next(iter(columns.values())).column.size
         axes[POINT] = Axis(POINT, np.arange(count, dtype=np.float64), long_name="number of the point")
     if not axes:
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
-    seed = SEED("seed", table.get("seed", 0))
+    seed = checks.SEED("seed", table.get("seed", 0))
     expressions = _expressions(section["ties"], seed)
     family, solve = _family(system, section["family"]) if "family" in table else (None, ())
     ties: dict[str, Tie] = expressions | columns

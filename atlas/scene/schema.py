@@ -50,7 +50,7 @@ def scene_schema() -> Schema:
                 "description": "; ".join(f"{s.name}: {s.title}" for s in systems),
             },
             "extensions": checks.texts.schema | {"description": "extensions that must be installed"},
-            "seed": points.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
+            "seed": checks.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
             "fixed": {
                 **names,

@@ -24,11 +24,10 @@ import numpy as np
 
 from ..errors import one_line
 from ..files import check_types
-from ..scene.model import Scene
-from ..variables import variables
 from .place import Folder, Place
 from .tally import Tally, Totals
 from .tiling import Tiling
+from .tiling import tile_types as tile_types
 
 SUFFIX = ".tile"
 LEVEL = 1  # of zlib: higher levels take much time and save little room
@@ -86,12 +85,6 @@ def decode(
         return header, {name: columns[name] for name in types}
     except (LookupError, TypeError, ValueError, AttributeError, RecursionError, zlib.error) as error:
         raise DamagedTile(one_line(error)) from None
-
-
-def tile_types(scene: Scene) -> dict[str, str]:
-    """Names and types of the columns of a tile: its variables, and the solved parameters."""
-    registry = variables(scene.system)
-    return {name: registry[name].dtype for name in scene.outputs} | dict.fromkeys(scene.solve, "float64")
 
 
 @dataclass(eq=False)

@@ -9,7 +9,6 @@ from .. import extension
 from ..errors import BadInput, allowed_text, one_line, shown, text_table
 from . import arithmetic, plugins
 from .base import Observable, Parameter, System, families_of
-from .check import check, check_complete, check_start
 from .fixed_point import FIXED_POINT
 from .satellite import SATELLITE
 
@@ -67,6 +66,8 @@ def register(system: System | type[System]) -> System:
 
 def _register(system: Any, package: str, name: str = "") -> System:
     """As `register`, for a system of an installed package that gives it this name."""
+    from .check import check, check_complete, check_start
+
     kind = system if isinstance(system, type) else type(system)
     key = f"system = {shown(name)} of {package}" if package else f"register({kind.__name__})"
     try:

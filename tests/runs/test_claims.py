@@ -12,7 +12,8 @@ from truth import assert_same_bytes, tile_path
 
 import atlas
 from atlas import BadInput, files, load_scene
-from atlas.runs import claims, execution
+from atlas.runs import claims, memory
+from atlas.runs import folder as folders
 from atlas.runs.claims import SUFFIX, claim
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
@@ -137,7 +138,7 @@ def test_one_of_several_processes_joins_a_run(name, end, small_scene, tmp_path, 
             run.remove()
 
     monkeypatch.setattr(RunFolder, "join", counted)
-    monkeypatch.setattr(execution, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))
+    monkeypatch.setattr(folders, "time", SimpleNamespace(sleep=sleep, monotonic=time.monotonic))
     ds = atlas.run(scene, name, force=name == "a.nc", progress=False)
     assert len(joins) == 1
     assert_same_bytes(atlas.run(scene, progress=False), ds)
@@ -165,7 +166,7 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
     other = tile_path(folder.tiles, 3, SUFFIX)
     other.write_text(living)
     computed, waits = [], []
-    evaluate_at = execution.evaluate_at
+    evaluate_at = folders.evaluate_at
 
     def counted(plan, scene, indices, *arguments, **options):
         computed.append(int(indices[0]) // 7)
@@ -182,8 +183,8 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
         return False
 
     plan = ScenePlan.of(folder.scene)
-    monkeypatch.setattr(execution, "evaluate_at", counted)
-    monkeypatch.setattr(execution, "Event", type("Event", (Event,), {"wait": wait}))
+    monkeypatch.setattr(folders, "evaluate_at", counted)
+    monkeypatch.setattr(folders, "Event", type("Event", (Event,), {"wait": wait}))
     ds = atlas.run(folder.scene, folder.path, threads=1, progress=False)
     assert waits == [claims.POLL]
     assert computed[8:] == ([] if end == "written" else [3])
@@ -195,8 +196,8 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
 
 def job_of(folder):
     """All tiles of a run, by one thread."""
-    run = execution._Execution(ScenePlan.of(folder.scene), [], threads=1)
-    return execution._Job(folder, folder.tiles, range(9), run)
+    run = memory.Execution(ScenePlan.of(folder.scene), [], threads=1)
+    return folders._Job(folder, folder.tiles, range(9), run)
 
 
 def test_who_waits_for_others_ends_at_once_when_the_job_is_stopped(folder, living):
@@ -220,7 +221,7 @@ def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_compu
     remaining = job_of(folder).remaining_tiles(range(9), bar)
     first = next(remaining)
     other = (first + 4) % 9
-    columns, number, _ = execution.evaluate_at(
+    columns, number, _ = folders.evaluate_at(
         ScenePlan.of(folder.scene).points, folder.scene, folder.tiles.indices(other)
     )
     folder.tiles.write(other, columns, computed=number, seconds=0.0, by="the other one")

@@ -12,8 +12,9 @@ from atlas import BadInput, cli, load_scene
 from atlas.flags import Label
 from atlas.interruption import STOPPED, Stopped
 from atlas.label.plan import Plan
-from atlas.runs import estimate, execution, plan, reuse
-from atlas.runs.run import HISTORY, RunFolder
+from atlas.runs import estimate, memory, plan, reuse
+from atlas.runs.memory import HISTORY
+from atlas.runs.run import RunFolder
 from atlas.scene import grid
 
 SIGMA = [0.3 + i * (1.4 / 8) for i in range(9)]
@@ -79,7 +80,7 @@ def test_variables_of_theory_are_added_without_integrating(old, scene_text, monk
     names = ["label", "theta_dot_rms", "frequency_1", "stability_kind", "status"]
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "outputs": {"variables": names}}))
     fresh = atlas.run(scene, progress=False)
-    monkeypatch.setattr(reuse, "evaluate", None)
+    monkeypatch.setattr(memory, "evaluate", None)
     assert_same_bytes(fresh, atlas.run(scene, reuse=str(old), progress=False))
 
 
@@ -219,7 +220,7 @@ def test_a_run_whose_time_is_over_stops_in_good_order_and_is_continued(
         return len(RunFolder.open(folder).tiles.written()) >= 4
 
     with monkeypatch.context() as patched:
-        patched.setattr(execution._Execution, "time_is_up", property(time_is_up))
+        patched.setattr(memory.Execution, "time_is_up", property(time_is_up))
         assert cli.main([*command, "--stop-after", "1h30m"]) == STOPPED == 75
         assert re.search(
             r"atlas: stopped after 1:30:00; 4 of 9 tiles are in .*; the same command continues",
@@ -255,7 +256,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_run(scene_text, tmp_path
     usage = type("Usage", (), {"free": 2_000})
     with monkeypatch.context() as patched:
         patched.setattr(estimate.shutil, "disk_usage", lambda folder: usage)
-        patched.setattr(reuse, "evaluate", None)
+        patched.setattr(memory, "evaluate", None)
         with pytest.raises(
             BadInput, match=r"the run needs about \S+ GB more, and 2e-06 GB are free on this disk"
         ):

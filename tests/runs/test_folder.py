@@ -26,11 +26,11 @@ from atlas.analysis import compare
 from atlas.files import process_name
 from atlas.flags import Label
 from atlas.label.plan import Plan
-from atlas.runs import reuse
+from atlas.runs import memory
 from atlas.runs import run as folder
 from atlas.runs.backend import AtlasBackend
+from atlas.runs.memory import evaluate_at
 from atlas.runs.plan import ScenePlan
-from atlas.runs.reuse import evaluate_at
 from atlas.runs.run import RunFolder
 from atlas.runs.status import status
 from atlas.scene import grid
@@ -454,7 +454,7 @@ def test_a_process_whose_folder_is_removed_says_so(
 ):
     """Removed or replaced by another run, in which it writes nothing; the removal leaves nothing without a manifest."""
     path = tmp_path / ("run" if out == "run/" else "a.nc.run")
-    evaluate, rmtree = reuse.evaluate, shutil.rmtree
+    evaluate, rmtree = memory.evaluate, shutil.rmtree
 
     def remove_first(*arguments, **options):
         run = RunFolder.open(path)
@@ -468,7 +468,7 @@ def test_a_process_whose_folder_is_removed_says_so(
             (path / "tiles" / "00000012.tile").write_text("a tile of a process at work")
         rmtree(folder, **options)
 
-    monkeypatch.setattr(reuse, "evaluate", remove_first)
+    monkeypatch.setattr(memory, "evaluate", remove_first)
     monkeypatch.setattr(shutil, "rmtree", tile_in_between)
     for replaced in (False, True):
         with pytest.raises(OSError, match="another process has removed this run while it was computed"):
@@ -620,9 +620,9 @@ def test_two_processes_finish_one_atlas_together(longer, out):
 ENDLESS_THIRD_TILE = """
 import itertools, sys, time
 from atlas import cli
-from atlas.runs import reuse
+from atlas.runs import memory
 
-calls, evaluate = itertools.count(1), reuse.evaluate
+calls, evaluate = itertools.count(1), memory.evaluate
 
 def endless_third(plan, points, *, threads, progress):
     if next(calls) == 3:
@@ -632,7 +632,7 @@ def endless_third(plan, points, *, threads, progress):
             time.sleep(0.01)
     return evaluate(plan, points, threads=threads, progress=progress)
 
-reuse.evaluate = endless_third
+memory.evaluate = endless_third
 sys.exit(cli.main(["run", "scene.toml", "-o", "run/", "--threads", "1", "--quiet"]))
 """
 

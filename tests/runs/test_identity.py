@@ -18,7 +18,8 @@ import atlas
 from atlas import BadInput, sources
 from atlas.kernel import machine_code
 from atlas.label.plan import Plan
-from atlas.runs import execution, plan
+from atlas.runs import folder as folders
+from atlas.runs import plan
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
 
@@ -52,7 +53,7 @@ def test_the_copy_of_the_package_is_the_same_code(run, scene, package):
     "name",
     [
         "flags.py", "kernel/machine_code.py", "variables.py", "kernel/stepsize.py", "systems/satellite/families.py", "scene/grid.py",
-        "label/theory.py", "measure/rates.py", "store/dataset.py", "store/tile.py", "runs/execution.py",
+        "label/theory.py", "measure/rates.py", "store/dataset.py", "store/tile.py", "runs/memory.py",
     ],
 )  # fmt: skip
 def test_a_run_is_not_continued_by_other_code(name, run, scene, package, monkeypatch):
@@ -133,12 +134,12 @@ def test_a_run_is_not_continued_where_one_program_or_the_processor_differs(
 
 def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatch):
     other = plan.identity(Plan.of(scene)) | {"code": "0" * 16}
-    monkeypatch.setattr(execution, "identity", lambda plan: other)
-    execution._open_cached.cache_clear()
+    monkeypatch.setattr(folders, "identity", lambda plan: other)
+    folders._open_cached.cache_clear()
     refused = rf"would compute other bits; .* It differs in code \({run.manifest['identity']['code']} in the run, 0+ in"
     for refusing in (
-        lambda: execution.compute_tile(str(run.path), None, run.key, 0),
-        lambda: execution.check_worker(str(run.path), None, run.key),
+        lambda: folders.compute_tile(str(run.path), None, run.key, 0),
+        lambda: folders.check_worker(str(run.path), None, run.key),
     ):
         with pytest.raises(BadInput, match=refused) as error:
             refusing()
@@ -147,9 +148,9 @@ def test_a_worker_that_computes_other_bits_writes_nothing(run, scene, monkeypatc
 
 
 def test_a_worker_refuses_another_run_of_the_same_name(run):
-    execution._open_cached.cache_clear()
+    folders._open_cached.cache_clear()
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        execution.compute_tile(str(run.path), None, "0" * 64, 0)
+        folders.compute_tile(str(run.path), None, "0" * 64, 0)
 
 
 def test_the_code_of_a_system_of_ones_own_is_part_of_the_identity(scene, tmp_path, monkeypatch):

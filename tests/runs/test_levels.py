@@ -12,7 +12,8 @@ from truth import state, tile_path
 import atlas
 from atlas import BadInput, cli, load_scene
 from atlas.interruption import STOPPED, Stopped
-from atlas.runs import execution, reuse
+from atlas.runs import folder as folders
+from atlas.runs import memory
 from atlas.runs.levels import LEVELS, POINTS, Level
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
@@ -98,7 +99,7 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
 
 @pytest.mark.usefixtures("small_tiles")
 def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tmp_path, evaluated, capsys):
-    calls, counted = [0], reuse.evaluate
+    calls, counted = [0], memory.evaluate
     more = True
     while more:
         calls[0] = 0
@@ -109,7 +110,7 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
                 raise KeyboardInterrupt
             return counted(*arguments, **options)
 
-        reuse.evaluate = ended_at_the_third
+        memory.evaluate = ended_at_the_third
         try:
             ds = run(scene, f"{tmp_path}/night/")
             more = False
@@ -122,7 +123,7 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
                 in capsys.readouterr().out
             )
         finally:
-            reuse.evaluate = counted
+            memory.evaluate = counted
     assert_whole(ds, whole)
     assert sum(evaluated) == int(whole.computed.sum())  # no tile twice
 
@@ -153,7 +154,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     tile_path(folder.tiles, 3).write_bytes(b"no atlas")
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
     # A level of another run is none of this one.
-    other = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "other")
+    other = RunFolder.prepare(folders.ScenePlan.of(scene), tmp_path / "other")
     (other.path / LEVELS).mkdir()
     damaged.place.path.rename(other.path / LEVELS / "0000")
     evaluated.clear()
@@ -164,7 +165,7 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
 @pytest.mark.usefixtures("small_tiles")
 def test_shards_share_each_level_and_any_of_them_completes_it(scene, whole, tmp_path, evaluated, monkeypatch):
     with monkeypatch.context() as patched:
-        patched.setattr(execution._Execution, "time_is_up", property(lambda execution: sum(evaluated) >= 300))
+        patched.setattr(memory.Execution, "time_is_up", property(lambda execution: sum(evaluated) >= 300))
         with pytest.raises(Stopped, match="stopped after 0:01"):
             run(scene, f"{tmp_path}/night/", shard=(1, 2), stop_after=1.0)
     assert 300 <= sum(evaluated) <= 300 + 40
@@ -183,7 +184,7 @@ def test_the_command_stops_and_continues_a_refined_run(
     (tmp_path / "scene.toml").write_text(scene_text(CHANGES))
     command = ["run", str(tmp_path / "scene.toml"), "-o", f"{tmp_path}/night.nc", "--quiet", "--threads", "1"]
     with monkeypatch.context() as patched:
-        patched.setattr(execution._Execution, "time_is_up", property(lambda execution: True))
+        patched.setattr(memory.Execution, "time_is_up", property(lambda execution: True))
         assert cli.main([*command, "--stop-after", "2h"]) == STOPPED
         assert "stopped after 2:00:00; 0 of 1 tiles are in" in capsys.readouterr().err
     assert cli.main(command) == cli.DONE
@@ -193,16 +194,16 @@ def test_the_command_stops_and_continues_a_refined_run(
 
 
 def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_path):
-    folder = RunFolder.prepare(execution.ScenePlan.of(scene), tmp_path / "night")
+    folder = RunFolder.prepare(folders.ScenePlan.of(scene), tmp_path / "night")
     level = Level.of(folder, 0, "", np.arange(0, 825, 8), 1000)
-    execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
+    folders.compute_tile(str(folder.path), 0, level.tiles.key, 0)
     assert state(level.tiles).done == [0]
     with pytest.raises(BadInput, match="holds another run on the machine of this worker"):
-        execution.compute_tile(str(folder.path), 0, "0" * 64, 0)
+        folders.compute_tile(str(folder.path), 0, "0" * 64, 0)
     (level.place.path / POINTS).unlink()
-    execution._open_cached.cache_clear()
+    folders._open_cached.cache_clear()
     with pytest.raises(BadInput, match="level 0 is not there"):
-        execution.compute_tile(str(folder.path), 0, level.tiles.key, 0)
+        folders.compute_tile(str(folder.path), 0, level.tiles.key, 0)
 
 
 def test_dask_workers_compute_the_levels(scene, whole, tmp_path):

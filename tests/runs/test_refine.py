@@ -16,7 +16,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import compare
 from atlas.flags import Label, Stability
-from atlas.runs import estimate, execution, refine
+from atlas.runs import estimate, memory, refine
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.read import scene_from
@@ -124,7 +124,7 @@ def replace_integration(monkeypatch, inside):
         labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
         return dict.fromkeys(scene.outputs, 0) | {"label": labels}, indices.size, Counter()
 
-    monkeypatch.setattr(execution, "evaluate_at", evaluate_at)
+    monkeypatch.setattr(memory, "evaluate_at", evaluate_at)
 
 
 def plane(count, levels, probe):

@@ -16,7 +16,8 @@ from truth import assert_same_bytes
 import atlas
 from atlas import BadInput, files, load_scene
 from atlas.flags import Label, Stability, Status
-from atlas.runs import execution, reuse
+from atlas.runs import folder as folders
+from atlas.runs import memory
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
 from atlas.variables import variables
@@ -148,7 +149,7 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
 def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, monkeypatch):
     (tmp_path / "folder.nc").mkdir()
-    monkeypatch.setattr(reuse, "evaluate", None)
+    monkeypatch.setattr(memory, "evaluate", None)
     with pytest.raises(BadInput):
         atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
@@ -160,7 +161,7 @@ def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_sce
 
     scene = load_scene(small_scene)
     with monkeypatch.context() as patched:
-        patched.setattr(reuse, "evaluate", interrupt)
+        patched.setattr(memory, "evaluate", interrupt)
         with pytest.raises(KeyboardInterrupt):
             atlas.run(scene, tmp_path / "a.nc", progress=False)
 
@@ -228,14 +229,14 @@ def test_another_file_or_folder_in_the_way_is_kept(small_scene, scene_text, tmp_
 def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_path, monkeypatch):
     scene, path = load_scene(small_scene), tmp_path / "a.nc"
     whole = atlas.run(scene, progress=False)
-    real_join, real_prepare, real_complete = RunFolder.join, RunFolder.prepare, execution._complete
+    real_join, real_prepare, real_complete = RunFolder.join, RunFolder.prepare, folders.complete
 
     def finish_first(*arguments):
         """The other process."""
         with monkeypatch.context() as patched:
             patched.setattr(RunFolder, "join", real_join)
             patched.setattr(RunFolder, "prepare", real_prepare)
-            patched.setattr(execution, "_complete", real_complete)
+            patched.setattr(folders, "complete", real_complete)
             atlas.run(scene, path, progress=False, force=True).close()
 
     def late_join(self, out):
@@ -244,7 +245,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
 
     def late_prepare(*arguments):
         finish_first()
-        monkeypatch.setattr(execution, "_complete", None)  # nothing is computed again
+        monkeypatch.setattr(folders, "complete", None)  # nothing is computed again
         return real_prepare(*arguments)
 
     for force in (False, True):
@@ -254,7 +255,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
                 patched.setattr(RunFolder, name, late)
                 with atlas.run(scene, path, progress=False, force=force) as ds:
                     assert_same_bytes(whole, ds)
-            monkeypatch.setattr(execution, "_complete", real_complete)
+            monkeypatch.setattr(folders, "complete", real_complete)
             assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
@@ -267,7 +268,7 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
     while len(str(deep)) + 240 < os.pathconf(tmp_path, "PC_PATH_MAX"):
         deep = deep / ("d" * 200)
     os.makedirs(deep)
-    monkeypatch.setattr(reuse, "evaluate", None)
+    monkeypatch.setattr(memory, "evaluate", None)
     before = sorted(tmp_path.rglob("*"))
     for out in (
         f"{tmp_path}/{'a' * (longest - 6)}.nc",

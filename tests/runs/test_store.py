@@ -15,10 +15,11 @@ from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.files import process_name
 from atlas.kernel import machine_code
-from atlas.runs import claims, execution
+from atlas.runs import claims
+from atlas.runs import folder as folders
 from atlas.runs import run as folder
+from atlas.runs.memory import evaluate_at
 from atlas.runs.plan import ScenePlan
-from atlas.runs.reuse import evaluate_at
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
 from atlas.store import place as places
@@ -182,7 +183,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
         with pytest.raises(
             BadInput, match=r"would compute other bits.* differs in cpu \(.*, another in the worker\)$"
         ):
-            execution.check_worker(place, None, run.key)
+            folders.check_worker(place, None, run.key)
     assert sorted(run.place.walk()) == sorted(before)
     assert_same_bytes(whole, atlas.run(scene, place, progress=False))
 

@@ -14,7 +14,6 @@ from ...measure.instrument import Instrument, Measured, Run, Variable
 from ...systems.base import Array, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
-from ...systems.gyrostat.equilibria import ANGLES, frames_of
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # of the energy, relative
@@ -67,6 +66,7 @@ class Ends(Instrument):
         return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
+        from ...systems.gyrostat.equilibria import ANGLES, frames_of
         from .wells import SETTLED, wells_of
 
         assert isinstance(run.system, Gyrostat)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset
-from ...systems.gyrostat.equilibria import numbers
 from ...systems.satellite import Satellite
 from . import COUNTS
 
@@ -21,6 +20,8 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
 
     def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """Points that differ in their start alone share one search."""
+        from ...systems.gyrostat.equilibria import numbers
+
         bodies, row = system.bodies_of(points)
         # About an axis of symmetry every equilibrium can be turned: there is no need to search.
         symmetric = np.any([system.body(bodies).symmetric_about(i) for i in range(3)], axis=0)

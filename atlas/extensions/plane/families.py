@@ -7,6 +7,7 @@ chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,15 @@ from ...systems.satellite.families import nearest_pole
 from ...systems.satellite.initial import directions
 from ...systems.satellite.system import Satellite
 from ...systems.vectors import ratio
-from .motions import PlaneMotions
+
+if TYPE_CHECKING:
+    from .motions import PlaneMotions
 
 
 def motions(points: Points) -> PlaneMotions:
     """The motions that start at points in the plane."""
+    from .motions import PlaneMotions  # as soon as a start may be on a family
+
     return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
 
 

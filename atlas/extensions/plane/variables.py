@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset, unsteady
 from ...systems.satellite.system import Satellite
-from .motions import PlaneMotions
 
 _CHUNK = 4096  # points whose multipliers are computed between two pauses
 
@@ -22,6 +21,8 @@ def variables(system: System) -> dict[str, DerivedVariable]:
     names = ("plane_period", "plane_trace", "plane_second")
 
     def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+        from .motions import PlaneMotions
+
         with np.errstate(all="ignore"):  # parameters may overflow
             flags = system.identify_family(points)[0]
         columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(unsteady(system, flags))

@@ -44,7 +44,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
-from ..gyrostat.floquet import growth_of_periodic_motion
 from ..gyrostat.motions import NEUTRAL, about_axis, each, family_about_axes, linear
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, ratio, unit
@@ -126,6 +125,8 @@ class Start(NamedTuple):
     @classmethod
     def floquet_stability(cls, points: Points) -> tuple[Flags, Array]:
         """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
+        from ..gyrostat.floquet import growth_of_periodic_motion
+
         two, gamma, values = cls.of(points).axes(), vertical(points), constants(points)
 
         def matrix(part: np.ndarray, t: Array) -> Array:

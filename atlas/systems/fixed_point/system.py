@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array, Flags, Mask, Points, identify, other_families, shape_of, shared
-from ..gyrostat import Body, Gyrostat, rotations
-from ..gyrostat.equilibria import NOT_CERTAIN
-from ..gyrostat.stress_cases import fixed_point_cases
+from ..base import Array, Flags, Mask, Points, StressCase, identify, other_families, shape_of, shared
+from ..gyrostat import Body, Gyrostat
 from . import any_axis, equations, families, initial
 
 
@@ -56,7 +54,6 @@ class FixedPoint(Gyrostat):
             "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
         }
     )
-    stress_cases = fixed_point_cases
     body = staticmethod(initial.body)
     axial_rotor = "l3"
     conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
@@ -99,6 +96,9 @@ class FixedPoint(Gyrostat):
 
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All permanent rotations of one body about the vertical at the rate n; see rotations.rotations."""
+        from ..gyrostat import rotations
+        from ..gyrostat.equilibria import NOT_CERTAIN
+
         solutions = rotations.rotations(self, initial.without_vectors(self.with_defaults(body)))
         if solutions.pop("flat").any():
             raise BadInput(NOT_CERTAIN)
@@ -108,7 +108,15 @@ class FixedPoint(Gyrostat):
         self, points: Points, *_: Any, ordered: bool = False, **__: Any
     ) -> dict[str, NDArray[Any]]:
         """All permanent rotations of many bodies, each at its rate n; see rotations.rotations_of_bodies."""
+        from ..gyrostat import rotations
+
         return rotations.rotations_of_bodies(self, initial.without_vectors(points), ordered)
+
+    def stress_cases(self) -> Sequence[StressCase]:
+        """Stiff and extreme tops."""
+        from ..gyrostat.stress_cases import fixed_point_cases
+
+        return fixed_point_cases(self)
 
 
 FIXED_POINT = FixedPoint()

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from ...flags import Stability
 from ..base import Array, Flags, Mask, Points, System, shape_of, shared, subset, unsteady
-from . import equilibria, floquet
 from .body import Body, across, length
-from .equilibria import equilibria_of_bodies as all_equilibria_of_bodies
 from .oscillations import Equilibria
 from .variables import oscillation_variables
 
@@ -91,6 +89,8 @@ class Gyrostat(System):
         stable[rest.points], growth[rest.points] = rest.stability()
         moving = _turning(rest, body, start)
         if moving.size:
+            from . import floquet  # motions at rest in some frame need no multipliers
+
             part = (vector[moving] for vector in start)
             stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
         return stable, growth
@@ -113,6 +113,8 @@ class Gyrostat(System):
             moving = _turning(Equilibria.of(body, *start), body, start)
             if not moving.size:
                 continue
+            from . import floquet
+
             members = chunk[moving]
             w, alpha, gamma = (vector[moving] for vector in start)
             phases = floquet.log_growth(body.subset(moving), w, alpha, gamma, duration[members])
@@ -127,7 +129,13 @@ class Gyrostat(System):
         kinds = [flag[name] for name in tests]
         return np.select(list(tests.values()), kinds, flag[otherwise]).astype(np.int8)
 
-    equilibria_of_bodies = all_equilibria_of_bodies
+    def equilibria_of_bodies(
+        self, points: Points, *arguments: Any, **options: Any
+    ) -> dict[str, NDArray[Any]]:
+        """All relative equilibria of many bodies, see equilibria.equilibria_of_bodies."""
+        from .equilibria import equilibria_of_bodies
+
+        return equilibria_of_bodies(self, points, *arguments, **options)
 
     def bodies_of(self, points: Points) -> tuple[Points, NDArray[np.int64]]:
         """Every parameter of the distinct bodies of some points, those of the start having defaults, and the body of each point."""
@@ -141,7 +149,9 @@ class Gyrostat(System):
 
     def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
         """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
-        return equilibria.equilibria(self, self.with_defaults(body))
+        from .equilibria import equilibria
+
+        return equilibria(self, self.with_defaults(body))
 
     def with_defaults(self, body: Mapping[str, float]) -> Points:
         """Every parameter of one body, arrays (1,); those left out take their defaults."""

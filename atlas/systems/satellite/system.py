@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
 from ...flags import SATELLITE_RESERVED_FAMILIES
-from ..base import Array, Flags, Mask, Points, shape_of
+from ..base import Array, Flags, Mask, Points, StressCase, shape_of
 from ..gyrostat import Gyrostat
-from ..gyrostat.stress_cases import satellite_cases
 from . import any_axis, equations, families, initial
 
 
@@ -50,7 +49,6 @@ class Satellite(Gyrostat):
             "general": "the third axis precesses in the orbital frame",
         }
     )
-    stress_cases = satellite_cases
     body = staticmethod(initial.body)
     axial_rotor = "k3"
     conserves_axial_momentum = staticmethod(initial.conserves_axial_momentum)
@@ -102,6 +100,12 @@ class Satellite(Gyrostat):
             "perp_velocity": np.abs(measured["axis_2"]) <= angle_tolerance,
         }
         return self.first_geometry(tests, "oblique")
+
+    def stress_cases(self) -> Sequence[StressCase]:
+        """Stiff and extreme satellites."""
+        from ..gyrostat.stress_cases import satellite_cases
+
+        return satellite_cases(self)
 
 
 SATELLITE = Satellite()

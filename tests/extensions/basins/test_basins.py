@@ -64,12 +64,12 @@ REFINED = SCENE.replace("count = 9", "count = 17") + "[refine]\nlevels = 1\nprob
 KILLED = """
 import os, signal, sys
 import atlas
-from atlas.runs import reuse
-evaluate = reuse.evaluate
+from atlas.runs import memory
+evaluate = memory.evaluate
 def killed(*arguments, **options):
-    reuse.evaluate = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+    memory.evaluate = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
     return evaluate(*arguments, **options)
-reuse.evaluate = killed
+memory.evaluate = killed
 atlas.run(*sys.argv[1:], threads=1, progress=False)
 """
 

@@ -1,0 +1,426 @@
+"""A run that is kept: its tiles computed in a folder or a bucket, by threads or on a cluster, and joined into one file."""
+
+from __future__ import annotations
+
+import logging
+import math
+import random
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from pathlib import Path
+from threading import Event, Lock
+from typing import Any, TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from ..errors import BadInput
+from ..files import check_folder, check_name, exists_message
+from ..interruption import Stopped, explain_kept
+from ..kernel import blocks
+from ..kernel.compiling import Stopwatch
+from ..label.plan import Plan
+from ..process import process_name
+from ..scene.model import Scene
+from ..store import finished
+from ..store.place import Folder, located, place_at
+from ..store.progress import AT_WORK, Progress, clock
+from ..store.tally import Totals
+from ..store.tile import Tiles
+from ..validation import half_step
+from . import claims, cluster, estimate, refine
+from .backend import open_atlas
+from .levels import Level, Part
+from .memory import Advance, Execution, evaluate_at, for_each_tile
+from .plan import ScenePlan, differences, identity
+from .reuse import Earlier
+from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
+
+MAX_DAMAGE_WARNINGS = 5
+# Most seconds between two checks of the tiles that other processes compute; the first pause is claims.POLL.
+MAX_CLAIM_POLL = 10.0
+RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
+Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # all that a process needs to compute a tile
+
+
+def run_kept(
+    scene: Scene,
+    out: str | Path,
+    reuse: str | Path | Sequence[str | Path],
+    options: Mapping[str, Any],
+    *,
+    force: bool,
+) -> xr.Dataset:
+    """Run a scene into a folder, a bucket or one file; see `execution.run`."""
+    path, file = destination(out)
+    if options["shard"] and file:
+        raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
+    if file is not None and not force and finished.stamp(file) is not None:
+        left = folder_of(file)  # maybe of a run that was killed during its removal
+        if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
+            raise BadInput(exists_message(file))
+        return finished_atlas(ScenePlan.of(scene), file)
+    if options["scheduler"]:
+        cluster.check(options["scheduler"])
+    execution = Execution.of(scene, reuse, options)
+    if force:
+        RunFolder.discard(execution.plan, path)
+    if file is not None:
+        return run_to_file(file, execution)
+    folder = RunFolder.prepare(execution.plan, path)
+    with complete(folder, execution):
+        explain_kept(None)
+    return folder.dataset()
+
+
+def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
+    """The place of a run, and the path of its atlas if that is one file or store; BadInput if it cannot be written."""
+    place = located(out)
+    if isinstance(place, Path):
+        check_name(place)
+    if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and finished.stamp(place) is None:
+        RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
+    is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
+    if isinstance(place, str):
+        if finished.is_store(place):
+            return folder_of(place), finished.writable(place, (), force=True)
+        if is_run:
+            return place, None
+        raise BadInput(
+            f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
+        )
+    path = place if str(out).startswith("file:") else Path(out)
+    # A Path loses a / at its end.
+    may_be_folder = isinstance(out, Path) or (path.is_dir() and not finished.is_store(path))
+    if is_run or (may_be_folder and not path.suffix):
+        check_name(path, LONGEST_NAME)
+        if not path.absolute().parent.is_dir():
+            raise BadInput(f"{path}: there is no folder {path.parent}")
+        return path, None
+    if path.suffix.lower() not in (".nc", finished.SUFFIX):
+        raise BadInput(
+            f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
+        )
+    check_name(Path(folder_of(path)), LONGEST_NAME)
+    return folder_of(path), finished.writable(path, (".nc", finished.SUFFIX), force=True)
+
+
+def folder_of(path: Path | str) -> Path | str:
+    """Run folder in which a NetCDF file or a Zarr store is computed."""
+    return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
+
+
+@contextmanager
+def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
+    """Compute the missing tiles of a run or shard; this process counts as at work while the context is open."""
+    explain_kept(folder.progress_text)
+    part, parts = execution.shard
+    if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
+        check_folder(folder.place.path / "tiles" / "tile")
+    facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
+    for name, content, state in folder.processes():
+        if content["shard"] == facts["shard"] and state != AT_WORK:
+            with suppress(OSError):
+                folder.place.remove(name)
+    save = partial(folder.place.write, f"progress-{process_name()}.json", durable=False)
+    bar = Progress(0, show=execution.progress, save=save, facts=facts)
+    try:
+        with execution.stack:
+            if folder.scene.refine is not None:
+                _compute_levels(folder, bar, execution)
+            else:
+                own = range(part - 1, folder.tiling.count, parts)
+                totals = _Job(folder, folder.tiles, own, execution).compute(bar)
+                _complete_notes(folder, execution, totals if parts == 1 else None)
+        yield bar
+    except (BadInput, OSError):
+        folder.check_kept()
+        raise
+    finally:
+        bar.close()
+
+
+def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | None) -> None:
+    """Write the notes of a run if it has all its tiles; totals: of all tiles, None after a shard."""
+    if folder.tiles.missing():
+        return
+    if totals is None:
+        totals, damaged = folder.tiles.check(range(folder.tiling.count))
+        if damaged:
+            return
+    try:
+        attributes, saved = folder.notes()
+    except BadInput as error:
+        logging.getLogger("atlas").warning("%s", error)
+        attributes, saved = {}, None
+    if not attributes:
+        plan = execution.plan
+        attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
+    elif saved and saved.table() == totals.table():
+        return
+    folder.save_notes(attributes, totals)
+
+
+def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> None:
+    """Compute the levels of a refined scene one by one, then the tiles of its finest grid from them."""
+    plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
+    _warn_and_remove(tiles, tiles.check(tiles.written())[1])
+    with suppress(BadInput):  # damaged notes are written anew
+        if folder.is_complete:
+            bar.add(plan.scene.size, done=plan.scene.size)
+            return
+
+    def integrate(indices: np.ndarray) -> Iterator[Part]:
+        before, most = levels[-1].key if levels else "", math.prod(plan.tiling.tile)
+        folder.check_kept()
+        level = Level.of(folder, len(levels), before, indices, most)
+        levels.append(level)
+        job = _Job(folder, level.tiles, range(level.tiles.tiling.count), execution, level.number)
+        totals.add(job.compute(bar).table())
+        yield from level.read(indices)
+
+    scratch = folder.place.path if isinstance(folder.place, Folder) else Path(tempfile.gettempdir())
+    fine, attributes = refine.refined(
+        integrate, plan, scratch, threads=execution.threads, progress=execution.progress
+    )
+    folder.check_kept()
+    for tile in tiles.missing():
+        columns, indices = fine.values(folder.tiling.slices(tile)), tiles.indices(tile)
+        numbers = folder.types.keys() - columns
+        columns |= {name: np.full(folder.tiling.shape_of(tile), np.nan) for name in numbers}
+        for level in levels:
+            level.fill({name: columns[name] for name in numbers}, indices)
+        tiles.write(tile, columns, computed=int(columns["computed"].sum()), seconds=0.0, by="refinement")
+    result, damaged = tiles.check(range(folder.tiling.count))
+    if damaged:
+        raise OSError(f"{folder.path}: tile {min(damaged)}: {damaged[min(damaged)]}; run the scene again")
+    folder.save_notes(attributes, replace(totals, tally=result.tally))
+
+
+def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
+    """Compute an atlas in its run folder, join it, and remove the folder, unless another process did."""
+    before, plan, is_joined = finished.stamp(path), execution.plan, False
+
+    def is_open() -> bool:
+        """Whether no other process has finished the atlas in the meantime."""
+        return finished.stamp(path) in (before, None)
+
+    try:
+        folder = RunFolder.prepare(plan, folder_of(path))
+        if is_open():
+            with complete(folder, execution) as bar:
+                # One process joins: on an object store a second one would remove the objects of the first.
+                while not is_joined and is_open():
+                    if not claims.claim(folder.place, JOINING):
+                        time.sleep(claims.POLL)
+                        continue
+                    with claims.held(folder.place, JOINING):
+                        if is_open():
+                            folder.join(path)
+                            is_joined = True
+                if is_joined:
+                    bar.close()  # so that it leaves nothing where the run was
+                    folder.remove()
+                    explain_kept(None)
+    except (BadInput, OSError):
+        if is_open() or not _is_result(plan, path):
+            raise
+    return open_atlas(path) if is_joined else finished_atlas(plan, path)
+
+
+def _is_result(plan: ScenePlan, path: Path | str) -> bool:
+    """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
+    expected = result_hash(plan.scene.toml(), identity(plan.points))
+    with suppress(BadInput), open_atlas(path) as ds:
+        # A user's own dataset may have the attributes of an atlas, but not its hash.
+        return finished.has_hash(path) and ds.attrs.get(RESULT) == expected
+    return False
+
+
+def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
+    """Open a finished atlas, and remove the rest of its run; BadInput if it is the result of another run."""
+    if not _is_result(plan, path):
+        raise BadInput(exists_message(path))
+    try:  # a run that was killed after it moved the file into place
+        folder = RunFolder.open(folder_of(path))
+        folder.check_same(plan)
+    except BadInput:
+        remove_empty(folder_of(path))
+    else:
+        finished.form(path).verify(path)
+        folder.remove()
+    return open_atlas(path)
+
+
+@dataclass(eq=False)
+class _Job:
+    """Some tiles of a run that this process computes unless others do."""
+
+    run: RunFolder
+    tiles: Tiles
+    share: range  # of a level all tiles, because every shard completes it before the next one
+    execution: Execution
+    level: int | None = None
+    stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
+    own: set[int] = field(default_factory=set)  # tiles that this process wrote and read back
+    totals: Totals = field(default_factory=Totals)  # of these tiles
+
+    def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
+        """Claimed tiles among the unfinished ones, from a random one on, so that parallel processes share the work."""
+        first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
+        files, size_of = self.tiles, self.tiles.tiling.size_of
+        tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
+        pause = claims.POLL
+        while tiles:
+            claimed, files.listing = [], None
+            for tile in tiles:
+                if files.was_written(tile):
+                    bar.skip(size_of(tile))
+                elif self.execution.time_is_up:
+                    return
+                elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
+                    if files.is_written(tile):
+                        # It was written after the listing of the folder, maybe with others.
+                        files.place.remove(files.name(tile, claims.SUFFIX))
+                        bar.skip(size_of(tile))
+                        files.listing = None
+                    else:
+                        yield tile
+                else:
+                    claimed.append(tile)
+            if len(claimed) == len(tiles):
+                if self.stop.wait(pause):
+                    return
+                pause = min(2 * pause, MAX_CLAIM_POLL)
+            tiles = claimed
+
+    def compute(self, bar: Progress) -> Totals:
+        """Compute missing and damaged tiles; Stopped if the time is up before."""
+        size_of, written = self.tiles.tiling.size_of, self.tiles.written()
+        unfinished = [tile for tile in self.share if tile not in written]
+        done = sum(size_of(tile) for tile in self.share if tile in written)
+        bar.add(sum(map(size_of, self.share)), done=done)
+        while True:
+            if unfinished:
+                self._compute(unfinished, bar)
+            totals, damaged = self.tiles.check(tile for tile in self.share if tile not in self.own)
+            if not damaged:
+                totals.add(self.totals.table())
+                return totals
+            _warn_and_remove(self.tiles, damaged)
+            unfinished = sorted(damaged)
+            bar.skip(-sum(map(size_of, unfinished)))
+
+    def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
+        """Compute some missing tiles."""
+        execution, run = self.execution, self.run
+        if isinstance(run.place, Folder):
+            path, points = run.place.path, sum(map(self.tiles.tiling.size_of, unfinished))
+            estimate.check_disk(execution.plan, path, points, is_joined=path.suffix == RUN_SUFFIX)
+        self.stop = Event()
+        remaining = self.remaining_tiles(unfinished, bar)
+        try:
+            if execution.scheduler or execution.workers:
+                self._compute_on_cluster(remaining, bar)
+            else:
+                self._compute_in_threads(remaining, bar)
+        finally:
+            run.remove_leftovers()
+        if execution.time_is_up and not all(map(self.tiles.is_written, unfinished)):
+            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {run.progress_text()}")
+
+    def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
+        plan, threads, (part, parts) = self.execution.plan, self.execution.threads, self.execution.shard
+        source = self.run, self.tiles, plan.points, self.execution.earlier
+        by = f"{threads or blocks.available_threads()} threads" + f", shard {part}/{parts}" * (parts > 1)
+        stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
+
+        def seconds() -> float:
+            """Seconds since the end of the tile before, because tiles overlap."""
+            nonlocal last_end
+            with lock:
+                before, last_end = last_end, stopwatch.seconds()
+                return last_end - before
+
+        def compute(tile: int, advance: Advance) -> None:
+            header = _compute_tile(source, tile, threads, by, seconds, advance)
+            bar.skip(header["points"] - header["computed"] + sum(header["reused"].values()))
+            with lock:
+                self.own.add(tile)
+                self.totals.add(header)
+
+        for_each_tile(tiles, compute, bar.advance, plan.tiles_in_flight(threads), self.stop)
+
+    def _compute_on_cluster(self, tiles: Iterator[int], bar: Progress) -> None:
+        def on_result(tile: int) -> None:
+            if not self.tiles.is_written(tile):
+                raise BadInput(
+                    f"a worker wrote tile {tile}, but it is not in {self.tiles.place}: workers must see the same files"
+                )
+            bar.advance(self.tiles.tiling.size_of(tile))
+
+        client, place = self.execution.client, (str(self.run.path), self.level, self.tiles.key)
+        reuse = tuple(str(each.path) for each in self.execution.earlier)
+        cluster.check_workers(client, check_worker, (*place, reuse))
+        cluster.for_each(client, compute_tile, ((*place, tile, reuse) for tile in tiles), on_result)
+
+
+def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
+    """Remove damaged tiles, so that they are missing, and say so."""
+    warn = logging.getLogger("atlas").warning
+    for tile, reason in list(damaged.items())[:MAX_DAMAGE_WARNINGS]:
+        warn("%s: tile %d is computed again: %s", tiles.place, tile, reason)
+    if len(damaged) > MAX_DAMAGE_WARNINGS:
+        warn("... and %d damaged tiles more", len(damaged) - MAX_DAMAGE_WARNINGS)
+    for tile in damaged:
+        tiles.place.remove(tiles.name(tile))
+
+
+def _compute_tile(
+    source: Source, tile: int, threads: int | None, by: str, seconds: Callable[[], float], advance: Advance
+) -> dict[str, Any]:
+    """Compute and write a tile; its header."""
+    run, tiles, plan, earlier = source
+    with claims.held(tiles.place, tiles.name(tile, claims.SUFFIX)):
+        columns, computed, reused = evaluate_at(
+            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=advance
+        )
+        run.check_kept()
+        return tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)
+
+
+def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
+    """Raise BadInput unless this worker computes the bits of the run with this key."""
+    _open_cached(path, level, key, reuse)
+
+
+def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
+    """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
+    source = _open_cached(path, level, key, reuse)
+    _compute_tile(source, tile, 1, "dask workers", Stopwatch().seconds, lambda points: None)
+    return tile
+
+
+@lru_cache(maxsize=8)
+def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
+    """The source of the tiles of a run or level; BadInput unless this process computes its bits."""
+    run = RunFolder.open(path)
+    try:
+        opened = None if level is None else Level.open(run, level)
+    except FileNotFoundError:
+        raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
+    tiles = run.tiles if opened is None else opened.tiles
+    if tiles.key != key:
+        raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
+    plan = Plan.of(run.scene)
+    if different := differences(run.manifest["identity"], identity(plan), "in the run", "in the worker"):
+        raise BadInput(
+            f"{path}: a dask worker on {socket.gethostname()} would compute other bits; start it again with the"
+            f" same programs. It differs in {different}"
+        )
+    return run, tiles, plan, [Earlier.of(each, run.scene) for each in reuse]

@@ -1,0 +1,217 @@
+"""The points of a scene computed in memory: in tiles, in threads, refined, or from earlier atlases."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from threading import Event, Lock
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from ..kernel.compiling import Stopwatch, announced
+from ..label.pipeline import evaluate
+from ..label.plan import Plan
+from ..scene import grid
+from ..scene.model import Scene
+from ..store import dataset
+from ..store.progress import Progress
+from ..store.tiling import Tiling, tile_types
+from ..systems.base import derived_values
+from ..validation import half_step
+from ..variables import variables
+from .plan import ScenePlan
+
+if TYPE_CHECKING:
+    from .levels import Part
+    from .reuse import Earlier
+
+HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
+Advance = Callable[[float], None]  # takes a number of finished points
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """A plan, the earlier atlases that it uses, and the processes and threads that compute its tiles; see `run`."""
+
+    plan: ScenePlan
+    earlier: list[Earlier]
+    threads: int | None = None
+    shard: tuple[int, int] = (1, 1)
+    scheduler: str | None = None
+    workers: int | None = None
+    stop_after: float | None = None
+    progress: bool = True
+    began: float = field(default_factory=time.monotonic)
+    stack: ExitStack = field(default_factory=ExitStack)  # ends the dask workers
+
+    @classmethod
+    def of(
+        cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
+    ) -> Execution:
+        """Of a scene, the paths of earlier atlases, and options of `run`."""
+        plan, paths = ScenePlan.of(scene), [reuse] if isinstance(reuse, str | Path) else reuse
+        earlier = []
+        if paths:
+            from .reuse import Earlier
+
+            earlier = [Earlier.of(each, scene) for each in paths]
+        dataset.log_warnings(plan.warnings)
+        return cls(plan, earlier, **{**options, "shard": options["shard"] or (1, 1)})
+
+    @property
+    def time_is_up(self) -> bool:
+        """Whether no tile may begin any more."""
+        return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
+
+    @cached_property
+    def client(self) -> Any:
+        """Client of the dask workers, which start before the first tile."""
+        if self.workers:
+            # Compile the kernel here, by one step at one point, or each new process would.
+            sample = self.plan.sample
+            points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
+            if points.outputs:
+                evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
+        from . import cluster
+
+        return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
+
+
+def run_in_memory(execution: Execution) -> xr.Dataset:
+    """Compute an atlas without a run folder."""
+    plan, threads, progress = execution.plan, execution.threads, execution.progress
+    scene, stopwatch, reused = plan.scene, Stopwatch(), Counter[str]()
+    if scene.refine is None:
+        with closing(Progress(scene.size, show=progress)) as bar:
+            columns, reused = columns_of(plan, bar, threads, execution.earlier)
+        ds, points = dataset.dataset(scene, columns), scene.size
+        attributes = half_step.half_step_sample(scene, plan.points, threads=threads)
+    else:
+        from . import refine
+
+        no_bar = Progress(scene.size, show=False)
+
+        def integrate(indices: np.ndarray) -> Iterator[Part]:
+            columns, counts = columns_of(plan, no_bar, threads, execution.earlier, indices)
+            reused.update(counts)
+            yield indices, columns
+
+        with announced(progress):
+            fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
+        ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
+    provenance = dataset.provenance(
+        scene.system, scene.settings, plan.points.kernel_hash, scene=scene, points=points, warnings=plan.warnings,
+        seconds=stopwatch.seconds(),
+    )  # fmt: skip
+    return ds.assign_attrs(provenance | attributes | history_text(reused))
+
+
+def columns_of(
+    plan: ScenePlan,
+    bar: Progress,
+    threads: int | None = None,
+    earlier: Sequence[Earlier] = (),
+    points: np.ndarray | None = None,
+) -> tuple[dict[str, np.ndarray], Counter[str]]:
+    """Variables and solved parameters of all points of a scene, or of some by their flat indices, and the counts of reused points."""
+    scene, all_reused = plan.scene, Counter[str]()
+    tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
+    # Refinement follows the label, whether the scene asks for it or not.
+    types = ({} if points is None else {"label": "int8"}) | tile_types(scene)
+    columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}
+
+    def compute(tile: int, advance: Advance) -> None:
+        part = tiles.indices(tile)
+        indices = part if points is None else points[part]
+        values, computed, reused = evaluate_at(
+            plan.points, scene, indices, earlier, threads=threads, progress=advance
+        )
+        for name, column in columns.items():
+            column[part] = values[name]
+        all_reused.update(reused)
+        bar.skip(indices.size - computed + reused.total())
+
+    for_each_tile(range(tiles.count), compute, bar.advance, plan.tiles_in_flight(threads), Event())
+    return columns, all_reused
+
+
+def evaluate_at(
+    plan: Plan,
+    scene: Scene,
+    indices: np.ndarray,
+    earlier: Sequence[Earlier] = (),
+    *,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
+    """Variables and parameters of points of a scene, the number of points with a motion, and the counts of reused points."""
+    points = grid.points_at_indices(scene, indices)
+    reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
+    remaining = np.arange(indices.size)
+    for atlas in earlier:
+        mask, columns = atlas.take(scene, indices[remaining], points.subset(remaining))
+        where, remaining = remaining[mask], remaining[~mask]
+        if where.size:
+            part = points.subset(where)
+            missing = [name for name in scene.outputs if name not in columns]
+            columns |= derived_values(scene.system, missing, part.base, part.duration, lambda: None)
+            parts.append((where, columns))
+            reused[atlas.history] += where.size
+    if remaining.size:
+        part = points.subset(remaining) if parts else points
+        parts.append((remaining, evaluate(plan, part, threads=threads, progress=progress)))
+    merged = dict(parts[0][1])
+    if len(parts) > 1:
+        registry = variables(scene.system)
+        merged = {name: np.empty(indices.size, registry[name].dtype) for name in scene.outputs}
+        for name, (where, some) in product(merged, parts):
+            merged[name][where] = some[name]
+    return merged | points.base, int(points.exists.sum()), reused
+
+
+def history_text(reused: Mapping[str, int]) -> dict[str, str]:
+    """The attribute with the numbers of points from earlier atlases; none without such points."""
+    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
+    return {HISTORY: "\n".join(lines)} if lines else {}
+
+
+def for_each_tile(
+    tiles: Iterable[int],
+    compute: Callable[[int, Advance], None],
+    advance: Advance,
+    in_flight: int,
+    stop: Event,
+) -> None:
+    """Call compute(tile, advance) in threads; an error or Ctrl-C sets `stop`, abandons all tiles and is raised."""
+    source, lock = iter(tiles), Lock()
+
+    def advance_or_stop(points: float) -> None:
+        if stop.is_set():
+            raise CancelledError
+        advance(points)
+
+    def worker() -> None:
+        with suppress(CancelledError):
+            while not stop.is_set():
+                with lock:
+                    tile = next(source, None)
+                if tile is None:
+                    return
+                compute(tile, advance_or_stop)
+
+    with ThreadPoolExecutor(in_flight) as pool:
+        try:
+            for future in as_completed([pool.submit(worker) for _ in range(in_flight)]):
+                future.result()
+        finally:
+            stop.set()

@@ -1,5 +1,6 @@
 """Records of extensions: the names in them are those of what they load."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -28,3 +29,14 @@ def test_names_are_those_of_the_objects(each, kind):
 def test_the_stub_of_the_faces_is_current():
     script = ROOT / "scripts" / "tools" / "make_faces.py"
     assert subprocess.run([sys.executable, script, "--check"], cwd=ROOT, check=False).returncode == 0
+
+
+def test_the_core_names_no_extension():
+    """Neither as a module nor in a string; "page" is also a width of figures."""
+    own = [name for name, each in extension.extensions().items() if each.package.startswith("atlas.")]
+    names, quoted = "|".join(own), "|".join(name for name in own if name != "page")
+    pattern = re.compile(rf"\bextensions[./]({names})\b|[\"']({quoted})[\"']")
+    package = ROOT / "atlas"
+    core = [path for path in package.rglob("*.py") if path.relative_to(package).parts[0] != "extensions"]
+    assert len(core) > 100
+    assert [path.name for path in core if pattern.search(path.read_text())] == []

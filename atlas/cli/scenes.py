@@ -105,8 +105,8 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     scene = read_scene(options.scene)
     check_not_input(Path(out), input_files(options.scene))
     from ..analysis.compare import summary
-    from ..runs.memory import HISTORY
     from ..runs.run import TALLY
+    from ..store.dataset import HISTORY
 
     arguments = {name: getattr(options, name) for name in ("threads", "force", "scheduler", "workers")}
     ds = atlas.run(

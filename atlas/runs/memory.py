@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
 
-HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 Advance = Callable[[float], None]  # takes a number of finished points
 
 
@@ -113,7 +112,7 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
         scene.system, scene.settings, plan.points.kernel_hash, scene=scene, points=points, warnings=plan.warnings,
         seconds=stopwatch.seconds(),
     )  # fmt: skip
-    return ds.assign_attrs(provenance | attributes | history_text(reused))
+    return ds.assign_attrs(provenance | attributes | dataset.history_text(reused))
 
 
 def columns_of(
@@ -177,12 +176,6 @@ def evaluate_at(
         for name, (where, some) in product(merged, parts):
             merged[name][where] = some[name]
     return merged | points.base, int(points.exists.sum()), reused
-
-
-def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute with the numbers of points from earlier atlases; none without such points."""
-    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
-    return {HISTORY: "\n".join(lines)} if lines else {}
 
 
 def for_each_tile(

@@ -21,7 +21,6 @@ from ..store.tiling import Tiling
 from ..systems.base import Mask, derived_variables
 from ..variables import COMPUTED, data_variables
 from .backend import open_atlas
-from .memory import HISTORY
 from .plan import differences, identity
 from .run import RESULT, RunFolder, result_hash
 
@@ -62,8 +61,8 @@ class Earlier:
         names = (*(name for name in scene.outputs if name in old.outputs), *({COMPUTED.name} & ds.keys()))
         attributes = ("title", "source", "date_created", "atlas_cpu", RESULT)
         history = "; ".join(attribute_text(ds.attrs, name) for name in attributes)
-        if HISTORY in ds.attrs:
-            history += f" (of these, {attribute_text(ds.attrs, HISTORY, limit=MAX_MESSAGE)})"
+        if dataset.HISTORY in ds.attrs:
+            history += f" (of these, {attribute_text(ds.attrs, dataset.HISTORY, limit=MAX_MESSAGE)})"
         if folder is not None:
             tiles = folder.tiles
             return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names)[1], history)

@@ -44,7 +44,6 @@ from ..store.tiling import Tiling
 from ..variables import COMPUTED, variables
 from . import claims
 from .levels import LEVELS, Level
-from .memory import history_text
 from .plan import ScenePlan, differences, identity
 
 FORMAT = 4
@@ -282,7 +281,7 @@ class RunFolder:
         attributes["atlas_seconds"] = seconds = totals.seconds
         computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
-        attributes |= history_text(totals.reused)
+        attributes |= dataset.history_text(totals.reused)
         # A refined run is read when all its levels are complete.
         tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
         shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]

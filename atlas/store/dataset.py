@@ -22,6 +22,7 @@ from ..scene.model import About, Scene, Settings
 from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables
 
+HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
 VERSION = "atlas_version"  # attribute of every atlas
 METADATA = "zarr.json"  # of a Zarr store
@@ -139,6 +140,12 @@ def log_warnings(warnings: list[str]) -> None:
     """Log warnings about the input under the name "atlas"."""
     for warning in warnings:
         logging.getLogger("atlas").warning(warning)
+
+
+def history_text(reused: Mapping[str, int]) -> dict[str, str]:
+    """The attribute with the numbers of points from earlier atlases; none without such points."""
+    lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
+    return {HISTORY: "\n".join(lines)} if lines else {}
 
 
 def provenance(

@@ -13,9 +13,9 @@ from atlas.flags import Label
 from atlas.interruption import STOPPED, Stopped
 from atlas.label.plan import Plan
 from atlas.runs import estimate, memory, plan, reuse
-from atlas.runs.memory import HISTORY
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
+from atlas.store.dataset import HISTORY
 
 SIGMA = [0.3 + i * (1.4 / 8) for i in range(9)]
 WIDER = {"axes.sigma": {"values": [*SIGMA[::-1], 0.45, 1.9]}, "axes.theta0.count": 13}

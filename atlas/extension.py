@@ -83,13 +83,13 @@ class Extension:
     @property
     def code(self) -> str:
         """Hash of its modules, as they were when a part of it was first loaded."""
-        return sources.code(sources.of_extension(self.folder))
+        return sources.code(sources.of_folder(self.folder))
 
     def load(self, reference: Reference) -> Any:
         """The object that a reference names; BadInput with one line if its module cannot be imported."""
         module, _, name = reference.partition(":")
         try:
-            sources.of_extension(self.folder)
+            sources.of_folder(self.folder)
             return getattr(import_module(f"{self.package}.{module}"), name)
         except BadInput:
             raise
@@ -135,19 +135,21 @@ def available_text(value: object, names: Collection[str]) -> str:
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
     """Every part of one of the PARTS by name; BadInput if two extensions give the same name."""
-    found: dict[str, tuple[Extension, Reference]] = {}
+    by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():
-            if name in found:
+            if name in by_name:
                 raise BadInput(
-                    f"{name} is among the {kind} of two extensions, {found[name][0].name} and {extension.name}: remove one"
+                    f"{name} is among the {kind} of two extensions, {by_name[name][0].name} and {extension.name}: remove one"
                 )
-            found[name] = extension, reference
-    return found
+            by_name[name] = extension, reference
+    return by_name
 
 
 def load(kind: str, name: str) -> Any:
-    """A part by its kind and name, KeyError if no extension has it."""
+    """A part by its kind and name; None if no extension has it."""
+    if name not in parts(kind):
+        return None
     extension, reference = parts(kind)[name]
     return extension.load(reference)
 

@@ -20,9 +20,10 @@ class Questions:
     _ds: xr.Dataset
 
     def __getattr__(self, name: str) -> Any:
-        if name not in extension.parts("questions"):
+        question = extension.load("questions", name)
+        if question is None:
             raise AttributeError(f"'Atlas' object has no attribute {name!r}{extension.not_loaded()}")
-        return MethodType(typed(extension.load("questions", name)), self._ds)
+        return MethodType(typed(question), self._ds)
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *extension.parts("questions")})

@@ -21,7 +21,7 @@ Files = dict[str, tuple[int, str]]
 
 
 def read(folder: Path | None = None) -> Files:
-    """The files of the folder of an extension, or of this package."""
+    """The modules of a folder, or those of this package that numbers depend on."""
     files, root = {}, PACKAGE if folder is None else folder
     patterns = NUMERIC_SOURCES if folder is None else EVERY_MODULE
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
@@ -32,20 +32,20 @@ def read(folder: Path | None = None) -> Files:
 
 # The package imports this module before all others, which are at least as new.
 AT_IMPORT = read()
-# Folder of an extension -> its files, as they were before a part of it was imported.
-OF_EXTENSIONS: dict[Path, Files] = {}
+# Folder of an extension, or a room -> its files, as they were when it was first asked for them.
+OF_FOLDERS: dict[Path, Files] = {}
 
 
-def of_extension(folder: Path) -> Files:
-    """The files of the folder of an extension, as they were when it was first asked for them."""
-    if folder not in OF_EXTENSIONS:
-        OF_EXTENSIONS[folder] = read(folder)
-    return OF_EXTENSIONS[folder]
+def of_folder(folder: Path) -> Files:
+    """The files of a folder, as they were when it was first asked for them."""
+    if folder not in OF_FOLDERS:
+        OF_FOLDERS[folder] = read(folder)
+    return OF_FOLDERS[folder]
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
     """Files of this package and of extensions written since the import: modules loaded before and after may not fit together."""
-    states = [(PACKAGE, AT_IMPORT, read()), *((each, of_extension(each), read(each)) for each in folders)]
+    states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name
         for folder, before, now in states

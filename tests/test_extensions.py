@@ -228,9 +228,9 @@ def test_a_run_depends_on_the_code_of_the_extensions_that_it_uses(scene_text, tm
     folder = RunFolder.prepare(ScenePlan.of(scenes["satellite"]), tmp_path / "run")
     for edited in OWN:
         path = extensions()[edited].folder
-        other = {**sources.of_extension(path), "more.py": (0, "another file")}
+        other = {**sources.of_folder(path), "more.py": (0, "another file")}
         with monkeypatch.context() as patched:
-            patched.setitem(sources.OF_EXTENSIONS, path, other)
+            patched.setitem(sources.OF_FOLDERS, path, other)
             patched.setattr(sources, "read", lambda folder=None, path=path, read=sources.read, other=other: (
                 other if folder == path else read(folder)
             ))  # fmt: skip

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import BadInput
 from ..label.theory import predict
 from ..scene import grid
+from ..scene.family import ON_FAMILY
 from ..scene.model import Duration, Scene
 from ..systems.base import Array, Family, Mask, derived_values, families_of, on_family
 from .metadata import axes_of, is_logarithmic
@@ -215,7 +216,7 @@ def _branches(plane: Plane, family: Family, dim: str, abscissa: Array) -> Array:
     base = dict(plane.points({dim: start} | {d: other for d in plane.extent if d != dim}).base)
     with np.errstate(all="ignore"):
         base[dim] = np.asarray(family.solve[dim](base), float)
-        valid = on_family(family, base) < grid.ON_FAMILY
+        valid = on_family(family, base) < ON_FAMILY
         if scene.family is None:  # families overlap: a point belongs to the first that holds
             valid &= scene.system.identify_family(base)[0] == family.flag
     # A formula that returns its start: the whole plane is on the family, or none of it.

@@ -27,10 +27,7 @@ expression = cache(Expression)  # the same few are evaluated at many random poin
 
 def published_equations(system: System) -> Sequence[PublishedEquation]:
     """Equations of papers on a system: its own, and of an extension."""
-    of_extension = (
-        extension.load("published", system.name) if system.name in extension.parts("published") else ()
-    )
-    return [*system.published(), *of_extension]
+    return [*system.published(), *(extension.load("published", system.name) or ())]
 
 
 def load(package: str) -> dict[str, Any]:

@@ -6,8 +6,7 @@ import hashlib
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import cache, partial
-from importlib import import_module
+from functools import partial
 from itertools import pairwise, product
 from pathlib import Path
 from typing import cast
@@ -30,7 +29,8 @@ WORTH_KEEPING = 0.1  # seconds of tracing
 def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
     """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
     extensions = extension.extensions().values()
-    code = _code(tuple(each.package for each in extensions if each.families or each.variables or each.lines))
+    theory = [each.code for each in extensions if each.families or each.variables or each.lines]
+    code = sources.code(), sources.code(sources.of_folder(Path(__file__).parent)), theory
     scene = systems.origin(plane.scene.system), plane.scene.toml()
     of = repr((code, scene, plane.extent, plane.fixed, what))
     path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
@@ -50,17 +50,6 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
             for old in stored[:-KEPT_PLANES]:
                 old.unlink(missing_ok=True)
     return lines
-
-
-@cache
-def _code(packages: tuple[str, ...]) -> str:
-    """Hash of the code on which lines depend: the numbers of atlases, this room, and extensions by their packages."""
-    folders = [
-        str(Path(__file__).parent),
-        *(each for name in packages for each in import_module(name).__path__),
-    ]
-    modules = (path for folder in folders for path in sorted(Path(folder).rglob("*.py")))
-    return hashlib.sha256(b"".join([sources.code().encode(), *map(Path.read_bytes, modules)])).hexdigest()
 
 
 # Samples along each axis before refinement: even, as SAMPLES.

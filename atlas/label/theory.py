@@ -176,10 +176,8 @@ class Theory:
     def rounding(self, run: Run) -> tuple[Array, Array]:
         """Logarithms of the growth of rounding errors: in a run, and up to a tolerance."""
         # No tilt can grow where the third axis never left the vertical by a bit.
-        sine, residual = (
-            run.measured.get("sine_max", np.ones(run.ensemble.size)),
-            self.prediction.start_residual,
-        )
+        sine = run.measured.get("sine_max", np.ones(run.ensemble.size))
+        residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
         measured = np.log(sine / np.fmax(residual, ROUNDOFF))  # of a tilt by as much as the residual

@@ -230,9 +230,7 @@ HATCHES = {
 
 def border_style(kind: str) -> dict[str, Any]:
     """Line of a kind of border of the core or of an extension."""
-    if kind in extension.parts("line_styles"):
-        return {"color": "black"} | extension.load("line_styles", kind)
-    return {"color": "black"} | BORDERS.get(kind, PLAIN_LINE)
+    return {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
 
 
 def family_style(number: int) -> dict[str, Any]:

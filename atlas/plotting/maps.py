@@ -58,7 +58,8 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
         raise BadInput(
             f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
         )
-    samples = extension.load("samples", name)(ds) if name in extension.parts("samples") else {}
+    samples_of = extension.load("samples", name)
+    samples = samples_of(ds) if samples_of else {}
     ds = positions_as_flags(ds, name)
     with nullcontext() if chosen.ax is not None else rc_context(STYLE):
         draw = draw_scatter if ds[name].dims == ("point",) else draw_map

@@ -20,7 +20,8 @@ from ..scene import grid
 from ..scene.model import Scene
 from ..store import finished
 from ..store.progress import clock
-from ..store.tile import encode, tile_types
+from ..store.tile import encode
+from ..store.tiling import tile_types
 from ..systems.base import derived_values, derived_variables
 from .plan import ScenePlan
 from .refine import expected_points

@@ -39,8 +39,8 @@ from ..store import dataset, finished, progress
 from ..store.dataset import Block
 from ..store.place import CLOCK, located, place_at
 from ..store.tally import Totals
-from ..store.tile import DamagedTile, Tiles, tile_types
-from ..store.tiling import Tiling
+from ..store.tile import DamagedTile, Tiles
+from ..store.tiling import Tiling, tile_types
 from ..variables import COMPUTED, variables
 from . import claims
 from .levels import LEVELS, Level

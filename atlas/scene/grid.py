@@ -28,8 +28,7 @@ from ..systems.base import (
 )
 from ..systems.steady import lacks_theory
 from .checks import check_range
-from .family import ON_FAMILY as ON_FAMILY
-from .family import check_solution, solution
+from .family import ON_FAMILY, check_solution, solution
 from .model import Duration, Scene
 
 # Most points of a tile: a constant, so that results never depend on the tiles.

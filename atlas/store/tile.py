@@ -27,7 +27,6 @@ from ..files import check_types
 from .place import Folder, Place
 from .tally import Tally, Totals
 from .tiling import Tiling
-from .tiling import tile_types as tile_types
 
 SUFFIX = ".tile"
 LEVEL = 1  # of zlib: higher levels take much time and save little room

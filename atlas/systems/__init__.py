@@ -35,8 +35,8 @@ _ORIGINS: dict[System, plugins.Origin] = {}
 
 def __getattr__(name: str) -> Any:
     """A function of an extension."""
-    if f"systems.{name}" in extension.parts("functions"):
-        return extension.load("functions", f"systems.{name}")
+    if function := extension.load("functions", f"systems.{name}"):
+        return function
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{extension.not_loaded()}")
 
 

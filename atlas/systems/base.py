@@ -450,9 +450,8 @@ class System(ABC):
             That residual, dimensionless; where there is no family, the least residual of any (inf if there
             are no families).
         """
-        every = families_of(self).values()
-        others = [family for family in every if family.axes or family.rate_std]
-        return identify(points, [family for family in every if family not in others], others)
+        others = other_families(self)
+        return identify(points, [each for each in families_of(self).values() if each not in others], others)
 
     def squared_rate(self, points: Points) -> Array:
         """Largest squared rate of each start, of body, frame and fields, by which `condition_residual` is divided, (points,).
@@ -631,15 +630,13 @@ def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Ex
 
 def stress_cases_of(system: System) -> list[StressCase]:
     """Stress cases of a system, then of an extension."""
-    cases = list(system.stress_cases())
-    if system.name in extension.parts("stress_cases"):
-        cases += extension.load("stress_cases", system.name)(system)
-    return cases
+    of_extension = extension.load("stress_cases", system.name)
+    return [*system.stress_cases(), *(of_extension(system) if of_extension else ())]
 
 
-def other_families(system: System, names: Collection[str]) -> list[Family]:
-    """Families of a system and of extensions but the named ones."""
-    return [family for name, family in families_of(system).items() if name not in names]
+def other_families(system: System) -> list[Family]:
+    """Families of motions that are not steady about the third axis and the vertical, of a system and of extensions."""
+    return [family for family in families_of(system).values() if family.axes or family.rate_std]
 
 
 def identify(

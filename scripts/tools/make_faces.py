@@ -59,7 +59,7 @@ def declaration(function: FunctionType, name: str, method: bool) -> str:
 
 def stub() -> str:
     """Text of the stub."""
-    found = {
+    parts = {
         kind: {
             name: extension.load(kind, name)
             for name, (each, _) in sorted(extension.parts(kind).items())
@@ -68,13 +68,13 @@ def stub() -> str:
         for kind in ("functions", "questions")
     }
     imports = {"import xarray as xr"}
-    for function in (*found["functions"].values(), *found["questions"].values()):
+    for function in (*parts["functions"].values(), *parts["questions"].values()):
         imports |= imports_of(function)
-    names = list(found["functions"])
+    names = list(parts["functions"])
     lines = [*sorted(imports), "", f"__all__ = {names!r}", ""]
-    lines += [declaration(function, name, False) for name, function in found["functions"].items()]
+    lines += [declaration(function, name, False) for name, function in parts["functions"].items()]
     lines += ["", "class Questions:", "    _ds: xr.Dataset"]
-    lines += ["    " + declaration(function, name, True) for name, function in found["questions"].items()]
+    lines += ["    " + declaration(function, name, True) for name, function in parts["questions"].items()]
     return HEAD + "\n".join(lines) + "\n"
 
 

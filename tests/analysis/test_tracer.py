@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas import extension
+from atlas import extension, sources
 from atlas.analysis import tracer
 from atlas.analysis.plane import Plane
 from atlas.extension import Extension
@@ -59,7 +59,7 @@ def own(tmp_path, monkeypatch):
     yield package
     monkeypatch.undo()
     extension.parts.cache_clear()
-    tracer._code.cache_clear()
+    sources.OF_FOLDERS.clear()
 
 
 def test_kept_lines_depend_on_the_code_of_extensions(own, tmp_path, monkeypatch):
@@ -77,11 +77,11 @@ def test_kept_lines_depend_on_the_code_of_extensions(own, tmp_path, monkeypatch)
     assert is_traced()
     assert not is_traced()
     assert is_traced("other")
-    tracer._code.cache_clear()  # as in another process
+    sources.OF_FOLDERS.clear()  # as in another process
     assert not is_traced()
     (own / "helper.py").write_text("FACTOR = 2")
     assert not is_traced()
-    tracer._code.cache_clear()
+    sources.OF_FOLDERS.clear()
     assert is_traced()
     assert not is_traced()
     extensions, broken = extension._found()

@@ -35,8 +35,8 @@ from atlas.runs.run import RunFolder
 from atlas.runs.status import status
 from atlas.scene import grid
 from atlas.store import dataset
-from atlas.store.tile import DamagedTile, Tiles, tile_types
-from atlas.store.tiling import MAX_TILES, Tiling
+from atlas.store.tile import DamagedTile, Tiles
+from atlas.store.tiling import MAX_TILES, Tiling, tile_types
 
 
 @pytest.fixture(scope="module")

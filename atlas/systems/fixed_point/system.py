@@ -72,7 +72,7 @@ class FixedPoint(Gyrostat):
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the vertical, else one about any axes."""
-        return identify(points, families.ORDER, other_families(self, families.FAMILIES))
+        return identify(points, families.ORDER, other_families(self))
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:

@@ -45,5 +45,7 @@ def lines(plane: Plane, ds: xr.Dataset) -> dict[str, list[np.ndarray]]:
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     points = plane.points(plane.coordinates(positions)).base
     values = energy(plane.scene.system, points).reshape(steps.size, steps.size)
-    found = contourpy.contour_generator(steps, steps, values.T).lines(LEVEL)
-    return {f"energy = {LEVEL:g}": [np.stack(list(plane.coordinates(line).values()), -1) for line in found]}
+    polylines = contourpy.contour_generator(steps, steps, values.T).lines(LEVEL)
+    return {
+        f"energy = {LEVEL:g}": [np.stack(list(plane.coordinates(line).values()), -1) for line in polylines]
+    }

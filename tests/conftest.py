@@ -138,13 +138,12 @@ def longer(tmp_path, longer_atlas, monkeypatch):
     from atlas import load_scene
     from atlas.runs.plan import ScenePlan
     from atlas.runs.run import RunFolder
-    from atlas.scene import grid
 
     text, whole = longer_atlas
     (tmp_path / "scene.toml").write_text(text)
     scene = load_scene(tmp_path / "scene.toml")
     with monkeypatch.context() as patched:
-        patched.setattr(grid, "MAX_POINTS_PER_TILE", 64)
+        patched.setenv("ATLAS_TILE_POINTS", "64")
         run = RunFolder.prepare(plan := ScenePlan.of(scene), tmp_path / "run")
     assert run.tiling.count == 18
     assert plan.points.kernel_hash == whole.atlas_kernel_hash

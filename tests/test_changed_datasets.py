@@ -331,10 +331,9 @@ def test_maps_and_pages_of_changed_coordinates_have_no_theory(caplog, tmp_path, 
 
 def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
     """The trajectory of a point reads one tile, lines of theory and a trajectory of the shell a few."""
-    from atlas.scene import grid
     from atlas.store.tile import Tiles
 
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 4)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "4")
     text = (HEAD + SCENES["solved"]).replace("count = 7", "count = 40").replace("count = 6", "count = 20")
     atlas.run(load_scene(text), tmp_path / "run", progress=False)
     ds, read = atlas.open_atlas(tmp_path / "run"), Tiles.read

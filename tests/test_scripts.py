@@ -122,8 +122,6 @@ def less_work(script_folders, monkeypatch, tmp_path):
     monkeypatch.setattr("bench_large.measure", measure)
     monkeypatch.setattr("bench_large.FLAGS", ("label", "status"))
     monkeypatch.setattr("bench_large.NUMBERS", 3)
-    for name in ("store.tiling.MIN_POINTS_PER_TILE", "scene.grid.MAX_POINTS_PER_TILE"):  # which it changes
-        monkeypatch.setattr(f"atlas.{name}", 512)
     monkeypatch.setattr("bench_drawing.processor_time", processor_time)
     monkeypatch.setattr("bench_engine.Case.assembly", assembly)
     monkeypatch.setattr("bench_engine.PEAK_ROUNDS", 100)

@@ -220,8 +220,9 @@ def _evaluate_in_tiles(
     size, registry = points.duration.size, variable_registry(plan.system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
     bar = Progress(size, show=progress)
-    for first in range(0, size, grid.MAX_POINTS_PER_TILE):
-        tile = slice(first, first + grid.MAX_POINTS_PER_TILE)
+    length = grid.max_points_per_tile()
+    for first in range(0, size, length):
+        tile = slice(first, first + length)
         part = points.subset(tile)
         values = evaluate(plan, part, threads=threads, progress=bar.advance)
         bar.skip(part.reason.size - int(part.exists.sum()))

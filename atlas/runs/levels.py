@@ -21,6 +21,7 @@ from .. import extension
 from ..errors import BadInput
 from ..files import damaged_message, hash_of
 from ..flags import LABELS
+from ..scene import grid
 from ..store.tile import MAX_TILE_BYTES, DamagedTile, Tiles, decode, encode
 from ..store.tiling import MIN_POINTS_PER_TILE, Tiling
 from ..variables import variables
@@ -65,6 +66,7 @@ class Level:
     def of(cls, run: RunFolder, number: int, before: str, points: np.ndarray, most: int) -> Level:
         """A level in tiles of at most so many points; its list of points is written if it is missing."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
+        most = min(most, grid.max_points_per_tile())
         level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)
         with suppress(BadInput, FileNotFoundError):
             if cls.open(run, number).key == level.key:

@@ -124,7 +124,7 @@ def columns_of(
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
     """Variables and solved parameters of all points of a scene, or of some by their flat indices, and the counts of reused points."""
     scene, all_reused = plan.scene, Counter[str]()
-    tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.MAX_POINTS_PER_TILE)
+    tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.max_points_per_tile())
     # Refinement follows the label, whether the scene asks for it or not.
     types = ({} if points is None else {"label": "int8"}) | tile_types(scene)
     columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}

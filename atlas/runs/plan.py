@@ -101,13 +101,13 @@ class ScenePlan:
 
     @cached_property
     def tiling(self) -> Tiling:
-        """Tiles of similar work, by the scene alone: no time or number of processors changes them."""
+        """Tiles of similar work, by the scene and ATLAS_TILE_POINTS alone: no time or number of processors changes them."""
         from ..store import tiling
 
         least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
         points = max(tiling.TILE_POINT_STEPS / self.mean_work, least)
         # A power of two, because the last bits of the mean may differ between machines.
-        most = 2 ** round(math.log2(min(points, grid.MAX_POINTS_PER_TILE)))
+        most = min(2 ** round(math.log2(points)), grid.max_points_per_tile())
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:

@@ -67,7 +67,7 @@ class Earlier:
             tiles = folder.tiles
             return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names)[1], history)
         finished.form(path).verify(path)
-        tiling = Tiling.of(old.shape, grid.MAX_POINTS_PER_TILE)
+        tiling = Tiling.of(old.shape, grid.max_points_per_tile())
 
         def read(tile: int) -> dict[str, np.ndarray]:
             box = ds.isel(dict(zip(dataset.dims(old), tiling.slices(tile), strict=True)))

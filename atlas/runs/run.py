@@ -324,7 +324,7 @@ class RunFolder:
             return notes | self.attributes(totals if self.scene.refine is None else saved or totals)
 
         # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
-        lengths = Tiling.of(self.scene.shape, grid.MAX_POINTS_PER_TILE).tile
+        lengths = Tiling.of(self.scene.shape, grid.max_points_per_tile()).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         blocks = self._blocks(lengths, totals)
         finished.form(out).write_blocks(ds, chunk, self.types, blocks, attributes, out)
@@ -385,7 +385,7 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
         scene.system, scene.settings, kernel, scene=scene, points=scene.size, warnings=plan.warnings, seconds=0.0
     )  # fmt: skip
     # The tiles of a refined atlas take no time: its levels are computed.
-    finest = Tiling.of(scene.shape, grid.MAX_POINTS_PER_TILE)
+    finest = Tiling.of(scene.shape, grid.max_points_per_tile())
     manifest = {
         "format": FORMAT,
         "scene": scene.toml(),

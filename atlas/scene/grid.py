@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -31,7 +32,7 @@ from .checks import check_range
 from .family import ON_FAMILY, check_solution, solution
 from .model import Duration, Scene
 
-# Most points of a tile: a constant, so that results never depend on the tiles.
+# Most points of a tile, without the environment variable ATLAS_TILE_POINTS.
 MAX_POINTS_PER_TILE = 65536
 # Bodies, and starts on a family, checked before a run; the others are checked with their tile.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
@@ -39,6 +40,18 @@ MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
 MAX_COUNTED = 2**19
 # Points at which the formulas of a family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
+
+
+def max_points_per_tile() -> int:
+    """Most points of a tile, and of a chunk of a file: the environment variable ATLAS_TILE_POINTS, or MAX_POINTS_PER_TILE."""
+    text = os.environ.get("ATLAS_TILE_POINTS", "")
+    if not text:
+        return MAX_POINTS_PER_TILE
+    if text.isascii() and text.isdecimal() and 1 <= int(text[:6]) <= MAX_POINTS_PER_TILE and len(text) <= 6:
+        return int(text)
+    raise BadInput(
+        f"ATLAS_TILE_POINTS = {shown(text)}: allowed: a whole number from 1 to {MAX_POINTS_PER_TILE}"
+    )
 
 
 class Reason(IntEnum):
@@ -243,8 +256,9 @@ def not_computed(scene: Scene, sample: Grid) -> list[str]:
     """Sentences on the points not computed, by reason, counted or (beyond MAX_COUNTED) from the sample."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
-        for first in range(0, scene.size, MAX_POINTS_PER_TILE):
-            indices = np.arange(first, min(first + MAX_POINTS_PER_TILE, scene.size))
+        length = max_points_per_tile()
+        for first in range(0, scene.size, length):
+            indices = np.arange(first, min(first + length, scene.size))
             counts += np.bincount(_before_nudge(scene, indices)[1], minlength=len(Reason))
         return count_lines(counts, scene.system, scene.family, scene.duration)
     counts = np.bincount(sample.reason, minlength=len(Reason))

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from bench_scaling import SCENE
@@ -24,7 +25,7 @@ from atlas import systems
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
 from atlas.scene import grid
-from atlas.store import finished, tiling
+from atlas.store import finished
 from atlas.store.dataset import dims
 from atlas.store.tally import Totals
 from atlas.store.tile import encode
@@ -79,7 +80,7 @@ def large_store(path: Path, gigabytes: float) -> None:
     names = [*FLAGS, *numbers]
     rows = max(round(gigabytes * 1e9 / (8 * NUMBERS + len(FLAGS)) / 1024), 1)
     run, values = prepare(path.with_suffix(".run"), names, rows, 1024)
-    lengths = Tiling.of(run.scene.shape, grid.MAX_POINTS_PER_TILE)
+    lengths = Tiling.of(run.scene.shape, grid.max_points_per_tile())
     chunk = dict(zip(dims(run.scene), lengths.tile, strict=True))
     first = {name: value.reshape(lengths.shape_of(0)) for name, value in values.items()}
     blocks = iter([(lengths.slices(0), first)])
@@ -101,8 +102,8 @@ def large_store(path: Path, gigabytes: float) -> None:
 
 def many_tiles(path: Path, count: int) -> None:
     """A run folder of so many tiles of 8 points."""
-    tiling.MIN_POINTS_PER_TILE, grid.MAX_POINTS_PER_TILE = 1, 8
-    run, values = prepare(path, ["label", "status", "theta_dot_rms"], count, 8)
+    with patch.dict(os.environ, ATLAS_TILE_POINTS="8"):
+        run, values = prepare(path, ["label", "status", "theta_dot_rms"], count, 8)
     header, columns = run.tiles.read(0)
     flat = {name: column.ravel() for name, column in columns.items()}
     for number in range(run.tiling.count):

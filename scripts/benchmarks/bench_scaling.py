@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 import atlas
 from atlas.runs.plan import ScenePlan
@@ -92,11 +93,10 @@ def tiles(folder: Path, max_points: int) -> None:
     """Overhead of a tile: the same points in more and more tiles."""
     count = min(1_000_000, max_points)
     print(f"tiles for {count} points, run s, ms for each tile beyond the fewest")
-    case, usual, fewest = scene(folder, count), grid.MAX_POINTS_PER_TILE, None
-    for points in (usual, 8192, 1024):
-        grid.MAX_POINTS_PER_TILE = points
-        run = RunFolder.prepare(ScenePlan.of(case), folder / f"tiles{points}")
-        grid.MAX_POINTS_PER_TILE = usual
+    case, fewest = scene(folder, count), None
+    for points in (grid.MAX_POINTS_PER_TILE, 8192, 1024):
+        with patch.dict(os.environ, ATLAS_TILE_POINTS=str(points)):
+            run = RunFolder.prepare(ScenePlan.of(case), folder / f"tiles{points}")
         seconds, _ = command(folder, "run", "scene.toml", "-o", f"tiles{points}/", "--quiet")
         fewest = fewest or (run.tiling.count, seconds)
         more = run.tiling.count - fewest[0]

@@ -12,7 +12,6 @@ import xarray as xr
 import atlas
 from atlas import BadInput, load_scene
 from atlas.runs.backend import AtlasBackend
-from atlas.scene import grid
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +20,7 @@ def run(tmp_path_factory, small_scene):
     folder = tmp_path_factory.mktemp("backend")
     scene = load_scene(small_scene)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grid, "MAX_POINTS_PER_TILE", 16)
+        patch.setenv("ATLAS_TILE_POINTS", "16")
         atlas.run(scene, f"{folder}/night/", progress=False)
     return folder / "night", folder / "small.nc", atlas.run(scene, folder / "small.nc", progress=False)
 

@@ -18,14 +18,13 @@ from atlas.runs.claims import SUFFIX, claim
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
 from atlas.runs.status import status
-from atlas.scene import grid
 from atlas.store import place as places
 
 
 @pytest.fixture
 def folder(small_scene, tmp_path, monkeypatch):
     """An empty run folder of 9 tiles."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     return RunFolder.prepare(ScenePlan.of(load_scene(small_scene)), tmp_path / "run")
 
 

@@ -14,7 +14,6 @@ from atlas.interruption import STOPPED, Stopped
 from atlas.label.plan import Plan
 from atlas.runs import estimate, memory, plan, reuse
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 from atlas.store.dataset import HISTORY
 
 SIGMA = [0.3 + i * (1.4 / 8) for i in range(9)]
@@ -52,7 +51,7 @@ def old(scene_text, tmp_path_factory):
 def test_an_extended_atlas_is_a_fresh_one_and_only_new_points_are_integrated(
     old, scene_text, changes, shared, evaluated, monkeypatch, tmp_path
 ):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 40)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "40")
     scene = load_scene(scene_text(changes))
     if shared is None:
         with pytest.raises(BadInput, match="none of 63 points of it, evenly chosen, is a point of the scene"):
@@ -107,7 +106,7 @@ def test_atlases_are_joined_and_extended_again_with_the_provenance_of_all(
 
 
 def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_path, monkeypatch, evaluated):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     few = {"outputs": {"variables": ["label", "status", "theta_dot_rms", "error_estimate"]}}
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}} | few))
     fresh = atlas.run(scene, f"{tmp_path}/night/", progress=False).load()
@@ -211,7 +210,7 @@ def test_the_command_extends_an_atlas(old, scene_text, tmp_path, capsys):
 def test_a_run_whose_time_is_over_stops_in_good_order_and_is_continued(
     scene_text, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     (tmp_path / "scene.toml").write_text(scene_text({}))
     command = ["run", str(tmp_path / "scene.toml"), "-o", f"{tmp_path}/night.nc", "--quiet", "--threads", "1"]
     folder = tmp_path / "night.nc.run"

@@ -53,7 +53,7 @@ def whole(scene):
 @pytest.fixture
 def small_tiles(monkeypatch):
     """Tiles of at most 7 points: 9 for the scene."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
 
 
 def empty_run_folder(scene, path) -> RunFolder:
@@ -108,12 +108,12 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
 
 def test_tiles_of_unequal_lengths_are_joined(scene, whole, tmp_path, monkeypatch):
     """Their boxes in the file begin and end within tiles, or hold many of them."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 5)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "5")
     atlas.run(scene, f"{tmp_path}/run/", progress=False)
     run = RunFolder.open(tmp_path / "run")
     assert {run.tiling.shape_of(tile) for tile in range(run.tiling.count)} == {(1, 4), (1, 3)}
     for points in (2, 30):
-        monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", points)
+        monkeypatch.setenv("ATLAS_TILE_POINTS", str(points))
         run.join(tmp_path / f"{points}.nc")
         with atlas.open_atlas(tmp_path / f"{points}.nc") as joined:
             assert_same_bytes(whole, joined)
@@ -483,7 +483,7 @@ def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text
     other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "abacus"}}
     keys = {run.key, folder._key(other)}
     keys.add(empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "other").key)
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     keys.add(empty_run_folder(scene, tmp_path / "small").key)
     assert len(keys) == 4
 

@@ -16,7 +16,6 @@ from atlas.runs import folder as folders
 from atlas.runs import memory
 from atlas.runs.levels import LEVELS, POINTS, Level
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 
 CHANGES = {
     "refine": {"levels": 2, "probe": 0.02},
@@ -38,8 +37,7 @@ def whole(scene):
 @pytest.fixture
 def small_tiles(monkeypatch):
     """Tiles of at most 40 points."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 40)
-    monkeypatch.setattr("atlas.runs.levels.MIN_POINTS_PER_TILE", 16)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "40")
 
 
 def run(scene, out, **options):

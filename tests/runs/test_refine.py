@@ -258,7 +258,7 @@ def test_a_grid_that_does_not_fit_onto_the_disk_is_refused(scene_text, tmp_path,
 
 def test_boxes_of_any_size_give_the_same_atlas(scene_text, both, monkeypatch):
     monkeypatch.setattr(refine, "MAX_BOX_POINTS", 60)
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 100)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "100")
     xr.testing.assert_identical(
         *(ds.drop_attrs(deep=False) for ds in (both[0], atlas.run(refined_scene(scene_text), progress=False)))
     )

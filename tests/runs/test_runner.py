@@ -14,12 +14,12 @@ import xarray as xr
 from truth import assert_same_bytes
 
 import atlas
-from atlas import BadInput, files, load_scene
+from atlas import BadInput, cli, files, load_scene
 from atlas.flags import Label, Stability, Status
 from atlas.runs import folder as folders
 from atlas.runs import memory
+from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 from atlas.variables import variables
 
 
@@ -90,15 +90,40 @@ def test_theory_and_measurement_agree_away_from_the_boundary(small_atlas):
 
 def test_the_same_scene_gives_the_same_values_for_other_tiles_and_threads(small_atlas, tmp_path, monkeypatch):
     path, ds = small_atlas
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 10)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "10")
     rerun = atlas.run(load_scene(ds.attrs["atlas_scene"]), tmp_path / "again.nc", threads=2, progress=False)
     for name in ds.data_vars:
         np.testing.assert_array_equal(ds[name].values, rerun[name].values, err_msg=name)
     assert rerun.attrs["atlas_kernel_hash"] == ds.attrs["atlas_kernel_hash"]
 
 
+@pytest.mark.parametrize("value", ["0", "-1", "seven", "65537", "1e3", " 7", "\u0667", "9" * 5000])
+def test_a_wrong_number_of_points_per_tile_is_refused_before_anything_is_written(
+    value, tmp_path, small_scene, monkeypatch, capsys
+):
+    monkeypatch.setenv("ATLAS_TILE_POINTS", value)
+    (tmp_path / "small.toml").write_text(small_scene)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", "small.toml", "-o", "again.nc"]) == cli.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ATLAS_TILE_POINTS = " in line
+    assert "a whole number from 1 to 65536" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]
+
+
+def test_a_run_is_continued_in_the_tiles_that_it_began_with(small_atlas, tmp_path, monkeypatch):
+    scene = load_scene(small_atlas[1].attrs["atlas_scene"])
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "10")
+    begun = RunFolder.prepare(ScenePlan.of(scene), tmp_path / "run").tiling
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "3")
+    atlas.run(scene, f"{tmp_path}/run/", progress=False)
+    continued = RunFolder.open(tmp_path / "run")
+    assert continued.is_complete
+    assert continued.tiling == begun
+
+
 def test_a_tile_may_be_without_possible_bodies(scene_text, monkeypatch):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 4)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "4")
     ds = atlas.run(load_scene(scene_text({"axes.sigma.to": 4.7})), progress=False)
     possible = (ds.C <= 2).broadcast_like(ds.status)
     np.testing.assert_array_equal(ds.status == Status.IMPOSSIBLE_BODY, ~possible)

@@ -21,7 +21,6 @@ from atlas.runs import run as folder
 from atlas.runs.memory import evaluate_at
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 from atlas.store import place as places
 from atlas.store import tile
 
@@ -77,7 +76,7 @@ def whole(scene):
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch):
     """Tiles of one row: 5 for the scene."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 7)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
 
 
 def test_a_run_is_interrupted_and_continued(

@@ -14,7 +14,6 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 from atlas.store import dataset, finished
 from atlas.store.place import Folder, Objects
 
@@ -29,7 +28,7 @@ def run(tmp_path_factory, scene_text):
     few = {"outputs.variables": ["label", "predicted", "status", "theta_max", "step"]}
     scene = load_scene(scene_text(few | {"axes.sigma.count": 18, "axes.theta0.count": 48}))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(grid, "MAX_POINTS_PER_TILE", 64)
+        patch.setenv("ATLAS_TILE_POINTS", "64")
         atlas.run(scene, f"{path}/", progress=False)
     folder = RunFolder.open(path)
     assert folder.tiling.count == 18
@@ -38,7 +37,7 @@ def run(tmp_path_factory, scene_text):
 
 @pytest.fixture
 def store(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 96)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "96")
     run[0].join(tmp_path / "night.zarr")
     return tmp_path / "night.zarr"
 
@@ -50,7 +49,7 @@ def files_of(path, name):
 @pytest.mark.parametrize(("points_per_chunk", "files"), [(65536, 1), (96, 9), (20, 54)])
 def test_a_store_holds_the_atlas(run, tmp_path, monkeypatch, points_per_chunk, files):
     folder, whole = run
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", points_per_chunk)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", str(points_per_chunk))
     folder.join(tmp_path / "night.zarr")
     assert len(files_of(tmp_path / "night.zarr", "label")) == files
     with atlas.open_atlas(tmp_path / "night.zarr") as ds, folder.dataset() as expected:
@@ -66,7 +65,7 @@ def test_a_store_holds_the_atlas(run, tmp_path, monkeypatch, points_per_chunk, f
 def test_large_parameters_are_written_in_parts(run, tmp_path, monkeypatch):
     folder, whole = run
     monkeypatch.setattr(dataset, "MAX_EAGER_VALUES", 1)
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 96)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "96")
     folder.join(tmp_path / "night.zarr")
     with atlas.open_atlas(tmp_path / "night.zarr") as ds:
         for name in ("C", "k3", "Omega"):

@@ -87,7 +87,7 @@ def test_a_flat_body_is_possible_and_a_body_beyond_it_is_not():
 
 
 def test_a_run_folder_its_join_and_its_comparison_with_theory(computed, tmp_path, monkeypatch):
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 64)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "64")
     folder = atlas.run(rectangle(), tmp_path / "run/", progress=False)
     with atlas.run(rectangle(), tmp_path / "one.nc", progress=False) as one, folder:
         for ds in (folder, one):

@@ -16,7 +16,6 @@ from atlas.analysis.trust import BOX
 from atlas.cli import main
 from atlas.extensions.basins.attitude import Attitude, samples
 from atlas.runs.run import RunFolder
-from atlas.scene import grid
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -141,7 +140,7 @@ def test_a_map_shows_the_attitudes(ds):
 
 def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path, monkeypatch):
     """In memory, in tiles that two shards share, and in a refined run that was killed and goes on with workers of dask."""
-    monkeypatch.setattr(grid, "MAX_POINTS_PER_TILE", 40)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "40")
     for shard in ("1/2", "2/2"):
         assert main(["run", str(scene), "-o", f"{tmp_path}/run/", "--shard", shard]) == 0
     with atlas.open_atlas(tmp_path / "run") as joined:

@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from .label.trajectory import trajectory as trajectory
     from .runs.backend import open_atlas as open_atlas
     from .runs.execution import run as run
+    from .scene.examples import example as example
     from .scene.read import load_scene as load_scene
     from .systems import register as register
 
 # Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
 _MODULES = {
     "load_scene": "scene.read",
+    "example": "scene.examples",
     "run": "runs.execution",
     "label_points": "label.points",
     "open_atlas": "runs.backend",

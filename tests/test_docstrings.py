@@ -20,6 +20,7 @@ FUNCTIONS = (
     "equilibria",
     "label_points",
     "load_scene",
+    "example",
     "open_atlas",
     "register",
     "run",

@@ -10,8 +10,6 @@ import shutil
 import time
 import tomllib
 from collections.abc import Sequence
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import atlas
@@ -20,6 +18,7 @@ from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_te
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
 from ..kernel.compiling import Stopwatch
+from ..scene.examples import examples
 from ..systems.base import families_of
 from .options import (
     QUIET,
@@ -258,14 +257,3 @@ def figure_options(scene: str) -> str:
     """Options of `atlas map` in the comment "Figure: --option" of an example, after a blank."""
     match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
     return match[1] if match else ""
-
-
-def examples() -> dict[str, Traversable]:
-    """Example scenes by name: of the installed package, or of the folder configs/ next to it."""
-    folder: Traversable = files("atlas") / "examples"
-    if not folder.is_dir():
-        folder = Path(__file__).parents[2] / "configs"
-    scenes = {
-        path.name.removesuffix(".toml"): path for path in folder.iterdir() if path.name.endswith(".toml")
-    }
-    return dict(sorted(scenes.items()))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -18,7 +19,7 @@ from .memory import Execution, run_in_memory
 
 @typed
 def run(
-    scene: Scene | str | Path,
+    scene: Scene | str | Path | Mapping[str, Any],
     out: str | Path | None = None,
     *,
     threads: int | None = None,
@@ -36,7 +37,7 @@ def run(
 
     Parameters
     ----------
-    scene : Scene, str or Path
+    scene : Scene, str, Path or mapping
         A scene from `load_scene`, or what `load_scene` reads.
     out : str or Path, optional
         NAME.nc for one file, NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr. It is computed in
@@ -78,7 +79,7 @@ def run(
     interruption.Stopped
         If `stop_after` is over before the run is; the same call continues it.
     """
-    scene = scene if isinstance(scene, Scene) else load_scene(scene)
+    scene = load_scene(scene)
     began, on_cluster = time.monotonic(), bool(scheduler or workers)
     if out is None and (shard or on_cluster or stop_after is not None):
         raise BadInput("shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc")

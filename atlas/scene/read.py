@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
@@ -55,13 +56,14 @@ NETCDF_BEGINS = (b"\x89HDF", b"CDF")
 KEYS = ("schema", "title", "system", "extensions", "seed", *TABLES)
 
 
-def load_scene(source: str | Path | Scene) -> Scene:
+def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     """Read and check a scene.
 
     Parameters
     ----------
-    source : str, Path or Scene
-        Path of a scene file, or the text of one (any string with a line break). A Scene is returned as it is.
+    source : str, Path, mapping or Scene
+        Path of a scene file, the text of one (any string with a line break), or nested mappings with its keys, whose
+        values may be NumPy numbers and 1-D arrays. A Scene is returned as it is.
 
     Returns
     -------
@@ -72,13 +74,27 @@ def load_scene(source: str | Path | Scene) -> Scene:
     ------
     BadInput
         With one line that names the file, the line and the key, its value and what is allowed.
+
+    Examples
+    --------
+    >>> scene = atlas.load_scene({
+    ...     "schema": 1,
+    ...     "system": "satellite",
+    ...     "fixed": {"k3": 0.2},
+    ...     "axes": {"theta0": {"from": 0.1, "to": 1.5, "count": 15}},
+    ... })
     """
     if isinstance(source, Scene):
         return source
+    if isinstance(source, Mapping):
+        try:
+            return parse_scene(tomli_w.dumps(_plain(source)), folder=Path())
+        except RecursionError:
+            raise BadInput("scene: nested too deeply") from None
     if not isinstance(source, str | Path):
         raise BadInput(
-            f"scene: found {shown(source)}; must be the path of a scene file, the text of one, or a Scene of"
-            " atlas.load_scene"
+            f"scene: found {shown(source)}; must be the path of a scene file, the text of one, a dictionary of its keys,"
+            " or a Scene of atlas.load_scene"
         )
     if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
@@ -94,6 +110,24 @@ def load_scene(source: str | Path | Scene) -> Scene:
             " computed from"
         )
     return parse_scene(read_text(path), path.stem, path.parent, str(path))
+
+
+def _plain(value: Any, key: str = "") -> Any:
+    """A value of a scene in the types of TOML, by way of which it is read; BadInput if it has none."""
+    if isinstance(value, Mapping):
+        for name in value:
+            if not isinstance(name, str):
+                raise BadInput(f"{key or 'scene'}: the key {shown(name)} must be a text")
+        return {name: _plain(value[name], f"{key}.{name}" if key else name) for name in value}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each, key) for each in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, str | bool | int | float):
+        return value
+    raise BadInput(f"{key} = {shown(value)}: must be a text, a number, true or false, a list or a mapping")
 
 
 def parse_scene(

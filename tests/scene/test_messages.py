@@ -88,7 +88,7 @@ def test_what_is_no_scene(small_scene, tmp_path):
     for name in ("a.nc", "b.nc", "run"):
         with pytest.raises(BadInput, match=rf"{name}: this is an atlas, not a scene"):
             load_scene(tmp_path / name)
-    for what in ({"schema": 1}, 3, None, ["a.toml"]):
+    for what in (3, None, ["a.toml"]):
         with pytest.raises(BadInput, match=r"^scene: found .*; must be the path of a scene file"):
             atlas.run(what)
 

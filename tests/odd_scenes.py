@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import tomli_w
+from plain_kernel import plain_module
 
 from atlas import BadInput, label_points, load_scene
 from atlas.errors import MAX_MESSAGE
-from atlas.kernel import assemble
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.runs.plan import ScenePlan
@@ -539,7 +539,7 @@ def use_interpreted_kernels(monkeypatch: Any) -> None:
         terms = plan.specialization
         key = (plan.system.name, plan.settings.method, terms, plan.plugs)
         if key not in modules:
-            modules[key] = assemble.plain_module(
+            modules[key] = plain_module(
                 plan.system.equations, plan.settings.method, terms.zero, dict(terms.equal), plugs=plan.plugs
             )
         return modules[key]

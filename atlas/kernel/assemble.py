@@ -1,8 +1,4 @@
-"""Kernel modules: `source` writes one as text for the compiler, `plain_module` makes one for the interpreter.
-
-A kernel consists of `integrate` and its callees, the equations of a system and the functions that `generated` declares. In the
-plain module `integrate` is the file itself, so that a debugger or a coverage tool steps through it.
-"""
+"""The text of a kernel for the compiler: `integrate` and its callees, the equations of a system and what `generated` declares."""
 
 from __future__ import annotations
 
@@ -14,8 +10,6 @@ from enum import IntEnum
 from functools import cache
 from types import FunctionType, ModuleType
 from typing import Any
-
-import numpy as np
 
 from ..errors import BadInput
 from ..systems import arithmetic
@@ -52,7 +46,7 @@ def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]
 
 
 @cache
-def _reachable(
+def reachable(
     of: ModuleType, plugs: tuple[Plug, ...] = (), absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
     """Functions, sources and numbers that `integrate` of a kernel with plugs needs by name, callees first."""
@@ -129,68 +123,29 @@ def source(
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
-    _, sources, numbers = _reachable(of, plugs, absent)
+    _, sources, numbers = reachable(of, plugs, absent)
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
-        generated_functions = _generated_functions(equations, METHODS[method], zero, equal, of, plugs)
+        texts = generated_functions(equations, METHODS[method], zero, equal, of, plugs)
     except ValueError as error:  # of `differential`
         raise BadInput(f"equations: {error}") from None
     names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
     for key, name in ((key, name) for key, members in names.items() for name in members):
         if name in sources or hasattr(generated, name):
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
-    constants = _constants(equations, METHODS[method], of, plugs) | numbers
-    texts = generated_functions | sources
+    numbers = generated_numbers(equations, METHODS[method], of, plugs) | numbers
     parts = [
         f"{machine_code.KERNEL if name == 'integrate' else machine_code.INLINE}\n{text}"
-        for name, text in texts.items()
+        for name, text in (texts | sources).items()
     ]
-    lines = [f"{name} = {value!r}" for name, value in constants.items()]
-    if arithmetic.uses_functions(generated_functions):
+    lines = [f"{name} = {value!r}" for name, value in numbers.items()]
+    if arithmetic.uses_functions(texts):
         lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
     return machine_code.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
 
 
-def plain_module(
-    equations: ModuleType,
-    method: str,
-    zero: Collection[str] = (),
-    equal: Mapping[str, str] = {},
-    *,
-    of: ModuleType = integrate,
-    plugs: tuple[Plug, ...] = (),
-) -> ModuleType:
-    """The same kernel as plain Python, slow; arguments as for `source`."""
-    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
-    equations = augmented.with_losses(equations, measured)
-    namespace: dict[str, object] = {"np": np, "axpy": generated.axpy, **arithmetic.numpy_functions()}
-    for name, text in _generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
-        exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    objects, _, _ = _reachable(of, plugs)
-    namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs if plug.add_node}
-    namespace |= _constants(equations, METHODS[method], of, plugs)
-    for shared in {function.__module__ for function in objects.values()} - {of.__name__}:
-        values = vars(sys.modules[shared]).values()
-        if any(getattr(value, "__module__", "") == generated.__name__ for value in values):
-            copy = _copy(sys.modules[shared], namespace)
-            namespace |= {name: getattr(copy, name) for name in objects if objects[name].__module__ == shared}
-    module = _copy(of, namespace)
-    # Compiled code raises no floating-point warnings.
-    vars(module)["integrate"] = np.errstate(all="ignore")(module.integrate)
-    return module
-
-
-def _copy(module: ModuleType, namespace: Mapping[str, object]) -> ModuleType:
-    """A module executed again, with other values of some of its names."""
-    copy = ModuleType(f"{module.__name__}_plain")
-    vars(copy).update(__package__=module.__package__)
-    exec(compile(inspect.getsource(module), inspect.getfile(module), "exec"), vars(copy))
-    vars(copy).update(namespace)
-    return copy
-
-
-def _constants(
+def generated_numbers(
     equations: ModuleType, method: Method, of: ModuleType, plugs: Sequence[Plug]
 ) -> dict[str, Any]:
     """The numbers that `generated` declares."""
@@ -220,7 +175,7 @@ def _constants(
     }
 
 
-def _generated_functions(
+def generated_functions(
     equations: ModuleType,
     method: Method,
     zero: Collection[str],

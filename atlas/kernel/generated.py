@@ -6,11 +6,6 @@ kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH),
 
 from __future__ import annotations
 
-from functools import reduce
-from operator import add
-
-import numpy as np
-
 WIDTH = 32  # points of a block
 STATES = 0  # of the equations, and the sums of losses
 CONSTANTS = 0
@@ -27,18 +22,15 @@ PLUGGED, PLUGGED_GIVEN = 0, 0
 
 
 def aligned_empty(shape):
-    """Uninitialised array of float64, aligned to cache lines where it is compiled."""
-    return np.empty(shape)
+    """Uninitialised array of float64, aligned to cache lines."""
 
 
 def aligned_stack():
-    """Align the stack of the calling kernel to cache lines where it is compiled."""
+    """Align the stack of the calling kernel to cache lines."""
 
 
 def axpy(y, weights, slopes):
     """The tuple y plus the weighted sum of other tuples."""
-    products = ([weight * value for value in slope] for weight, slope in zip(weights, slopes, strict=True))
-    return tuple(value + reduce(add, column) for value, *column in zip(y, *products, strict=True))
 
 
 def rhs(state, constants):

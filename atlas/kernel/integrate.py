@@ -1,7 +1,7 @@
 """The kernel: blocks of WIDTH points integrated side by side, one SIMD lane each.
 
-Ordinary Python, of which `assemble` makes a module for the compiler or for the interpreter. The compiler turns every loop over
-`l`, the lanes, into vector instructions, and inlines every function into `integrate`. The functions of `generated` depend on
+Ordinary Python, whose text `assemble` puts into a module for the compiler. The compiler turns every loop over `l`, the lanes,
+into vector instructions, and inlines every function into `integrate`. The functions of `generated` depend on
 the system and the method.
 
 Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most coefficients

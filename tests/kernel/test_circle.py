@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from strategies import random_fixed_points, random_satellites
@@ -171,7 +172,7 @@ def test_the_compiled_kernel_is_the_python_one(name, method):
         return arrays.state, arrays.sums
 
     compiled = kernel(system, method, plugs=plugs)
-    plain = assemble.plain_module(system.equations, method, plugs=plugs)
+    plain = plain_module(system.equations, method, plugs=plugs)
     state, sums = run(compiled, ensemble)
     for other in (run(plain, ensemble), run(compiled, ensemble, (5, int(schedule.nodes[0])))):
         np.testing.assert_allclose(other[0], state, rtol=1e-11, atol=1e-12)

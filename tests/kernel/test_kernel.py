@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 from strategies import random_fixed_points, random_satellites
 
-from atlas.kernel import assemble, blocks
+from atlas.kernel import blocks
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.statistics import finish
@@ -24,7 +25,7 @@ def module_of(request):
     """(system, method) -> kernel module, compiled or interpreted."""
     if request.param == "compiled":
         return kernel
-    return lambda system, method: assemble.plain_module(system.equations, method)
+    return lambda system, method: plain_module(system.equations, method)
 
 
 def satellites(count: int, seed: int = 0, **given) -> dict[str, np.ndarray]:
@@ -173,7 +174,7 @@ def test_the_compiled_kernel_is_the_python_one(system, method):
     sampling = {"steps_per_sample": 1 if method == "rk8" else 2}
     compiled, plain = (
         integrate(module, points, 48, 2.0, system=system, **sampling)
-        for module in (kernel(system, method), assemble.plain_module(system.equations, method))
+        for module in (kernel(system, method), plain_module(system.equations, method))
     )
     np.testing.assert_allclose(compiled[1], plain[1], rtol=1e-11, atol=1e-12)
     for name, values in compiled[0].items():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from plugins import PENDULUM
 from scipy.integrate import quad_vec, solve_ivp
 from strategies import default_points, random_satellites, select
@@ -90,7 +91,7 @@ def test_losses_that_vanish():
 @pytest.mark.parametrize("method", METHODS)
 def test_the_compiled_kernel_is_the_python_one(method):
     points = damped_satellites(4)
-    plain = integrated(points, 24, 1.0, method, module=assemble.plain_module(equations, method))
+    plain = integrated(points, 24, 1.0, method, module=plain_module(equations, method))
     compiled = integrated(points, 24, 1.0, method)
     np.testing.assert_allclose(compiled[0], plain[0], rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(compiled[1], plain[1], rtol=1e-3, atol=1e-14)

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
 from strategies import random_fixed_points, random_satellites, select, specialization_of
 
-from atlas.kernel import assemble, augmented, blocks, tangent
+from atlas.kernel import augmented, blocks, tangent
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import chaos
@@ -113,7 +114,7 @@ def test_variation_is_the_difference_of_two_neighbours(name):
     state, constants = map(
         np.array, equations.scaled(system.initial_state(points), system.constants(points), 0.7)
     )
-    module = assemble.plain_module(equations, "rk8", of=tangent)
+    module = plain_module(equations, "rk8", of=tangent)
     v = rng.normal(size=(augmented.tangent_size(equations), 30))
 
     def displacement(state, v):
@@ -152,7 +153,7 @@ def test_starts_have_norm_1_and_leave_the_constraints_satisfied(name):
 @pytest.mark.parametrize("name", RANDOM)
 def test_plain_and_compiled_kernels_agree(name):
     points = RANDOM[name](np.random.default_rng(7), 3)
-    plain = assemble.plain_module(SYSTEMS[name].equations, "rk8", of=tangent)
+    plain = plain_module(SYSTEMS[name].equations, "rk8", of=tangent)
     actual = indicators(name, points, 2.0, kernel=plain)
     np.testing.assert_allclose(actual, indicators(name, points, 2.0), rtol=1e-11, atol=1e-12)
 

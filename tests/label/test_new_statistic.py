@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
 from strategies import default_points, evaluate
 
 from atlas import variables
 from atlas.flags import Status
-from atlas.kernel import assemble
 from atlas.label.plan import Plan
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
@@ -37,7 +37,7 @@ def test_the_largest_nutation_rate(instrument, monkeypatch):
     assert len(EXAMPLE.read_text().splitlines()) <= 45
     assert "theta_dot_max" in variables.variables(FIXED_POINT)
     assert Plan(FIXED_POINT, Settings(), ["label"]).plugs == ()
-    kernel = assemble.plain_module(FIXED_POINT.equations, "rk8", plugs=(instrument,))
+    kernel = plain_module(FIXED_POINT.equations, "rk8", plugs=(instrument,))
     monkeypatch.setattr(Plan, "kernel", kernel)
     points = default_points(
         "fixed_point",

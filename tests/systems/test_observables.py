@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numpy import cos
+from plain_kernel import plain_module
 from plugins import PENDULUM, PENDULUM_SCENE
 from scipy.integrate import simpson, solve_ivp
 from strategies import evaluate
@@ -13,7 +14,7 @@ from strategies import evaluate
 import atlas
 from atlas import systems
 from atlas.flags import Regularity, Status, Steadiness
-from atlas.kernel import assemble, numeric_bound, observe, poles, sampling
+from atlas.kernel import numeric_bound, observe, poles, sampling
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.stepsize import StepSizes
@@ -174,7 +175,7 @@ def test_turning_points_of_cubics_and_the_interpolation_between_nodes(pendulum):
             x = poles.place_of_turn(f0, f1, s0, s1)
             assert 0 <= x <= 1
             assert abs(cubic.deriv()(x)) < 1e-9 * (abs(s0) + abs(s1) + abs(f0 - f1))
-    plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)
+    plain = plain_module(pendulum.equations, METHOD, of=observe)
     polynomial = np.polynomial.Polynomial(rng.normal(size=8))
     nodes, spacing, last = np.zeros((4, 4, 1)), 0.7, 6
     for node in range(last - 3, last + 1):
@@ -188,7 +189,7 @@ def test_the_interpreter_and_the_compiler_agree(pendulum):
     points = {name: values[:3] for name, values in random_points(3).items()}
     ensemble = Ensemble.of(pendulum, points)
     sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-4), np.full(3, 3.0), np.full(3, 8.0))
-    plain = assemble.plain_module(pendulum.equations, METHOD, of=observe)
+    plain = plain_module(pendulum.equations, METHOD, of=observe)
     runs = [
         Run(pendulum, None, (), ensemble, sizes, {}, np.zeros(3), ensemble.integrate(module, sizes))
         for module in (plain, kernel(pendulum, METHOD))

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from plugins import PENDULUM
 
 import atlas
 from atlas import systems
 from atlas.extensions.page import motion
 from atlas.extensions.page.page import atlas_page
-from atlas.kernel import assemble, blocks
+from atlas.kernel import blocks
 from atlas.kernel.ensemble import Ensemble
 from atlas.label.trajectory import point_columns
 
@@ -124,7 +125,7 @@ def test_the_motion_has_the_bits_of_the_kernel_in_plain_python(browser, address,
     }
     points, _ = point_columns(system, parameters)
     ensemble = Ensemble.of(system, points)
-    plain = assemble.plain_module(system.equations, "rk4")
+    plain = plain_module(system.equations, "rk4")
     state = blocks.start_state(plain, ensemble.state)[:, 0].tolist()
     constants = ensemble.constants[:, 0].tolist()
     unit = step / plain.STEP

@@ -9,11 +9,12 @@ import textwrap
 import numpy as np
 import pytest
 from numpy import cos, sqrt
+from plain_kernel import plain_module
 
 import atlas
 from atlas.extensions.page import motion
 from atlas.extensions.page.motion import CannotTranslate, translate
-from atlas.kernel import assemble, blocks
+from atlas.kernel import blocks
 from atlas.kernel.augmented import with_frame_vector
 from atlas.label.trajectory import frame_vector
 from atlas.systems import SYSTEMS, arithmetic
@@ -69,7 +70,7 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
 def test_two_thousand_steps_have_the_bits_of_the_kernel_in_plain_python(system, method, whole_kernels):
     """And their path is that of `atlas.trajectory`."""
     equations = with_frame_vector(system.equations)
-    plain = assemble.plain_module(equations, method)
+    plain = plain_module(equations, method)
     given = {"theta0": 0.4, "psi0": 2.0, "n": 0.3, "m": 0.7, "C": 0.7}
     points = {name: np.array([given.get(name, each.default)]) for name, each in system.parameters.items()}
     state, constants = system.initial_state(points), system.constants(points)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import inspect
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from enum import IntEnum
@@ -23,33 +22,14 @@ from .tableaux import METHODS, Method
 MEASURING = (integrate, observe)
 
 
-def functions(module: ModuleType, absent: Collection[str] = ()) -> dict[str, str]:
-    """Sources of a module's functions by name: no docstrings, no decorators, no blocks `if name:` of absent names, and numbers
-    for members of enumerations.
-    """
-    return {name: ast.unparse(_stripped(node, module, absent)) for name, node in _parsed(module).items()}
-
-
-def _parsed(module: ModuleType) -> dict[str, ast.FunctionDef]:
-    """Syntax trees of a module's functions by name."""
-    body = ast.parse(inspect.getsource(module)).body
-    return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
-
-
-def _stripped(node: ast.FunctionDef, module: ModuleType, absent: Collection[str]) -> ast.FunctionDef:
-    """A function of a module as `functions` gives it."""
-    node = _Stripped(vars(module), absent).visit(node)
-    node.decorator_list = []
-    if ast.get_docstring(node) is not None:
-        node.body = node.body[1:] or [ast.Pass()]
-    return node
-
-
 @cache
 def reachable(
     of: ModuleType, plugs: tuple[Plug, ...] = (), absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """Functions, sources and numbers that `integrate` of a kernel with plugs needs by name, callees first."""
+    """Functions, sources and numbers that `integrate` of a kernel with plugs needs, by name, callees first.
+
+    The sources contain numbers in place of the members of enumerations, and no blocks `if name:` of absent names.
+    """
     trees: dict[str, dict[str, ast.FunctionDef]] = {}
     objects: dict[str, Any] = {}
     sources: dict[str, str] = {}
@@ -58,10 +38,10 @@ def reachable(
     def visit(function: Any) -> None:
         module = sys.modules[function.__module__]
         if module.__name__ not in trees:
-            trees[module.__name__] = _parsed(module)
-        node = _stripped(trees[module.__name__][function.__name__], module, absent)
+            trees[module.__name__] = arithmetic.function_trees(module)
+        node = _Stripped(vars(module), absent).visit(trees[module.__name__][function.__name__])
         objects[function.__name__] = function
-        for name in dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name)):
+        for name in arithmetic.names_in(node):
             value = vars(module).get(name)
             if name in objects or hasattr(generated, name):
                 continue
@@ -135,14 +115,10 @@ def source(
         if name in sources or hasattr(generated, name):
             raise BadInput(f"{key}: {name} is the name of a function of the kernel; choose another name")
     numbers = generated_numbers(equations, METHODS[method], of, plugs) | numbers
-    parts = [
-        f"{machine_code.KERNEL if name == 'integrate' else machine_code.INLINE}\n{text}"
-        for name, text in (texts | sources).items()
-    ]
-    lines = [f"{name} = {value!r}" for name, value in numbers.items()]
-    if arithmetic.uses_functions(texts):
-        lines += [f"{name} = np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()]
-    return machine_code.HEADER + "\n".join(lines) + "\n\n\n" + "\n\n\n".join(parts) + "\n"
+    values = {name: repr(number) for name, number in numbers.items()}
+    if arithmetic.FUNCTIONS.keys() & arithmetic.names_in(*texts.values()):
+        values |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
+    return machine_code.module_text(values, texts | sources, machine_code.INLINE)
 
 
 def generated_numbers(

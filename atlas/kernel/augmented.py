@@ -86,8 +86,7 @@ def with_frame_vector(equations: ModuleType) -> ModuleType:
 
 def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
     """These names, with underscores where a function uses them."""
-    nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
-    occupied, result = {node.id for node in nodes if isinstance(node, ast.Name)}, []
+    occupied, result = arithmetic.names_in(*sources.values()), []
     for name in names:
         while name in occupied:
             name += "_"

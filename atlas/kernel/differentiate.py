@@ -10,6 +10,8 @@ import ast
 from collections.abc import Collection, Mapping
 from functools import reduce
 
+from ..systems import arithmetic
+
 PREFIX = "d_"  # of the differential of a name
 
 # Functions of one argument x -> their derivative, as text.
@@ -79,7 +81,7 @@ def differential(text: str, name: str) -> str:
 
 def _differential(node: ast.expr, active: set[str]) -> ast.expr | None:
     """Differential of an expression; None where it does not depend on the state."""
-    if not any(isinstance(part, ast.Name) and part.id in active for part in ast.walk(node)):
+    if not arithmetic.names_in(node) & active:
         return None
     match node:
         case ast.Name(id=name):

@@ -18,7 +18,7 @@ import shutil
 import stat
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -36,6 +36,7 @@ from numba.core.serialize import dumps
 
 from ..errors import one_line
 from ..files import atomic_write, cache_folder, remove_leftovers
+from ..systems.arithmetic import names_in
 from .compiling import compilation
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
@@ -88,6 +89,13 @@ def settings() -> dict[str, str]:
     with global_compiler_lock:  # `_at_level` changes two of them for a while
         numba.config.reload_config()  # the compiler does so, too: environment variables may have changed
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
+
+
+def module_text(values: Mapping[str, str], functions: Mapping[str, str], callee: str) -> str:
+    """Text of a kernel module: values and functions as text by name; callee: decorator of all functions but `integrate`."""
+    lines = [f"{name} = {value}" for name, value in values.items()]
+    parts = [f"{KERNEL if name == 'integrate' else callee}\n{text}" for name, text in functions.items()]
+    return "\n\n\n".join([HEADER + "\n".join(lines), *parts]) + "\n"
 
 
 class _Statement(NamedTuple):
@@ -176,11 +184,7 @@ def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arg
 def _share_functions(source: str, module: ModuleType) -> list[str]:
     """Cache each function of a kernel under a hash of all that it uses, so that kernels share it; returns these names."""
     definitions = {statement.name: statement for statement in _statements(source) if statement.name}
-    uses = {
-        name: {node.id for node in ast.walk(statement.node) if isinstance(node, ast.Name)}
-        & definitions.keys()
-        for name, statement in definitions.items()
-    }
+    uses = {name: names_in(each.node) & definitions.keys() for name, each in definitions.items()}
     config: Any = numba.config
     environment, names = _environment(), []
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, KeysView, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -32,11 +32,14 @@ _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.joi
 
 def functions(equations: Any) -> dict[str, str]:
     """Source of every function of a module or class of equations without its docstring, by name."""
-    return {name: ast.unparse(node) for name, node in _definitions(equations).items()}
+    return {name: ast.unparse(node) for name, node in function_trees(equations).items()}
 
 
-def _definitions(equations: Any) -> dict[str, ast.FunctionDef]:
-    """Syntax tree of every function of the equations, by name, without its docstring; *_ among constants becomes their names."""
+def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
+    """Syntax tree of every function of a module or class by name, without docstrings and decorators.
+
+    In equations, *_ among the constants becomes their names.
+    """
     constants = getattr(equations, "CONSTANTS", ())
     sources = getattr(equations, "SOURCES", None)
     file = getattr(equations, "__file__", None)
@@ -49,7 +52,7 @@ def _definitions(equations: Any) -> dict[str, ast.FunctionDef]:
         texts = [textwrap.dedent(inspect.getsource(f)) for f in members if inspect.isfunction(f)]
     nodes = [node for text in texts for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)]
     for node in nodes:
-        node.decorator_list = []  # staticmethod, in a class
+        node.decorator_list = []
         if ast.get_docstring(node) is not None:
             node.body = node.body[1:] or [ast.Pass()]
         for statement in node.body:
@@ -66,13 +69,15 @@ def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.Functio
     used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
     used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
     used |= {name for name in getattr(equations, "LOSSES", {}).values() if isinstance(name, str)}
-    return {name: node for name, node in _definitions(equations).items() if name in used}
+    return {name: node for name, node in function_trees(equations).items() if name in used}
 
 
-def uses_functions(sources: Mapping[str, str]) -> bool:
-    """Whether any of these sources calls one of FUNCTIONS."""
-    nodes = (node for text in sources.values() for node in ast.walk(ast.parse(text)))
-    return any(isinstance(node, ast.Name) and node.id in FUNCTIONS for node in nodes)
+def names_in(*parts: str | ast.AST) -> KeysView[str]:
+    """Names in texts or syntax trees, each once, in the order of `ast.walk`."""
+    trees = (ast.parse(part) if isinstance(part, str) else part for part in parts)
+    return dict.fromkeys(
+        node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)
+    ).keys()
 
 
 def numpy_functions() -> dict[str, Callable[..., Any]]:

@@ -38,7 +38,7 @@ from matplotlib.figure import Figure
 from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
-from atlas.kernel import assemble, machine_code
+from atlas.kernel import machine_code
 from atlas.kernel.differentiate import simplify
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import Specialization, kernel
@@ -47,7 +47,7 @@ from atlas.kernel.tableaux import METHODS
 from atlas.plotting.options import WIDTHS
 from atlas.plotting.style import STYLE
 from atlas.scene.model import Settings
-from atlas.systems import SYSTEMS
+from atlas.systems import SYSTEMS, arithmetic
 from atlas.validation.reference import SAFETY, reference
 
 SYSTEM = SYSTEMS["satellite"]
@@ -100,7 +100,7 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
 def right_hand_side() -> Callable:
     """The equations as the kernels here get them: without damping and the factors that `scaled` makes 1."""
     space: dict = {}
-    exec(simplify(assemble.functions(EQUATIONS)["rhs"], UNDAMPED.zero, {}, EQUATIONS.ONES), space)
+    exec(simplify(arithmetic.functions(EQUATIONS)["rhs"], UNDAMPED.zero, {}, EQUATIONS.ONES), space)
     return space["rhs"]
 
 

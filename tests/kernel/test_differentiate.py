@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from strategies import random_fixed_points, random_satellites
 
-from atlas.kernel.assemble import functions
 from atlas.kernel.differentiate import differential
-from atlas.systems import SYSTEMS
+from atlas.systems import SYSTEMS, arithmetic
 
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 STEP = 1e-30
@@ -32,7 +31,9 @@ def test_equations_of_both_systems(name, function):
     change = rng.normal(size=state.shape)
     for each in system.equations.INTEGRALS if function == "first integrals" else [function]:
         original = getattr(system.equations, each)
-        derived = compiled(differential(functions(system.equations)[each], "change_of"), "change_of")
+        derived = compiled(
+            differential(arithmetic.functions(system.equations)[each], "change_of"), "change_of"
+        )
         actual = np.array(np.broadcast_arrays(*derived(state, constants, change)))
         expected = by_complex_step(original, state, constants, change)
         np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())

@@ -54,10 +54,10 @@ def sources(system: System, method: str) -> dict[str, str]:
     result = {name: texts[name] for name in (*_KERNEL, *_OF_BODY, *observables) if name in texts}
     queue = list(result.values())
     while queue:
-        for node in ast.walk(ast.parse(queue.pop())):
-            if isinstance(node, ast.Name) and node.id in texts and node.id not in result:
-                result[node.id] = texts[node.id]
-                queue.append(texts[node.id])
+        for name in arithmetic.names_in(queue.pop()):
+            if name in texts and name not in result:
+                result[name] = texts[name]
+                queue.append(texts[name])
     for name in ("rhs", "unscaled"):
         result[name] = simplify(result[name], (), {}, equations.ONES)
     lines = assemble.step_lines(METHODS[method])

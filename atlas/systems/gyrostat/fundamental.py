@@ -62,20 +62,11 @@ def _compiled() -> Any:
     """The function `integrate` in machine code."""
     from ...kernel import machine_code  # here, because every command imports the systems
 
-    numbers = "\n".join(f"{name} = {globals()[name]!r}" for name in ("LANES", "GAUSS", "RESCALING"))
-    functions = [
-        f"{machine_code.CALLED}\n{inspect.getsource(each)}" for each in (combine, multiply, solve, add)
-    ]
-    return machine_code.load(
-        "\n\n".join(
-            [
-                machine_code.HEADER,
-                numbers,
-                *functions,
-                f"{machine_code.KERNEL}\n{inspect.getsource(integrate)}",
-            ]
-        )
-    ).integrate
+    numbers = {"LANES": repr(LANES), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
+    functions = {
+        each.__name__: inspect.getsource(each) for each in (combine, multiply, solve, add, integrate)
+    }
+    return machine_code.load(machine_code.module_text(numbers, functions, machine_code.CALLED)).integrate
 
 
 def combine(x, a, y, b, z, c, out):

@@ -204,12 +204,12 @@ def list_kernels(options: argparse.Namespace) -> None:
         say(f"removed {machine_code.clear()} kernels from {cache_folder()}")
         return
     files = machine_code.cached()
-    kernels = [(name, size) for name, size, _ in files if machine_code.is_kernel(name)]
+    kernels = {name: size for name, size in files.items() if machine_code.is_kernel(name)}
     say(
         f"{cache_folder()}: {len(kernels)} kernels, {len(files) - len(kernels)} functions that they share,"
-        f" {sum(size for _, size, _ in files) / 1e6:.1f} MB"
+        f" {sum(files.values()) / 1e6:.1f} MB"
     )
-    for name, size in kernels:
+    for name, size in kernels.items():
         say(f"  {name}  {size / 1e6:.1f} MB")
 
 

@@ -331,20 +331,20 @@ def _remove(path: Path) -> None:
             path.unlink()
 
 
-def cached() -> list[tuple[str, int, float]]:
-    """Kernels and the functions that they share in the cache: name, bytes, time of the last change."""
-    kernels = []
+def cached() -> dict[str, int]:
+    """Bytes of the kernels, and of the functions that they share, in the cache by name."""
+    sizes = {}
     for path in sorted(cache_folder().glob("atlas_[fk]*")):
         files = [path, *path.rglob("*")]  # earlier versions had a folder for each kernel
         with suppress(FileNotFoundError):  # removed in the meantime
-            size = sum(status.st_size for file in files if stat.S_ISREG((status := file.lstat()).st_mode))
-            kernels.append((path.name, size, path.lstat().st_mtime))
-    return kernels
+            each = [file.lstat() for file in files]
+            sizes[path.name] = sum(status.st_size for status in each if stat.S_ISREG(status.st_mode))
+    return sizes
 
 
 def clear() -> int:
     """Empty the cache, temporary files of killed processes included; returns the number of kernels in it."""
-    names = [name for name, _, _ in cached()]
+    names = cached()
     for name in names:
         _remove(cache_folder() / name)
     remove_leftovers(cache_folder())

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -25,10 +24,18 @@ from ..scene import model
 from ..scene.grid import Grid
 from ..scene.model import Settings
 from ..scene.tables import point_columns
-from ..systems.base import Array, Mask, Points, StressCase, System, families_of, stress_cases_of, subset
+from ..systems.base import Array, Mask, Points, StressCase, System, stress_cases_of, subset
 from ..variables import main_instrument, variables
 from .reference import reference_where_possible
-from .stress_truth import EXACT_ACCURACY, EXACT_STATISTICS, TrueLabels, no_statistics, true_labels
+from .stress_truth import (
+    EXACT_ACCURACY,
+    EXACT_STATISTICS,
+    CasePoints,
+    TrueLabels,
+    case_points,
+    no_statistics,
+    true_labels,
+)
 
 # Levels, coarse to fine: steps as shares of the stability limit at the frequency bound; automatic steps by tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
@@ -57,7 +64,7 @@ def stress(
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    truths = [true_labels(system, p.points, p.duration, Settings(), p.truth, p.base) for p in parts]
+    truths = [true_labels(system, part, Settings()) for part in parts]
     for case in generic_cases(system) if cases is None and not own_cases else ():
         part = case_points(system, case)
         truth, known = generic_true_labels(system, part, Settings())
@@ -302,48 +309,6 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
         text_table(rows),
         f"runs with a statistic off by more than ten times error_estimate: {', '.join(total)}",
     ]
-
-
-@dataclass(frozen=True)
-class CasePoints:
-    """A stress case as arrays of shape (points,)."""
-
-    name: str  # of the case
-    points: Points
-    base: Points  # before the additions of the case
-    duration: Array  # time units
-    names: tuple[str, ...]  # of the points: the parameters, and the duration, that vary within the case
-    may_stay_unresolved: str
-    truth: str | Callable[[Points], Any]  # as in StressCase
-
-    def subset(self, where: Mask) -> CasePoints:
-        """The points where a mask is true."""
-        return replace(
-            self,
-            points=subset(self.points, where),
-            base=subset(self.base, where),
-            duration=self.duration[where],
-            names=tuple(name for name, is_inside in zip(self.names, where, strict=True) if is_inside),
-        )
-
-
-def case_points(system: System, case: StressCase) -> CasePoints:
-    """Points of a case: columns and defaults, the solved parameter of the family, then the additions."""
-    varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
-    size = max((values.size for values in varying.values()), default=1)
-    points, _ = point_columns(
-        system, {name: np.broadcast_to(values, (size,)) for name, values in case.columns.items()}
-    )
-    if case.solve is not None:
-        family, parameter = case.solve
-        points[parameter] = families_of(system)[family].solve[parameter](points)
-    base = dict(points)
-    for name, amount in case.additions.items():
-        points[name] = points[name] + np.asarray(amount, float)
-    varying |= {"duration": np.asarray(case.duration, float)} if np.ndim(case.duration) else {}
-    names = [", ".join(f"{k} = {v[i]:.4g}" for k, v in varying.items() if v.any()) for i in range(size)]
-    duration = np.broadcast_to(np.asarray(case.duration, float), (size,)).copy()
-    return CasePoints(case.name, points, base, duration, tuple(names), case.may_stay_unresolved, case.truth)
 
 
 # Powers of 10 by which parameters, and start values, are multiplied.

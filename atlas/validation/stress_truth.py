@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from ..label.theory import predict, rounding_limit
 from ..measure.instrument import could_change
 from ..measure.rates import LABEL_STATISTICS, rule
 from ..scene.model import Settings
-from ..systems.base import Array, Flags, Mask, Points, System, families_of, subset
+from ..scene.tables import point_columns
+from ..systems.base import Array, Flags, Mask, Points, StressCase, System, families_of, subset
 from ..systems.gyrostat import Gyrostat
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
@@ -55,17 +56,55 @@ class TrueLabels:
         return TrueLabels(*(each[..., where] for each in vars(self).values()))
 
 
-def true_labels(
-    system: System,
-    points: Points,
-    duration: Array,
-    settings: Settings,
-    truth: str | Callable[[Points], exact.Motion] = "",
-    base: Points | None = None,
-) -> TrueLabels:
+@dataclass(frozen=True)
+class CasePoints:
+    """A stress case as arrays of shape (points,)."""
+
+    name: str  # of the case
+    points: Points
+    base: Points  # before the additions of the case
+    duration: Array  # time units
+    names: np.ndarray  # of the points: the parameters, and the duration, that vary within the case
+    may_stay_unresolved: str
+    truth: str | Callable[[Points], Any]  # as in StressCase
+
+    def subset(self, where: Mask) -> CasePoints:
+        """The points where a mask is true."""
+        return replace(
+            self,
+            points=subset(self.points, where),
+            base=subset(self.base, where),
+            duration=self.duration[where],
+            names=self.names[where],
+        )
+
+
+def case_points(system: System, case: StressCase) -> CasePoints:
+    """Points of a case: columns and defaults, the solved parameter of the family, then the additions."""
+    varying = {k: np.asarray(v, float) for k, v in {**case.columns, **case.additions}.items() if np.ndim(v)}
+    size = max((values.size for values in varying.values()), default=1)
+    points, _ = point_columns(
+        system, {name: np.broadcast_to(values, (size,)) for name, values in case.columns.items()}
+    )
+    if case.solve is not None:
+        family, parameter = case.solve
+        points[parameter] = families_of(system)[family].solve[parameter](points)
+    base = dict(points)
+    for name, amount in case.additions.items():
+        points[name] = points[name] + np.asarray(amount, float)
+    varying |= {"duration": np.asarray(case.duration, float)} if np.ndim(case.duration) else {}
+    names = [", ".join(f"{k} = {v[i]:.4g}" for k, v in varying.items() if v.any()) for i in range(size)]
+    duration = np.broadcast_to(np.asarray(case.duration, float), (size,)).copy()
+    return CasePoints(
+        case.name, points, base, duration, np.array(names), case.may_stay_unresolved, case.truth
+    )
+
+
+def true_labels(system: System, part: CasePoints, settings: Settings) -> TrueLabels:
     """True label of each point, by the sources in docs/stress.md, and its unsteadiness; ValueError where no source decides."""
+    points, duration, truth = part.points, part.duration, part.truth
     if truth == "departure":
-        rest, constants = system.initial_state(points if base is None else base), system.constants(points)
+        rest, constants = system.initial_state(part.base), system.constants(points)
         offset = system.initial_state(points) - rest
         runs = [
             _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
@@ -90,7 +129,9 @@ def true_labels(
         radians = system.frequency_bound(despun) * duration
     tilted = np.abs(system.steady_rates(points)[0]) > 0
     unknown = is_exact & tilted & np.isnan(theory["growth_rate"])
-    growth[unknown] = linear_growth(system, points, theory["family"], duration, np.flatnonzero(unknown))
+    growth[unknown] = linear_growth(
+        system, subset(points, unknown), theory["family"][unknown], duration[unknown]
+    )
     by_rounding = tilted & (growth > 0) & (growth > limit)
     label = np.where(by_rounding, Label.UNRESOLVED, theory["predicted"]).astype(np.int8)
     unsteadiness, source = np.zeros(duration.shape), np.full(duration.shape, "theory", "<U15")
@@ -178,16 +219,12 @@ def _departure(
     }
 
 
-def linear_growth(
-    system: System, points: Points, flags: Flags, duration: Array, indices: np.ndarray
-) -> Array:
-    """Logarithm of the growth of a disturbance of each steady motion over the run, where theory gives no growth rate."""
+def linear_growth(system: System, points: Points, flags: Flags, duration: Array) -> Array:
+    """Logarithms of the growth of a disturbance along steady motions of families with these flags."""
     motions = {family.flag: family.motion for family in families_of(system).values()}
-    result = []
-    for i in indices:
-        point = subset(points, slice(i, i + 1))
-        result.append(_growth_along(system, motions[flags[i]], point, float(duration[i])))
-    return np.array(result)
+    starts = [subset(points, slice(i, i + 1)) for i in range(duration.size)]
+    runs = zip(flags, starts, duration, strict=True)
+    return np.array([_growth_along(system, motions[flag], start, time) for flag, start, time in runs])
 
 
 def _growth_along(system: System, motion: Any, point: Points, duration: float) -> float:

@@ -97,10 +97,10 @@ def test_kernels_share_the_machine_code_of_equal_functions(cache):
         module = fresh(source)
         assert module.integrate(3.0) == result
         assert sum(module.shifted.stats.cache_hits.values()) == hits
-    kernels = [machine_code.is_kernel(name) for name, _, _ in machine_code.cached()]
+    kernels = [machine_code.is_kernel(name) for name in machine_code.cached()]
     assert (kernels.count(True), kernels.count(False)) == (3, 4)
     assert machine_code.clear() == 3
-    assert machine_code.cached() == []
+    assert machine_code.cached() == {}
 
 
 def test_a_kernel_is_announced_when_it_is_compiled_and_not_when_it_is_cached(cache, capsys):
@@ -314,11 +314,9 @@ def test_cache_is_listed_and_cleared(cache):
     ended = re.sub(r"-\d+-\d+$", "-4000000-1", files.process_name())
     (cache / f".atlas-{ended}-00000000.tmp").write_text("left by a process that was killed")
     (cache / "mine.txt").write_text("")
-    assert [(name, size) for name, size, _ in machine_code.cached()] == [
-        (file.name, file.stat().st_size), (earlier.name, 4),
-    ]  # fmt: skip
+    assert machine_code.cached() == {file.name: file.stat().st_size, earlier.name: 4}
     assert machine_code.clear() == 2
-    assert machine_code.cached() == []
+    assert machine_code.cached() == {}
     assert [path.name for path in cache.iterdir()] == ["mine.txt"]
 
 

@@ -63,9 +63,7 @@ def _compiled() -> Any:
     from ...kernel import machine_code  # here, because every command imports the systems
 
     numbers = {"LANES": repr(LANES), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
-    functions = {
-        each.__name__: inspect.getsource(each) for each in (combine, multiply, solve, add, integrate)
-    }
+    functions = {each.__name__: inspect.getsource(each) for each in _FUNCTIONS}
     return machine_code.load(machine_code.module_text(numbers, functions, machine_code.CALLED)).integrate
 
 
@@ -134,6 +132,78 @@ def add(total, error, change):
                 total[i, j, lane] = after
 
 
+def at_nodes(part, phases, turns, nodes):
+    """Write the matrices at the Gauss nodes of a step, from their mean and the cosines and sines of two harmonics.
+
+    phases: cosine and sine at each node, (2, 3, LANES), which are turned by a step; turns: cosine and sine of a step, (2, LANES).
+    """
+    size = part.shape[1]
+    for node in range(3):
+        cosine, sine = phases[0, node], phases[1, node]
+        for i in range(size):
+            for j in range(size):
+                for lane in range(LANES):
+                    c, s = cosine[lane], sine[lane]
+                    nodes[node, i, j, lane] = (
+                        part[0, i, j, lane]
+                        + part[1, i, j, lane] * c
+                        + part[2, i, j, lane] * s
+                        + part[3, i, j, lane] * (c * c - s * s)
+                        + part[4, i, j, lane] * (2 * c * s)
+                    )
+        for lane in range(LANES):
+            c, s = cosine[lane], sine[lane]
+            cosine[lane] = c * turns[0, lane] - s * turns[1, lane]
+            sine[lane] = s * turns[0, lane] + c * turns[1, lane]
+
+
+def exponential(nodes, identity, space, z):
+    """Replace z by the exponential, less 1, of Magnus' series of a step from the matrices at its Gauss nodes."""
+    first, middle, last = nodes[0], nodes[1], nodes[2]
+    b2, b3, c1, x, y = space[0], space[1], space[2], space[3], space[4]
+    combine(15**0.5 / 3, last, -(15**0.5) / 3, first, 0.0, first, b2)
+    combine(10 / 3, last, -20 / 3, middle, 10 / 3, first, b3)
+    multiply(middle, b2, c1, False)
+    multiply(b2, middle, c1, True)
+    combine(2.0, b3, 1.0, c1, 0.0, c1, x)
+    multiply(x, middle, z, False)
+    multiply(middle, x, z, True)
+    combine(1.0, b2, 1 / 60, z, 0.0, z, y)
+    combine(-20.0, middle, -1.0, b3, 1.0, c1, x)
+    multiply(x, y, z, False)
+    multiply(y, x, z, True)
+    # A quarter of the exponent, and the even and odd parts of its Pade approximation. Half the exponential less 1 keeps digits
+    # that are lost beside 1.
+    combine(0.25, middle, 1 / 48, b3, 1 / 960, z, z)
+    multiply(z, z, x, False)
+    combine(0.5, identity, 1 / 120, x, 0.0, x, y)
+    multiply(z, y, c1, False)
+    combine(1.0, identity, 0.1, x, -1.0, c1, y)
+    solve(y, c1)
+    multiply(c1, c1, x, False)
+    combine(2.0, c1, 2.0, x, 0.0, x, y)
+    multiply(y, y, x, False)
+    combine(4.0, y, 4.0, x, 0.0, x, z)
+
+
+def rescale(matrix, error, log_scale):
+    """Divide matrices and their errors by the power of 2 below the largest entry, whose logarithm is added for each point."""
+    size, largest = matrix.shape[0], np.zeros(LANES)
+    for i in range(size):
+        for j in range(size):
+            for lane in range(LANES):
+                largest[lane] = max(largest[lane], abs(matrix[i, j, lane]))
+    for lane in range(LANES):
+        largest[lane] = np.exp2(np.floor(np.log2(largest[lane])))  # divides without an error
+    for i in range(size):
+        for j in range(size):
+            for lane in range(LANES):
+                matrix[i, j, lane] /= largest[lane]
+                error[i, j, lane] /= largest[lane]
+    for point in range(log_scale.size):
+        log_scale[point] += np.log(largest[point])
+
+
 def integrate(parts, turn, begin, end, result, log_scale):
     """Multiply the matrices of at most LANES points by those of the steps from begin to end.
 
@@ -141,95 +211,45 @@ def integrate(parts, turn, begin, end, result, log_scale):
     nodes of each, (steps, 3, size, size, points), times the step; turn: phase of a step, rad; result: (points, size, size),
     rescaled, the logarithms of the factors added to log_scale.
     """
-    size, points = parts.shape[2], parts.shape[4]
+    size, points, harmonic = parts.shape[2], parts.shape[4], parts.shape[1] == 5
     part, nodes = np.zeros((5, size, size, LANES)), np.empty((3, size, size, LANES))
-    identity, space = np.zeros((size, size, LANES)), np.empty((8, size, size, LANES))
-    at_nodes = parts.shape[1] == 3
-    first, middle, last = (part[0], part[1], part[2]) if at_nodes else (nodes[0], nodes[1], nodes[2])
-    b2, b3, c1, x, y, z = space[0], space[1], space[2], space[3], space[4], space[5]
-    matrix, product, error = space[6], space[7], np.zeros((size, size, LANES))
-    cosine, sine = np.empty((3, LANES)), np.empty((3, LANES))
-    turn_of, turn_cosine, turn_sine = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    first_cosine, first_sine, second_cosine = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    second_sine, largest = np.empty(LANES), np.empty(LANES)
+    identity, space = np.zeros((size, size, LANES)), np.empty((5, size, size, LANES))
+    matrix, change = np.empty((size, size, LANES)), np.empty((size, size, LANES))
+    product, error = np.empty((size, size, LANES)), np.zeros((size, size, LANES))
+    phases, turns, turn_of = np.empty((2, 3, LANES)), np.empty((2, LANES)), np.empty(LANES)
     for lane in range(LANES):
         point = min(lane, points - 1)
         turn_of[lane] = turn[point]
-        turn_cosine[lane], turn_sine[lane] = np.cos(turn[point]), np.sin(turn[point])
+        turns[0, lane], turns[1, lane] = np.cos(turn[point]), np.sin(turn[point])
         for i in range(size):
             identity[i, i, lane] = 1.0
             for j in range(size):
                 matrix[i, j, lane] = result[point, i, j]
     for step in range(begin, end):
-        if step == begin or at_nodes:
+        if step == begin or not harmonic:
             of_step = parts[step % parts.shape[0]]
             for k in range(parts.shape[1]):
                 for i in range(size):
                     for j in range(size):
                         for lane in range(LANES):
                             part[k, i, j, lane] = of_step[k, i, j, min(lane, points - 1)]
-        for node in range(0 if at_nodes else 3):
+        if harmonic:
             if step % RESCALING == 0:
-                for lane in range(LANES):
-                    phase = (step + 0.5 + GAUSS * (node - 1)) * turn_of[lane]
-                    cosine[node, lane], sine[node, lane] = np.cos(phase), np.sin(phase)
-            for lane in range(LANES):
-                c, s = cosine[node, lane], sine[node, lane]
-                first_cosine[lane], first_sine[lane] = c, s
-                second_cosine[lane], second_sine[lane] = c * c - s * s, 2 * c * s
-                cosine[node, lane] = c * turn_cosine[lane] - s * turn_sine[lane]
-                sine[node, lane] = s * turn_cosine[lane] + c * turn_sine[lane]
-            for i in range(size):
-                for j in range(size):
+                for node in range(3):
                     for lane in range(LANES):
-                        nodes[node, i, j, lane] = (
-                            part[0, i, j, lane]
-                            + part[1, i, j, lane] * first_cosine[lane]
-                            + part[2, i, j, lane] * first_sine[lane]
-                            + part[3, i, j, lane] * second_cosine[lane]
-                            + part[4, i, j, lane] * second_sine[lane]
-                        )
-        combine(15**0.5 / 3, last, -(15**0.5) / 3, first, 0.0, first, b2)
-        combine(10 / 3, last, -20 / 3, middle, 10 / 3, first, b3)
-        multiply(middle, b2, c1, False)
-        multiply(b2, middle, c1, True)
-        combine(2.0, b3, 1.0, c1, 0.0, c1, x)
-        multiply(x, middle, z, False)
-        multiply(middle, x, z, True)
-        combine(1.0, b2, 1 / 60, z, 0.0, z, y)
-        combine(-20.0, middle, -1.0, b3, 1.0, c1, x)
-        multiply(x, y, z, False)
-        multiply(y, x, z, True)
-        # A quarter of the exponent, and the even and odd parts of its Pade approximation. Half the exponential less 1
-        # keeps digits that are lost beside 1.
-        combine(0.25, middle, 1 / 48, b3, 1 / 960, z, z)
-        multiply(z, z, x, False)
-        combine(0.5, identity, 1 / 120, x, 0.0, x, y)
-        multiply(z, y, c1, False)
-        combine(1.0, identity, 0.1, x, -1.0, c1, y)
-        solve(y, c1)
-        multiply(c1, c1, x, False)
-        combine(2.0, c1, 2.0, x, 0.0, x, y)
-        multiply(y, y, x, False)
-        combine(4.0, y, 4.0, x, 0.0, x, z)
-        multiply(z, matrix, product, False)
+                        phase = (step + 0.5 + GAUSS * (node - 1)) * turn_of[lane]
+                        phases[0, node, lane], phases[1, node, lane] = np.cos(phase), np.sin(phase)
+            at_nodes(part, phases, turns, nodes)
+        exponential(nodes if harmonic else part[:3], identity, space, change)
+        multiply(change, matrix, product, False)
         add(matrix, error, product)
         if (step + 1) % RESCALING == 0 or step == end - 1:
-            largest[:] = 0.0
-            for i in range(size):
-                for j in range(size):
-                    for lane in range(LANES):
-                        largest[lane] = max(largest[lane], abs(matrix[i, j, lane]))
-            for lane in range(LANES):
-                largest[lane] = np.exp2(np.floor(np.log2(largest[lane])))  # divides without an error
-            for i in range(size):
-                for j in range(size):
-                    for lane in range(LANES):
-                        matrix[i, j, lane] /= largest[lane]
-                        error[i, j, lane] /= largest[lane]
-            for point in range(points):
-                log_scale[point] += np.log(largest[point])
+            rescale(matrix, error, log_scale)
     for lane in range(points):
         for i in range(size):
             for j in range(size):
                 result[lane, i, j] = matrix[i, j, lane]
+
+
+# In machine code: callees first.
+_FUNCTIONS = (combine, multiply, solve, add, at_nodes, exponential, rescale, integrate)

@@ -39,14 +39,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
+from ..gyrostat import motions
 from ..gyrostat.motions import NEUTRAL, about_axis, each, family_about_axes, linear
 from ..jacobian import jacobian
-from ..vectors import across, cross, dot, length, principal, ratio, unit
+from ..vectors import across, cross, dot, length, principal, unit
 from . import equations, families
 from .families import NO_DISSIPATION
 from .initial import VECTORS, bodies, constants, initial_state, vertical
@@ -57,35 +58,15 @@ OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
-class Start(NamedTuple):
-    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+class Start(motions.Start):
+    """As motions.Start, in units of the least moment."""
 
-    inertia: Array
-    rotor: Array
-    weight: Array
-    N: Array
-    w: Array
-    gamma: Array
-
-    @classmethod
-    def of(cls, points: Points, **changes: float) -> Self:
-        """That of points, with other values of some parameters."""
-        points = {**points, **{name: np.full_like(points["A"], value) for name, value in changes.items()}}
+    def __init__(self, points: Points):
+        self.inertia, self.rotor, self.weight, self.N = bodies(points)
         state = initial_state(points)
-        return cls(*bodies(points), state[:3], state[3:])
-
-    @property
-    def squared_rate(self) -> Array:
-        """Largest squared rate: |w|^2, and the torques of fields and rotor over the least moment."""
-        square, least = (self.w**2).sum(0), self.inertia.min(0)
-        gradient = np.abs(self.N) * (self.inertia.max(0) - least)
-        torque = np.maximum(length(self.weight), np.maximum(gradient, length(self.rotor) * np.sqrt(square)))
-        return np.maximum(square, torque / least)
-
-    def residual(self, torque: Array) -> Array:
-        """A torque, vector or magnitude, over the least moment and the largest squared rate."""
-        size = np.abs(torque) if torque.ndim == self.N.ndim else length(torque)
-        return ratio(size / self.inertia.min(0), self.squared_rate)
+        self.w, self.gamma, self.moment = state[:3], state[3:], self.inertia.min(0)
+        gradient = np.abs(self.N) * (self.inertia.max(0) - self.moment)
+        self.field_torque = np.maximum(length(self.weight), gradient)
 
     def field_residual(self) -> Array:
         """Residual of the field's gradient, which has no effect on a spherical body."""
@@ -110,16 +91,12 @@ class Start(NamedTuple):
         difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
         return np.hypot(difference, 2 * dot(self.inertia * first, second)) / self.inertia.max(0)
 
-    def axes(self) -> TwoAxes:
-        """Axes and rates of the motion."""
-        raise NotImplementedError
-
     @classmethod
     def solve_rotor(
         cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
     ) -> Array:
         """One component of a rotor on the line base + lambda direction, from another component."""
-        start = cls.of(points)
+        start = cls(points)
         return along(ROTORS.index(name), start.rotor, *line(start))
 
     @classmethod
@@ -127,7 +104,7 @@ class Start(NamedTuple):
         """From the multipliers over the period 2 pi / |m| of the closed form of the motion in the body."""
         from ..gyrostat.floquet import growth_of_periodic_motion
 
-        two, gamma, values = cls.of(points).axes(), vertical(points), constants(points)
+        two, gamma, values = cls(points).axes(), vertical(points), constants(points)
 
         def matrix(part: np.ndarray, t: Array) -> Array:
             members = TwoAxes(*(value[..., part] for value in two))
@@ -136,6 +113,10 @@ class Start(NamedTuple):
             return jacobian(equations, state, constants_at_times).reshape(*t.shape, 6, 6)
 
         return growth_of_periodic_motion(matrix, 2 * np.pi / np.abs(two.spin_rate))
+
+
+def _with_unit_weight(points: Points) -> Points:
+    return {**points, "Mg": np.ones_like(points["A"])}
 
 
 def section_normals(inertia: Array) -> Array:
@@ -174,14 +155,9 @@ class Lagrange(Start):
         rest, weight = self.torque()
         return self.residual((rest + weight) * length(cross(self.axes().spin_axis, self.gamma)))
 
-    def unsteadiness(self) -> Array:
-        """Rate of nutation: what w has beside n g + m s."""
-        s, m, g, n = self.axes()
-        return ratio(length(self.w - n * g - m * s), np.sqrt(self.squared_rate))
-
     @classmethod
     def solve_weight(cls, points: Points) -> Array:
-        rest, weight = cls.of(points, Mg=1.0).torque()
+        rest, weight = cls(_with_unit_weight(points)).torque()
         return -rest / weight
 
 
@@ -231,13 +207,13 @@ class Grioli(Start):
     @classmethod
     def solve_weight(cls, points: Points) -> Array:
         """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
-        start = cls.of(points, Mg=1.0)
+        start = cls(_with_unit_weight(points))
         return length(start.vertical(start.axes())) / length(start.weight)
 
     @classmethod
     def solve_start(cls, name: str, points: Points) -> Array:
         """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact."""
-        start = cls.of(points)
+        start = cls(points)
         values = np.stack([*start.inertia, *start.rotor, *start.weight])
         body = values.shape, values.tobytes()
         state = _LAST_START.get(body)
@@ -281,7 +257,7 @@ class Grioli(Start):
     def solve_offset(cls, name: str, points: Points) -> Array:
         """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
         offset = np.array([points[name] for name in OFFSETS])
-        value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls.of(points).inertia))
+        value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])
 
 
@@ -316,7 +292,7 @@ class Balanced(Start):
 
 
 def _family(kind: Any, **more: Any) -> Family:
-    family = family_about_axes(kind.of, kind.axes, lambda p: (vertical(p),), **more)
+    family = family_about_axes(kind, directions=lambda p: (vertical(p),), **more)
     return replace(family, conditions=(*family.conditions, NO_DISSIPATION))
 
 
@@ -362,7 +338,7 @@ FAMILIES = numbered(
             ),
             solve={
                 **each(partial(Balanced.solve_rotor, Balanced.needed_rotor), *ROTORS),
-                **linear(lambda p: Balanced.of(p).excess_weight(), *OFFSETS),
+                **linear(lambda p: Balanced(p).excess_weight(), *OFFSETS),
             },
             stability=Balanced.floquet_stability,
             labels="regular precession (n, m) about the vertical, the spin axis is not principal",
@@ -407,7 +383,7 @@ FAMILIES = numbered(
                 ("B = C or C = A", lambda b: b.section_difference(b.axes().spin_axis)),
                 ("l along the axis s of symmetry", lambda b: b.rotor_residual(b.axes().spin_axis)),
                 ("Mg r_c along s", lambda b: b.residual(cross(b.weight, b.axes().spin_axis))),
-                ("w = n g + m s", Lagrange.unsteadiness),
+                ("w = n g + m s", Lagrange.nutation),
                 ("(C - A)(n^2 - N) s.g + (C m + l.s) n + Mg r_c.s = 0, C = s.I s", Lagrange.imbalance),
             ),
             solve={"Mg": Lagrange.solve_weight},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -50,25 +51,61 @@ def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
 NEUTRAL = "Stability, as Family.stability, of motions near which no distance grows faster than t."
 
 
+class Start(ABC):
+    """Body, fields and state at t = 0 of a motion about any axes; vectors of shape (3, points) in body axes."""
+
+    rotor: Array
+    w: Array
+    gamma: Array
+    moment: Array  # of inertia, the unit of residuals
+    field_torque: Array  # largest torque of the fields
+    turn: Array | float = 0.0  # rate of the frame about gamma
+
+    @abstractmethod
+    def __init__(self, points: Points): ...
+
+    @abstractmethod
+    def axes(self) -> TwoAxes:
+        """Axes and rates of the motion."""
+
+    @property
+    def squared_rate(self) -> Array:
+        """Largest squared rate: that of the frame, |w|^2, and the torques of fields and rotor over the moment."""
+        square = np.maximum((self.w**2).sum(0), np.square(self.turn))
+        torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
+        return np.maximum(square, torque / self.moment)
+
+    def residual(self, torque: Array) -> Array:
+        """A torque, vector or magnitude, over the moment and the largest squared rate."""
+        size = np.abs(torque) if torque.ndim < self.w.ndim else length(torque)
+        return ratio(size / self.moment, self.squared_rate)
+
+    def nutation(self) -> Array:
+        """Size of w - (n + turn) gamma - m s over the largest rate."""
+        s, m, _, n = self.axes()
+        rest = self.w - (n + self.turn) * self.gamma - m * s
+        return ratio(length(rest), np.sqrt(self.squared_rate))
+
+
 def family_about_axes(
-    start_of: Callable[[Points], Any],
-    axes: Callable[[Any], TwoAxes],
-    directions: Callable[[Points], tuple[Array, ...]],
+    kind: type[Start],
+    *,
     conditions: Iterable[tuple[str, Callable[[Any], Array]]],
+    directions: Callable[[Points], tuple[Array, ...]],
     turn: Callable[[Points], Array] | None = None,
     **more: Any,
 ) -> Family:
-    """A family of motions about any axes, by its axes and the residuals of its conditions as functions of the start.
+    """A family by the class of its starts and the residuals of its conditions, which are functions of the start.
 
-    start_of: points -> the start; directions, turn: as of `motion_of`; more: further attributes of the family.
+    directions, turn: as of `motion_of`; more: further attributes of the family.
     """
 
     def of_points(function: Callable[[Any], Any], points: Points) -> Any:
-        return function(start_of(points))
+        return function(kind(points))
 
     rows = tuple(Condition(text, partial(of_points, residual)) for text, residual in conditions)
-    own_axes = partial(of_points, axes)
-    return Family(axes=own_axes, motion=motion_of(own_axes, directions, turn), conditions=rows, **more)
+    axes = partial(of_points, kind.axes)
+    return Family(axes=axes, motion=motion_of(axes, directions, turn), conditions=rows, **more)
 
 
 def motion_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,16 +64,10 @@ _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
 }
 
 
-def _shared(
-    name: str,
-    *,
-    solve: tuple[str, str] | None = None,
-    additions: Mapping[str, ArrayLike] = {},
-    may_stay_unresolved: str = "",
-    **columns: ArrayLike,
-) -> StressCase:
-    """A case of both systems, with the columns of one of them."""
-    return StressCase(name, *_SHARED[name], columns, solve, additions, may_stay_unresolved)
+def _shared(name: str, /, **row: Any) -> StressCase:
+    """A case of both systems; row: the columns of one of them, and attributes of StressCase."""
+    attributes = {key: row.pop(key) for key in ("solve", "additions", "may_stay_unresolved") if key in row}
+    return StressCase(name, *_SHARED[name], row, **attributes)
 
 
 def _passages(
@@ -246,7 +241,7 @@ def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     middle = {"A": 1.0, "B": 1.5, "C": 2.0, "theta0": np.pi / 2, "n": 1.0}
     # conical motions are unstable where N (A - C) > A n^2 only, at small C r + l3
     steep = {"A": 1.0, "C": 0.4, "N": 3.0, "n": 0.5, "theta0": 1.0, "Mg": 1.0}
-    spun = {**steep, "m": [0.3, 3.0]}
+    spun: dict[str, ArrayLike] = {**steep, "m": [0.3, 3.0]}
     paper = {"A": [22.49, 50.32], "B": [22.49, 50.32], "C": [35.6, 33.4]}
     return (
         _shared("stiff rotor", l3=FAST, theta_dot0=0.1, **tilted),

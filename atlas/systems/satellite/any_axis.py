@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..base import Array, Points, TwoAxes, numbered
+from ..gyrostat import motions
 from ..gyrostat.motions import NEUTRAL, about_axis, family_about_axes
 from ..vectors import cross, dot, length, ratio, unit
 from . import families
@@ -18,74 +19,56 @@ from .conditions import magnetic_moment
 from .initial import body_vectors, directions, initial_state
 
 
-class Start:
-    """Body, fields and state at t = 0; vectors of shape (3, points) in body axes."""
+class Start(motions.Start):
+    """As motions.Start, in units of the moment C."""
 
     def __init__(self, points: Points):
         state = initial_state(points)
         self.points, self.w, self.gamma = points, state[:3], state[6:]
         self.inertia, self.rotor, magnetic = body_vectors(points)
-        self.magnet = points["h3"] * magnetic
+        self.magnet, self.turn, self.moment = points["h3"] * magnetic, points["Omega"], points["C"]
+        self.field_torque = magnetic_moment(points) * np.hypot(points["h1"], points["h3"])
 
     def axes(self) -> TwoAxes:
         """s is along the rotor, else the magnet, else the angular velocity."""
         s = np.where(length(self.magnet) > 0, self.magnet, self.w)
         s = unit(np.where(length(self.rotor) > 0, self.rotor, s), self.gamma)
         axes = about_axis(s, self.w, self.gamma)
-        return axes._replace(precession_rate=axes.precession_rate - self.points["Omega"])
-
-    def squared_rate(self) -> Array:
-        """Largest squared rate."""
-        p = self.points
-        square = np.maximum((self.w**2).sum(0), p["Omega"] ** 2)
-        field = magnetic_moment(p) * np.hypot(p["h1"], p["h3"])
-        return np.maximum(square, np.maximum(field, length(self.rotor) * np.sqrt(square)) / p["C"])
-
-    def residual(self, torque: Array) -> Array:
-        """The magnitude of a torque over C and the largest squared rate."""
-        return ratio(torque / self.points["C"], self.squared_rate())
+        return axes._replace(precession_rate=axes.precession_rate - self.turn)
 
     def across_axis(self) -> Array:
         """Torques of the parts of rotor and magnet across s."""
         s = self.axes().spin_axis
         return length(cross(self.rotor, s)) * length(self.w) + length(cross(self.magnet, s))
 
-    def unsteadiness(self) -> Array:
-        """What w has beside (n + Omega) gamma + m s."""
-        s, m, _, n = self.axes()
-        rest = self.w - (n + self.points["Omega"]) * self.gamma - m * s
-        return ratio(length(rest), np.sqrt(self.squared_rate()))
-
     def imbalance(self) -> Array:
         """Torque across s and the normal."""
         s, m, _, n = self.axes()
-        C, Omega = self.points["C"], self.points["Omega"]
-        balance = (n + Omega) * (C * m + dot(self.rotor, s)) - dot(self.magnet, s)
+        balance = (n + self.turn) * (self.moment * m + dot(self.rotor, s)) - dot(self.magnet, s)
         return np.abs(balance) * length(cross(s, self.gamma))
 
     def dissipation(self) -> Array:
         """Residual of damping that turns the body."""
-        damping, rate = self.points["damping"], np.sqrt(self.squared_rate())
-        turn = length(self.w - self.points["Omega"] * self.gamma)
-        return ratio(damping * turn, rate * (self.points["C"] * rate + damping))
+        damping, rate = self.points["damping"], np.sqrt(self.squared_rate)
+        turning = length(self.w - self.turn * self.gamma)
+        return ratio(damping * turning, rate * (self.moment * rate + damping))
 
 
 _SPHERICAL = family_about_axes(
     Start,
-    Start.axes,
-    directions,
-    (
+    conditions=(
         ("A = B = C", lambda b: (b.inertia.max(0) - b.inertia.min(0)) / b.inertia.max(0)),
         ("h1 mu = 0", lambda b: b.residual(np.abs(b.points["h1"]) * magnetic_moment(b.points))),
         (
             "k and h3 mu along one axis s of the body, or both 0 and s along w",
             lambda b: b.residual(b.across_axis()),
         ),
-        ("w = (n + Omega) gamma + m s", Start.unsteadiness),
+        ("w = (n + Omega) gamma + m s", Start.nutation),
         ("(n + Omega) (C m + k.s) = h3 mu.s", lambda b: b.residual(b.imbalance())),
         ("damping (w - Omega gamma) = 0", Start.dissipation),
     ),
-    lambda points: points["Omega"],
+    directions=directions,
+    turn=lambda points: points["Omega"],
     name="spherical_any_axis",
     title="spherical body turning about any axis of its own, which precesses about the normal",
     equations="derived from (1)-(3); not in the paper",

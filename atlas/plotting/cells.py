@@ -204,10 +204,9 @@ PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# Lines are THIN and without halo where more than CROWDED times the length of a single line lies within NEAR, and have a SHADE
-# below them where it lies within MERGED, so that even thin ones run together.
-NEAR, MERGED, CROWDED, PIXEL = 4.5, 1.75, 1.6, 0.25  # points, and the ratio
-THIN, SHADE = {"linestyle": "-", "linewidth": 0.5}, {"linestyle": "-", "linewidth": 1.7, "color": "0.5"}
+# A border of more than MAX_HALOED lines is THIN and has no halo: as wide as others it would cover the cells between its lines.
+MAX_HALOED = 40
+THIN = {"linestyle": "-", "linewidth": 0.5}
 
 
 @dataclass(frozen=True)
@@ -245,11 +244,12 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
             draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
         lines = panel.borders.get(kind, [])
-        if lines and kind in KINDS and panel.array.ndim == 2:
-            lines = _draw_crowded(ax, lines, border_style(kind))
-        _draw_lines(ax, lines, border_style(kind), 2.1, halo=True)
+        if len(lines) <= MAX_HALOED:
+            _draw_lines(ax, lines, border_style(kind), halo=HALO)
+        else:
+            _draw_lines(ax, lines, border_style(kind) | THIN, halo=0.0)
     for name, lines in panel.families.items():
-        _draw_lines(ax, lines, family_style(families.index(name)), 2.1, halo=True)
+        _draw_lines(ax, lines, family_style(families.index(name)), halo=HALO)
 
 
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
@@ -274,49 +274,15 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
     )  # fmt: skip
 
 
-def _draw_crowded(ax: Axes, lines: list[np.ndarray], style: dict[str, Any]) -> list[np.ndarray]:
-    """Draw crowded parts of lines over two axes, and short lines; returns the lines with nan in place of these."""
-    from scipy import ndimage  # slow to import, and maps without lines do not need it
+def _draw_lines(ax: Axes, lines: list[np.ndarray], style: dict[str, Any], *, halo: float) -> None:
+    """Draw lines with a white halo, in points on each side, below all of them, also in the gaps of dashes.
 
-    ink = np.zeros(np.ceil(np.array(ax.bbox.size) * 72 / ax.figure.dpi / PIXEL).astype(int) + 1)
-    fine, pixels, lengths = [], [], []
-    for line in lines:
-        dots = (ax.transData.transform(line) - ax.bbox.p0) * 72 / ax.figure.dpi  # in points
-        along = np.cumsum(np.append(0, np.linalg.norm(np.diff(dots, axis=0), axis=1)))
-        at = np.arange(0, along[-1] + PIXEL, PIXEL)
-        fine.append(np.stack([np.interp(at, along, values) for values in line.T], -1))
-        places = [np.interp(at, along, values) / PIXEL for values in dots.T]
-        pixels.append(tuple(np.clip(places, 0, np.array(ink.shape)[:, np.newaxis] - 1).astype(int)))
-        np.add.at(ink, pixels[-1], PIXEL)
-        lengths.append(along[-1])
-    crowded = []
-    for width in (NEAR, MERGED):
-        size, run = int(width / PIXEL), int(2.5 * width / PIXEL)
-        dense = ndimage.uniform_filter(ink, size, mode="constant") * size > CROWDED * PIXEL
-        dense = ndimage.maximum_filter(dense, size)
-        # Along a line without short gaps, and without the places where lines only cross.
-        masks = [np.pad(dense[pixel], run, mode="edge") for pixel in pixels]
-        masks = [ndimage.binary_opening(ndimage.binary_closing(m, np.ones(run)), np.ones(run)) for m in masks]
-        crowded.append([mask[run:-run, np.newaxis] for mask in masks])
-    _draw_lines(ax, [np.where(m, line, np.nan) for line, m in zip(fine, crowded[1], strict=True)], SHADE, 1.8)
-    _draw_lines(ax, fine, style | THIN, 1.9)
-    return [
-        np.where(near | (length < 2 * NEAR), np.nan, line)
-        for line, near, length in zip(fine, crowded[0], lengths, strict=True)
-    ]
-
-
-def _draw_lines(
-    ax: Axes, lines: list[np.ndarray], style: dict[str, Any], zorder: float, *, halo: bool = False
-) -> None:
-    """Draw lines over dark and bright colours alike, with a white halo below all of them, also in the gaps of dashes.
-
-    Those over two axes are one path with gaps: Matplotlib takes milliseconds for each.
+    Lines over two axes are one path with gaps: Matplotlib takes milliseconds for each path.
     """
     if not lines:
         return
-    white = {"color": "white", "linestyle": "-", "linewidth": style["linewidth"] + 2 * HALO}
-    for level, each in [(2.0, style | white), (zorder, style)] if halo else [(zorder, style)]:
+    white = {"color": "white", "linestyle": "-", "linewidth": style["linewidth"] + 2 * halo}
+    for level, each in [(2.0, style | white), (2.1, style)] if halo else [(2.1, style)]:
         if lines[0].shape[1] == 1:
             for line in lines:
                 ax.axvline(float(line[0, 0]), zorder=level, **each)

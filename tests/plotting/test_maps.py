@@ -628,24 +628,18 @@ def test_what_cannot_be_seen_has_no_entry():
     assert list(content.visible(content.Panel(array[0], {}, slow[:, 0], lines), one).borders) == ["in"]
 
 
-def test_crowded_lines_are_thin_and_shaded_where_they_would_touch():
-    ax = Figure(figsize=(3, 3)).subplots()
-    ax.set(xlim=(0, 1), ylim=(0, 1))
+def test_a_border_of_many_lines_is_thin_and_without_halo():
     x = np.linspace(0, 1, 500)
-    cusp = [np.stack([x, 0.5 + s * 0.05 * x], -1) for s in (1, -1)]  # 17 points apart at their ends
-    upper, lower = cells._draw_crowded(ax, cusp, cells.border_style(boundary.STABILITY))
-    for line in (upper, lower):
-        thick = line[~np.isnan(line[:, 0])]
-        assert 0.2 < thick[:, 0].min() < 0.6
-        assert thick[-1, 0] > 0.99
-    shade = [line for line in ax.lines if line.get_linewidth() == cells.SHADE["linewidth"]]
-    thin = [line for line in ax.lines if line.get_linewidth() == cells.THIN["linewidth"]]
-    assert 0.03 < np.nanmax(shade[0].get_xdata()) < 0.2
-    assert np.nanmax(thin[0].get_xdata()) > 0.99
-    dot = 0.2 + 0.002 * np.stack([np.cos(6.3 * x), np.sin(6.3 * x)], -1)
-    assert np.isnan(cells._draw_crowded(ax, [dot], cells.border_style(boundary.STABILITY))[0]).all()
-    single = [np.stack([x, x**2], -1)]
-    assert not np.isnan(cells._draw_crowded(ax, single, cells.border_style(boundary.STABILITY))[0]).any()
+    array = xr.DataArray(np.zeros((2, 2)), dims=("y", "x"))
+    edges = [np.linspace(0, 1, 3)] * 2
+    for count, widths in ((cells.MAX_HALOED, [1.9, 1.2]), (cells.MAX_HALOED + 1, [cells.THIN["linewidth"]])):
+        ax = Figure(figsize=(3, 3)).subplots()
+        lines = [np.stack([x, y + 0.01 * x], -1) for y in np.linspace(0, 0.9, count)]
+        cells.draw_overlay(
+            ax, content.Panel(array, {}, array.values > 0, {boundary.STABILITY: lines}), edges, []
+        )
+        assert [line.get_linewidth() for line in ax.lines] == pytest.approx(widths)
+        assert all(np.isnan(line.get_xdata()).sum() == count for line in ax.lines)
 
 
 def test_integers_have_a_colour_each(small):

@@ -77,8 +77,6 @@ def parser() -> argparse.ArgumentParser:
     top = Parser(
         prog=name if name == SECOND_NAME else "atlas",
         description="Where in parameter space a gyrostat precesses regularly, rotates permanently or drifts.",
-        epilog="Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after), 130 interrupted, 143 terminated"
-        " (SIGTERM).",
     )
     top.add_argument("--version", action="version", version=f"atlas {__version__}")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=Parser)
@@ -101,4 +99,8 @@ def parser() -> argparse.ArgumentParser:
         *extension.every("commands"),
     ):
         each.add(commands)
+    top.epilog = (
+        "Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after), 130 interrupted, 143 terminated"
+        f" (SIGTERM){printable(extension.not_loaded(), MAX_MESSAGE)}."
+    )
     return top

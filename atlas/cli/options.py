@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
+from ..extension import available_text
 from ..files import check_name, without_suffix
 from ..plotting.options import FORMATS
 from ..scene.text import read_text
@@ -68,9 +69,10 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            raise argparse.ArgumentError(
-                action, f"{shown(value)}: {allowed_text(value, list(action.choices))}"
-            )
+            # A command may be of an extension that cannot be loaded; no other choice is.
+            is_command = isinstance(action, argparse._SubParsersAction)
+            allowed = (available_text if is_command else allowed_text)(value, list(action.choices))
+            raise argparse.ArgumentError(action, f"{shown(value)}: {allowed}")
 
     def error(self, message: str) -> NoReturn:
         """Print a message, which may quote any argument, in one line and exit with the code of bad input."""

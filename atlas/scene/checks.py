@@ -296,8 +296,8 @@ def instance_of(cls: type[T], table: Mapping[str, Any], section: str) -> T:
     return cls(**from_table(keys_of(cls), table, section))
 
 
-def table_schema(fields: Keys) -> dict[str, Any]:
-    """JSON Schema of the table that `from_table` reads."""
+def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
+    """JSON Schema of the table that `from_table` reads; `needed`: its keys without a default are required."""
     keys = {}
     for name, field in fields.items():
         keys[name] = dict(field.metadata["check"].schema)
@@ -305,9 +305,9 @@ def table_schema(fields: Keys) -> dict[str, Any]:
             keys[name]["description"] = field.metadata["description"]
         if isinstance(field.default, int | float | str) and field.default != "":
             keys[name]["default"] = field.default
-    needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
-    required = {"required": needed} if needed else {}
-    return {"type": "object", "additionalProperties": False, "properties": keys} | required
+    schema = {"type": "object", "additionalProperties": False, "properties": keys}
+    required = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
+    return schema | {"required": required} if needed and required else schema
 
 
 def from_table(

@@ -17,7 +17,11 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 NAME = f"^(?!({'|'.join(sorted(RESERVED))})$)[A-Za-z_][A-Za-z0-9_]*$"
 DURATION = r"^\s*[+]?[0-9.][0-9.eE+-]*\s*([Oo]rbits?|[Tt]urns?)?\s*$"
 
-NUMBER = checks.quantity.schema
+TIES = (
+    "names computed from other names: + - * / **, sqrt, sin, cos, tan, asin, acos, atan, exp, log, abs, pi;"
+    " random numbers normal(draw), uniform(draw)"
+)
+NUMBER, TEXT, TABLE = checks.quantity.schema, checks.text.schema, checks.mapping.schema
 
 Schema = dict[str, Any]
 
@@ -25,8 +29,6 @@ Schema = dict[str, Any]
 def scene_schema() -> Schema:
     """JSON Schema (draft 2020-12) of scene files; dependencies between keys are left to `load_scene`."""
     systems = list(all_systems.available().values())
-    text = {"type": "string", "description": "free text, kept in the atlas; the title of its figures"}
-    names = {"type": "object", "propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
     integration = checks.table_schema(checks.keys_of(Settings, "integration"))
     integration["properties"]["duration"] = {
         "anyOf": [checks.positive.schema, {"type": "string", "pattern": DURATION}],
@@ -44,7 +46,7 @@ def scene_schema() -> Schema:
         "additionalProperties": False,
         "properties": {
             "schema": {"const": SCHEMA, "description": "version of the format"},
-            "title": text,
+            "title": TEXT | {"description": "free text, kept in the atlas; the title of its figures"},
             "system": {
                 "enum": [s.name for s in systems],
                 "description": "; ".join(f"{s.name}: {s.title}" for s in systems),
@@ -52,35 +54,13 @@ def scene_schema() -> Schema:
             "extensions": checks.texts.schema | {"description": "extensions that must be installed"},
             "seed": checks.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
-            "fixed": {
-                **names,
-                "description": "parameters, or names for ties, with one value",
-                "additionalProperties": NUMBER,
-            },
-            "axes": {
-                **names,
-                "description": "the dimensions of the atlas: parameters, or names for ties",
-                "minProperties": 1,
-                "maxProperties": read.MAX_AXES,
-                "additionalProperties": AXIS,
-            },
+            "fixed": _named("parameters, or names for ties, with one value", NUMBER),
+            "axes": _named("the dimensions of the atlas: parameters, or names for ties", AXIS)
+            | {"minProperties": 1, "maxProperties": read.MAX_AXES},
             "points": POINTS,
-            "ties": {
-                **names,
-                "description": "names computed from other names: + - * / **, sqrt, sin, cos, tan, asin, acos, atan, exp, log,"
-                " abs, pi; random numbers normal(draw), uniform(draw)",
-                "additionalProperties": {"type": "string"},
-            },
-            "family": {
-                "type": "object",
-                "required": ["name"],
-                "description": "every point starts on these steady motions",
-            },
-            "nudge": {
-                "type": "object",
-                "description": "added to start values after solving",
-                "additionalProperties": NUMBER,
-            },
+            "ties": _named(TIES, TEXT),
+            "family": TABLE | {"required": ["name"], "description": "every point starts on these steady motions"},
+            "nudge": TABLE | {"additionalProperties": NUMBER, "description": "added to start values after solving"},
             "integration": integration | {"not": {"required": ["step", "tolerance"]}},
             "labels": checks.table_schema(checks.keys_of(Settings, "labels")),
             "refine": checks.table_schema(checks.keys_of(Refine))
@@ -105,26 +85,26 @@ def scene_schema() -> Schema:
     }  # fmt: skip
 
 
+def _named(description: str, values: Schema) -> Schema:
+    """Schema of a table whose keys are names of the user's choice."""
+    names = {"propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
+    return TABLE | names | {"description": description, "additionalProperties": values}
+
+
 def _without(*keys: str) -> Schema:
     """Schema of a table without these keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
 
 
 # Any table [axes.NAME].
-AXIS: Schema = {
-    "type": "object",
-    "additionalProperties": False,
-    "properties": checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH})["properties"],
+AXIS: Schema = checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH}, needed=False) | {
     "oneOf": [
         {"required": ["from", "to", "count"], **_without(*read.LISTED)},
         {"required": ["values"], **_without(*read.SPACED)},
     ],
 }
-POINTS: Schema = {
-    "type": "object",
+POINTS: Schema = checks.table_schema(points.KEYS, needed=False) | {
     "description": "a sample, or points of your own, instead of axes",
-    "additionalProperties": False,
-    "properties": checks.table_schema(points.KEYS)["properties"],
     "oneOf": [
         {"required": ["sample", "count", "ranges"], **_without("file", "values")},
         *({"required": [key], "maxProperties": 1} for key in ("file", "values")),
@@ -150,17 +130,14 @@ def _properties_of(system: System) -> Schema:
                 "required": ["offset_from_family"],
             }
             axes[name] |= {"if": {"not": offset}, "then": {"properties": ends}}
-        ties[name] = {"type": "string"} | description
+        ties[name] = TEXT | description
         if parameter.start:
             nudge[name] = NUMBER | description
     for name, family in families_of(system).items():
         conditions = "; ".join(condition.text for condition in family.conditions)
-        solve = {
-            "type": "array",
-            "uniqueItems": True,
-            "description": "parameters that put each point on the family",
-        }
-        solve |= {"items": {"enum": list(family.solve)}} if family.solve else {"maxItems": 0}
+        solve = {"type": "array", "description": "parameters that put each point on the family"}
+        items = {"items": {"enum": list(family.solve)}} if family.solve else {"maxItems": 0}
+        solve |= {"uniqueItems": True} | items
         title = {"const": name, "description": f"{family.title}: {conditions}"}
         families.append(
             {"title": name, "additionalProperties": False, "properties": {"name": title, "solve": solve}}

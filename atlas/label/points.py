@@ -154,8 +154,8 @@ def label_points(
         ds[name].attrs = dataset.variable_attributes(description, name, outputs)
     ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
     ds.attrs = dataset.provenance(
-        description, settings, plan.kernel_hash, title=f"points of the {system}", outputs=outputs, points=ds[outputs[0]].size,
-        seconds=None if lazy else stopwatch.seconds(), warnings=warnings,
+        description, settings, plan.kernel_hash, title=f"points of the {system}", outputs=outputs, warnings=warnings,
+        timing=None if lazy else (ds[outputs[0]].size, stopwatch.seconds()),
     )  # fmt: skip
     return ds
 

@@ -157,7 +157,7 @@ def trajectory_of_point(
             ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
     ds.attrs = dataset.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
-        points=1, warnings=system.warnings(points),
+        warnings=system.warnings(points),
     )  # fmt: skip
     return ds
 

@@ -109,8 +109,8 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
             fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
         ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
     provenance = dataset.provenance(
-        scene.system, scene.settings, plan.points.kernel_hash, scene=scene, points=points, warnings=plan.warnings,
-        seconds=stopwatch.seconds(),
+        scene.system, scene.settings, plan.points.kernel_hash, scene=scene, warnings=plan.warnings,
+        timing=(points, stopwatch.seconds()),
     )  # fmt: skip
     return ds.assign_attrs(provenance | attributes | dataset.history_text(reused))
 

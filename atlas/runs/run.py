@@ -382,7 +382,7 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
     """The manifest of a run of a scene."""
     scene, kernel = plan.scene, plan.points.kernel_hash
     attributes = dataset.provenance(
-        scene.system, scene.settings, kernel, scene=scene, points=scene.size, warnings=plan.warnings, seconds=0.0
+        scene.system, scene.settings, kernel, scene=scene, warnings=plan.warnings, timing=(scene.size, 0.0)
     )  # fmt: skip
     # The tiles of a refined atlas take no time: its levels are computed.
     finest = Tiling.of(scene.shape, grid.max_points_per_tile())

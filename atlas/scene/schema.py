@@ -135,7 +135,7 @@ def _properties_of(system: System) -> Schema:
             nudge[name] = NUMBER | description
     for name, family in families_of(system).items():
         conditions = "; ".join(condition.text for condition in family.conditions)
-        solve = {"type": "array", "description": "parameters that put each point on the family"}
+        solve: Schema = {"type": "array", "description": "parameters that put each point on the family"}
         items = {"items": {"enum": list(family.solve)}} if family.solve else {"maxItems": 0}
         solve |= {"uniqueItems": True} | items
         title = {"const": name, "description": f"{family.title}: {conditions}"}

@@ -149,12 +149,12 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
 
 
 def provenance(
-    system: System, settings: Settings, kernel_hash: str, *, points: int, warnings: list[str],
-    seconds: float | None = None, title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None,
+    system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
+    title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title and variables.
 
-    seconds: wall-clock time, if known.
+    timing: number of points and wall-clock time in seconds, if known.
     """
     from ..kernel.machine_code import cpu
 
@@ -186,7 +186,8 @@ def provenance(
     }
     if extensions := extensions_of(system, outputs if scene is None else scene.outputs):
         attributes["atlas_extensions"] = ", ".join(f"{each.name} {each.code}" for each in extensions)
-    if seconds is not None:
+    if timing is not None:
+        points, seconds = timing
         attributes["atlas_seconds"] = seconds
         attributes["atlas_points_per_second"] = points / seconds if seconds > 0 else math.nan
     origin = systems.origin(system)

@@ -132,9 +132,9 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     finally:
         bar.close()
     ds = _dataset(sample, results)
-    kernel, seconds, points = Plan.of(scene).kernel_hash, stopwatch.seconds(), sample.indices.size
+    kernel, timing = Plan.of(scene).kernel_hash, (sample.indices.size, stopwatch.seconds())
     attributes = dataset.provenance(
-        scene.system, scene.settings, kernel, scene=scene, points=points, warnings=[], seconds=seconds
+        scene.system, scene.settings, kernel, scene=scene, warnings=[], timing=timing
     )
     ds.attrs = attributes | ds.attrs
     return ds

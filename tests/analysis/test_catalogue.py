@@ -134,9 +134,6 @@ def test_command_line_tables(capsys):
         assert whole["printed"] == catalogue.published(systems.get(system))
         assert len(whole["families"]) == len(families_of(systems.get(system)))
     assert list(csv.DictReader(io.StringIO(output("--family", "oblique", "--errata", "--csv"))))
-    with pytest.raises(SystemExit) as stop:
-        main(["conditions", "--csv", "--json"])
-    assert stop.value.code == 2
 
 
 # Free parameters and limits of existence of the families.
@@ -329,8 +326,6 @@ def test_circles_and_surfaces_of_equilibria():
     equilibria = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.5})
     assert equilibria.circle.all()
     assert np.isfinite(equilibria.axis.values).all()
-    with pytest.raises(BadInput, match="surface"):
-        atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.0})
 
 
 def test_permanent_rotations_of_a_heavy_gyrostat():
@@ -355,23 +350,6 @@ def test_equilibria_survive_a_file(tmp_path):
     equilibria.to_netcdf(tmp_path / "e.nc")
     with xr.open_dataset(tmp_path / "e.nc") as read:
         xr.testing.assert_identical(read.load(), equilibria)
-
-
-@pytest.mark.parametrize(
-    ("body", "named"),
-    [
-        ({"A": 1.0, "B": 1.0, "C": 9.0}, "no rigid body"),
-        ({"A": np.nan}, "A = nan: must be a finite number"),
-        ({"A": -1.0}, "A > 0"),
-        ({"mass": 1.0}, "mass: not a parameter"),
-        ({"Omega": 0.0}, "without orbit and field"),
-    ],
-)
-def test_impossible_bodies_are_errors(body, named):
-    with pytest.raises(BadInput, match=named):
-        atlas.equilibria("satellite", body)
-    with pytest.raises(BadInput, match="sputnik"):
-        atlas.equilibria("sputnik", body)
 
 
 def test_gravity_gradient_diagram_is_the_classical_one():

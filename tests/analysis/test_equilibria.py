@@ -94,28 +94,6 @@ def test_bodies_that_cannot_exist_or_have_no_isolated_equilibria():
     assert (sphere.completeness == Completeness.NOT_ISOLATED).all()
 
 
-ON_X = xr.DataArray([1.0, 2.0], dims="x", coords={"x": [0, 1]})
-
-
-@pytest.mark.parametrize(
-    ("body", "named"),
-    [
-        ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, "different lengths"),
-        ({"A": np.ones((2, 2))}, "A: an array of 2 dimensions; give a DataArray"),
-        ({"A": xr.DataArray([1.0, 2.0], dims="equilibrium")}, "dimension equilibrium"),
-        ({"A": ON_X, "B": ON_X.assign_coords(x=[0, 2])}, "arrays of different points"),
-        ({"A": [1.0, np.nan]}, r"point 1 \(counted from 0\): A = nan"),
-        ({"A": [1.0, -2.0]}, "A > 0"),
-        ({"C": [9.0, 8.0]}, "none of 2 points is possible"),
-        ({"mass": [1.0, 2.0]}, "mass: not a parameter"),
-    ],
-)
-def test_impossible_arrays_are_errors(body, named):
-    with pytest.raises(atlas.BadInput, match=named) as error:
-        atlas.equilibria("satellite", body)
-    assert "\n" not in str(error.value)
-
-
 def test_lazy_equilibria_have_the_bits_of_eager_ones():
     k1 = xr.DataArray([0.01, 0.7, 2.0, 3.0], dims="k1")
     C = xr.DataArray([1.7, 9.0], dims="C")  # in the second chunk along C no body is possible

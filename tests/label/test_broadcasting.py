@@ -133,29 +133,6 @@ def test_values_of_chunks_are_checked_when_they_are_computed():
         atlas.label_points("satellite", {"C": bad, "k3": np.inf}, **SETTINGS)
 
 
-@pytest.mark.parametrize(
-    ("points", "named"),
-    [
-        ({"C": xr.DataArray([1.0, 1.2], dims="x"), "m": xr.DataArray([1.0, 2.0, 3.0], dims="x")}, "different points"),
-        ({"C": xr.DataArray([1.0, 1.2], dims="x", coords={"x": [0, 1]}),
-          "m": xr.DataArray([1.0, 2.0], dims="x", coords={"x": [0, 2]})}, "different points"),
-        ({"C": ["1", "1.2"]}, "C = .* must be a number or an array of numbers"),
-        ({"C": np.array(["1"], object)}, "C = .* must be a number"),
-        ({"C": [True, False]}, "C = .* must be a number"),
-        ({"C": np.ones((2, 2))}, "C: an array of 2 dimensions; give a DataArray"),
-        ({"C": xr.DataArray(["a"], dims="x")}, "C = .* must be a number"),
-        ({"c": xr.DataArray([1.0], dims="x")}, "c: not a parameter of the satellite; did you mean 'C'"),
-        (xr.Dataset({"m": 1.0}, coords={"c": [1.0, 1.2]}), "c: no parameter varies along it; did you mean 'C'"),
-        ({"C": xr.DataArray([1.0, 1.2], dims="x", coords={"label": ("x", [0, 1])})}, "label has the name of a variable"),
-        ({"C": xr.DataArray(np.ones((2, 2)), dims=("C", "m"), coords={"C": [1.0, 1.2]})}, "C: an index of the points"),
-    ],
-)  # fmt: skip
-def test_other_arrays_are_refused_in_one_line(points, named):
-    with pytest.raises(BadInput, match=named) as error:
-        atlas.label_points("satellite", points, **SETTINGS)
-    assert "\n" not in str(error.value)
-
-
 def test_the_kernel_depends_on_the_names_of_the_parameters_given():
     def terms(*given):
         return Plan.of_points(SATELLITE, Settings(), None, given).specialization
@@ -165,8 +142,3 @@ def test_the_kernel_depends_on_the_names_of_the_parameters_given():
     assert "damping_A" not in terms("C", "damping").zero
     assert ("B", "A") in terms("C", "m").equal
     assert not terms("A", "B", "C").equal
-
-
-def test_a_mistyped_option_is_answered_with_the_option_meant():
-    with pytest.raises(BadInput, match=r"tolerence: .*did you mean 'tolerance'\? allowed: duration, step"):
-        atlas.label_points("satellite", {"C": 1.2}, tolerence=1e-5)

@@ -240,16 +240,6 @@ def test_no_tile_begins_after_the_time(scene_text, tmp_path):
         atlas.run(load_scene(scene_text({})), f"{tmp_path}/night/", stop_after=1e-9, progress=False)
 
 
-@pytest.mark.parametrize("text", ["2", "h", "-1h", "1.5h", "2h 3m", "0s"])
-def test_times_that_are_none_are_refused(text, scene_text, tmp_path, capsys):
-    (tmp_path / "scene.toml").write_text(scene_text({}))
-    out = f"{tmp_path}/night.nc"
-    assert cli.main(["run", str(tmp_path / "scene.toml"), "-o", out, f"--stop-after={text}"]) == cli.BAD_INPUT
-    assert "stop" in capsys.readouterr().err
-    with pytest.raises(BadInput, match="stop_after need an out"):
-        atlas.run(load_scene(scene_text({})), stop_after=1.0)
-
-
 def test_a_disk_that_is_too_small_is_refused_before_the_run(scene_text, tmp_path, monkeypatch):
     scene = load_scene(scene_text({}))
     usage = type("Usage", (), {"free": 2_000})

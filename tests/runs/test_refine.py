@@ -197,30 +197,6 @@ def test_progress_is_printed(monkeypatch, capsys):
     assert "level 2 of 2" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"refine.levels": 0}, "refine.levels = 0"),
-        ({"refine.levels": 9}, "refine.levels = 9"),
-        ({"refine.levels": 1.5}, "refine.levels = 1.5"),
-        ({"refine": {}}, "refine.levels is missing"),
-        ({"refine.probe": 1.5}, "refine.probe = 1.5"),
-        ({"refine.probe": -0.1}, "refine.probe = -0.1"),
-        ({"refine.probe": "few"}, "refine.probe"),
-        ({"refine.width": 3}, "refine.width"),
-        ({"refine": 3}, "refine = 3"),
-        ({"axes.theta0.refine": 3}, "unknown key"),
-        ({"axes.sigma.count": 90000000}, "axes.sigma.count"),
-        ({"axes.sigma": {"values": [1.0]}, "axes.theta0": {"values": [0.4]}}, "nothing to refine"),
-    ],
-)
-def test_bad_refinement_is_refused_in_one_line_that_names_the_key(scene_text, changes, named):
-    with pytest.raises(BadInput) as error:
-        load_scene(scene_text({"refine.levels": 3} | changes))
-    assert named in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_a_finest_grid_beyond_memory_is_refused(scene_text):
     with pytest.raises(BadInput, match="finest grid"):
         refined_scene(scene_text, (3000, 3000))

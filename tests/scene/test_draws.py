@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import atlas
-from atlas import BadInput, load_scene
+from atlas import load_scene
 from atlas.scene import draws, grid
 from atlas.scene.expressions import Expression
 
@@ -96,25 +96,6 @@ def test_draws_of_no_number_are_none():
     u = value("uniform(draw)", draw=[0.0, -0.0, np.nan, np.inf])
     assert u[0] == u[1]
     assert np.isnan(u[2:]).all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"ties.C": "sigma * normal()"}, r"ties.C = .*is not arithmetic.*normal\(draw\), uniform\(draw\)"),
-        ({"ties.C": "sigma * uniform(drew)"}, "ties.C = .*'drew' is neither a parameter"),
-        ({"fixed.A": "normal(1)"}, r"fixed.A = 'normal\(1\)': .*is not arithmetic"),
-        ({"seed": -1}, "seed = -1: must be a whole number"),
-        (
-            {"axes.draw": DRAW, "ties.C": "sigma + normal(draw)", "refine": {"levels": 1}},
-            "axes.draw: .*values =",
-        ),
-    ],
-)
-def test_mistakes_are_one_line(scene_text, changes, message):
-    with pytest.raises(BadInput, match=message) as caught:
-        load_scene(scene_text(changes))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("whole_kernels")

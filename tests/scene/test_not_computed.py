@@ -133,8 +133,6 @@ def test_parameters_are_solved_for_possible_bodies_alone(scene_text):
 
 
 def test_a_trajectory_of_an_impossible_body_is_bad_input(computed):
-    with pytest.raises(BadInput, match=r"A \+ B = 2 is less than C = 3: no rigid body"):
-        atlas.trajectory("satellite", {"C": 3.0})
     with pytest.raises(BadInput, match=r"no motion: no rigid body"):
         computed.atlas.trajectory(b=0.1, c=2.1)
 
@@ -167,10 +165,6 @@ def test_durations_in_turns_and_orbits_of_points():
     np.testing.assert_allclose(ds.end_time.values[1:], [8 * np.pi, 2 * np.pi])
     ds = atlas.label_points("satellite", {"Omega": [0.5, 1.0]}, duration="1 orbit", tolerance=1e-4)
     np.testing.assert_allclose(ds.end_time.values, [4 * np.pi, 2 * np.pi])
-    with pytest.raises(BadInput, match=r"the fixed_point has no orbit"):
-        atlas.label_points("fixed_point", {"m": 1.0}, duration="1 orbit")
-    with pytest.raises(BadInput, match=r"nothing turns; give a number of time units"):
-        atlas.label_points("satellite", {"m": [0.0, 0.0]}, duration="1 turn")
 
 
 def test_starts_off_the_unit_sphere_are_not_computed():

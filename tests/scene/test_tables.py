@@ -1,7 +1,6 @@
 """Points of one's own: files and tables, samples in scenes, `atlas points`, and the errors of bad input."""
 
 import csv
-from pathlib import Path
 
 import cf_xarray  # noqa: F401
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import GIVEN, SAMPLED
 from scipy.stats import kstest
 
 import atlas
@@ -23,29 +23,6 @@ from atlas.systems import SYSTEMS
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 NAMES = set(SYSTEMS["satellite"].parameters)
-SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
-SMALL = SMALL.replace("duration = 30.0", 'duration = "3 orbits"').replace(
-    "tolerance = 1e-5", "tolerance = 1e-4"
-)
-BEFORE_AXES, FROM_TIES = SMALL[: SMALL.index("[axes")], SMALL[SMALL.index("[ties]") :]
-SAMPLE = """\
-[points]
-sample = "sobol"
-count = 48
-seed = 3
-
-[points.ranges.sigma]
-from = 0.3
-to = 1.7
-
-[points.ranges.theta0]
-from = 0.02
-to = 1.4
-spacing = "log"
-
-"""
-SAMPLED = BEFORE_AXES + SAMPLE + FROM_TIES
-GIVEN = BEFORE_AXES + '[points]\nfile = "mine.csv"\n' + FROM_TIES
 
 
 def write(path, text):
@@ -77,33 +54,6 @@ def test_csv_gives_back_every_bit(tmp_path_factory, rows):
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([("C", "m"), *rows])
     np.testing.assert_array_equal(np.transpose(list(tables.read(path, NAMES).values())), rows)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "named"),
-    [
-        ("a.csv", b"", "empty"),
-        ("a.csv", b"C,m\n", "no points"),
-        ("a.csv", b"C,m\n1,2\n1\n", "a.csv, line 3: 1 fields, but the first line names 2 columns"),
-        ("a.csv", b"C,m\n# 1\n1,2,3\n", "a.csv, line 3: 3 fields"),
-        ("a.csv", b"C,m\n1,2\n\n1,two\n", "a.csv, line 4: m = 'two'"),
-        ("a.csv", b"C;m\n1;0,5\n", "line 2: m = '0,5': must be a number with a decimal point, not a comma"),
-        ("a.csv", b"C\n" + 1_000_001 * b"1", "line 2: more than 1000000 characters"),
-        ("a.csv", b"C,C\n1,2\n", "'C' twice"),
-        ("a.csv", b"C,\n1,2\n", "without name"),
-        ("a.csv", b"C\n\xff\xfe\n", "UTF-8"),
-        ("a.csv", b'C\n"1\n', "not a CSV file"),
-        ("a.nc", b"C\n1\n", "not a NetCDF file"),
-        ("a.txt", b"C\n1\n", ".csv or .nc"),
-    ],
-)
-def test_files_that_hold_no_points_are_refused_in_one_line(tmp_path, name, content, named):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadInput) as error:
-        tables.read(tmp_path / name, NAMES)
-    assert named in str(error.value)
-    assert name in str(error.value)
-    assert "\n" not in str(error.value)
 
 
 SAME_POINTS = {
@@ -161,14 +111,6 @@ def test_other_columns_of_numbers_are_kept_only_by_name(tmp_path, monkeypatch, c
     assert "in.csv: trial: not a parameter of the satellite" in capsys.readouterr().err
     assert main([*command, "--keep", "trial"]) == 0
     assert pd.read_csv("out.csv").trial.tolist() == [1, 2]
-    for name, problem in (("m", "a parameter"), ("trail", "no column")):
-        assert main([*command, "--force", "--keep", name]) == 2
-        assert problem in capsys.readouterr().err
-    write(tmp_path / "in.csv", "C,label,m\n0.8,first,0.5\n")
-    assert main([*command, "--force"]) == 2
-    assert "the column label has the name of a variable of the result" in capsys.readouterr().err
-    with pytest.raises(BadInput, match="different lengths"):
-        atlas.label_points("satellite", {"C": [0.8, 1.2], "name": ["a", "b", "c"]})
 
 
 def test_a_scene_leaves_out_columns_that_name_points(tmp_path):
@@ -183,23 +125,6 @@ def test_a_long_header_is_read_at_once(tmp_path):
     names = ",".join(map(str, range(150_000)))
     with pytest.raises(BadInput, match="no points"):
         tables.read(write(tmp_path / "a.csv", names + "\n"), NAMES)
-
-
-def test_sources_that_are_no_table_of_points_are_refused(tmp_path):
-    plane = xr.Dataset({"C": (("x", "y"), np.ones((2, 2)))})
-    plane.to_netcdf(tmp_path / "plane.nc")
-    cases = [
-        (tmp_path / "none.csv", "no such file"),
-        (tmp_path / "plane.nc", "x, y"),
-        ([{"C": 1.0}, {"m": 1.0}], "number 1 and number 0 differ in C, m"),
-        ([], "there are none"),
-        (3.0, "float cannot be read"),
-    ]
-    (tmp_path / "folder.csv").mkdir()
-    cases.append((tmp_path / "folder.csv", "folder"))
-    for source, named in cases:
-        with pytest.raises(BadInput, match=named):
-            tables.table(source, NAMES)
 
 
 @pytest.mark.parametrize("kind", SAMPLES)
@@ -251,68 +176,6 @@ def test_a_scene_takes_its_points_from_a_file_beside_it(tmp_path, monkeypatch):
     )
 
 
-BAD = [
-    (SAMPLED, 'sample = "sobol"', 'sample = "random"', "points.sample"),
-    (SAMPLED, 'sample = "sobol"', "", "one of sample, file and values, found none"),
-    (SAMPLED, 'sample = "sobol"', 'sample = "sobol"\nfile = "a.csv"', "found sample and file"),
-    (SAMPLED, "count = 48", "count = 0", "points.count = 0"),
-    (SAMPLED, "count = 48", "count = 4.0", "points.count"),
-    (SAMPLED, "count = 48", "", "points.count is missing"),
-    (SAMPLED, "seed = 3", "seed = -1", "points.seed"),
-    (SAMPLED, "seed = 3", "grain = 3", "points.grain"),
-    (SAMPLED, "from = 0.3", "", "points.ranges.sigma.from is missing"),
-    (SAMPLED, "from = 0.3", "from = 1.7", "from = to"),
-    (SAMPLED, "from = 0.3", "from = nan", "points.ranges.sigma.from"),
-    (SAMPLED, "from = 0.3", "from = 0.3\ncount = 3", "points.ranges.sigma.count"),
-    (SAMPLED, "from = 0.02", "from = -0.02", "spacing = 'log'"),
-    (SAMPLED, 'spacing = "log"', 'spacing = "cubic"', "cubic"),
-    (SAMPLED, "ranges.sigma", "ranges.sine", "ties.C = 'sigma * A': 'sigma' is neither"),
-    (SAMPLED, 'C = "sigma * A"', 'C = "A"', "points.sigma"),
-    (SAMPLED, 'C = "sigma * A"', 'C = "sigma * A"\ntheta0 = "0.3"', "theta0 is given in ties and in points"),
-    (SAMPLED, "from = 0.3\nto = 1.7", "from = 2.3\nto = 2.7", "no rigid body"),
-    (SAMPLED, "[ties]", "[axes.k1]\nvalues = [0.0]\n[ties]", "points and axes are both given"),
-    (SAMPLED, "[ties]", "[refine]\nlevels = 2\n[ties]", "points and refine are both given"),
-    (SAMPLED, SAMPLE, "[points]\nvalues = 3\n", "points.values"),
-    (SAMPLED, SAMPLE, "[points.values]\n", "points: there are none"),
-    (SAMPLED, SAMPLE, "[points.values]\nsigma = []\n", "points.values.sigma"),
-    (SAMPLED, SAMPLE, "[points.values]\nsigma = [1.0, true]\n", "points.values.sigma = True"),
-    (SAMPLED, SAMPLE, "[points.values]\nsigma = [1.0]\ntheta0 = [1.0, 2.0]\n", "different lengths (sigma: 1"),
-    (SAMPLED, SAMPLE, "[points.values]\nsigma = [1.0]\nA = [1.0]\n", "A is given in fixed and in points"),
-    (GIVEN, 'file = "mine.csv"', 'file = "none.csv"', "no such file"),
-    (GIVEN, 'file = "mine.csv"', "file = 3", "points.file"),
-    (GIVEN, 'file = "mine.csv"', 'file = "mine.csv"\nseed = 2', "points.seed: only together with sample"),
-    (GIVEN, 'C = "sigma * A"', 'C = "sigma * A"\nk1 = "q"', "'q' is neither"),
-    (GIVEN, "A = 1.0", "A = 1.0\n[missing]", "missing"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "old", "new", "named"), BAD, ids=[b[3] for b in BAD])
-def test_error_of_bad_points_in_a_scene_is_one_line_that_names_the_key(tmp_path, text, old, new, named):
-    assert old in text
-    write(tmp_path / "mine.csv", "sigma,theta0\n0.5,0.3\n")
-    path = write(tmp_path / "scene.toml", text.replace(old, new, 1))
-    with pytest.raises(BadInput) as error:
-        grid.check(load_scene(path))
-    assert named in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [
-        ("sigma,theta0\n0.5,\n", "mine.csv, line 2: theta0 is empty or nan"),
-        ("sigma,theta0\n0.5,0.1\n\n0.5,inf\n", "mine.csv, line 4: theta0 = inf"),
-        ("sigma,theta0,colour\n0.5,0.1,3\n", "points.colour: not a parameter"),
-        ("theta0\n0.5\n", "'sigma' is neither"),
-        ("sigma,theta0,sin\n0.5,0.1,3\n", "'sin' cannot be used as a name"),
-    ],
-)
-def test_bad_columns_of_a_file_are_named(tmp_path, content, named):
-    write(tmp_path / "mine.csv", content)
-    with pytest.raises(BadInput, match=named):
-        load_scene(write(tmp_path / "scene.toml", GIVEN))
-
-
 def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "mine.csv", "C,theta0,m\n0.8,0.1,0.5\n1.2,0.0,0.5\n")
@@ -338,39 +201,6 @@ def test_atlas_points_labels_a_file(tmp_path, monkeypatch, capsys):
     assert main(["points", "satellite", "mine.csv", "-o", "out.csv", *options]) == 2
     assert "--force" in capsys.readouterr().err
     assert main(["points", "satellite", "mine.csv", "-o", "out.csv", "--force", *options]) == 0
-
-
-@pytest.mark.parametrize(
-    ("content", "arguments", "named"),
-    [
-        ("C,sigma\n1,2\n", [], "sigma: not a parameter"),
-        ("C\nnan\n", [], "mine.csv, line 2: C is empty or nan; must be a finite number"),
-        ("C,m\n1,1\n\n1,\n", [], "mine.csv, line 4: m is empty or nan; must be a finite number"),
-        ("C,m\n1,1\n1,-inf\n", [], "mine.csv, line 3: m = -inf: must be a finite number"),
-        ("C\n1\n-1\n", [], "mine.csv, line 3: C = -1: allowed: C > 0"),
-        ("C\n1\n", ["--threads", "0"], "--threads"),
-        ("C\n1\n", ["--duration", "-3"], "duration"),
-        ("C\n1\n", ["--tolerance", "0"], "tolerance"),
-        ("C\n1\n", ["--method", "euler"], "euler"),
-        ("C\n1\n", ["--step", "0.1", "--tolerance", "1e-3"], "not allowed with"),
-        ("C\n1\n", ["-o", "no/out.nc"], "no folder"),
-        ("C\n1\n", ["-o", "out.txt"], ".csv or .nc"),
-    ],
-)
-def test_atlas_points_answers_bad_input_with_one_line_and_exit_2(
-    tmp_path, monkeypatch, capsys, content, arguments, named
-):
-    monkeypatch.chdir(tmp_path)
-    write(tmp_path / "mine.csv", content)
-    try:
-        code = main(["points", "satellite", "mine.csv", "-o", "out.nc", *arguments])
-    except SystemExit as stop:
-        code = stop.code
-    message = capsys.readouterr().err
-    assert code == 2
-    assert named in message
-    assert len(message.strip().splitlines()) == 1
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.csv"]
 
 
 def test_label_points_takes_any_table(tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
+from refusals import assert_refused_in_shell
 from scipy.interpolate import make_interp_spline
 
 from atlas.cli import main
@@ -168,17 +169,30 @@ def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys)
     assert "phase plane of the analytical solution p2 for l = 50 sqrt(3) N m s, A = B < C" in (
         capsys.readouterr().out
     )
-    assert main(["figures", "--only", "4", "--format", "svg"]) == 2
-    assert "--force" in capsys.readouterr().err
-    assert main(["figures", "--only", "21"]) == 2
-    assert "figures 1 to 20" in capsys.readouterr().err
-    (tmp_path / "taken").write_text("")
-    assert main(["figures", "--only", "1", "-o", "taken"]) == 2
-    assert "not a folder" in capsys.readouterr().err
     assert main(["figures", "--table"]) == 0
     printed = capsys.readouterr().out
     assert "does not hold: A > C: the amplitude of p2 decreases" in printed
     assert "5307.59" in printed
+
+
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        ("figures --only 4 --format svg", "figures: these files exist; --force replaces them: figure_04.svg"),
+        ("figures -o . --only 1 --format png", ".: these files exist; --force replaces them: figure_01.png"),
+        ("figures --only 21", "figure 21: the paper has figures 1 to 20"),
+        ("figures --only 1 2 x", "unrecognized arguments: x (see atlas --help)"),
+        ("figures --format png --format gif", "atlas figures: argument --format: 'gif': allowed: png, pdf, svg (see ...)"),
+        ("figures -o figure.png", "figure.png: ...must be a folder..."),
+        ("figures -o taken", "taken: not a folder"),
+    ],
+)  # fmt: skip
+def test_a_mistake_in_the_command(command, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "figures").mkdir()
+    for name in ("figures/figure_04.svg", "figure_01.png", "taken"):
+        (tmp_path / name).write_text("kept")
+    assert_refused_in_shell(command, sentence, capsys)
 
 
 def test_the_paper_has_no_other_figures():

@@ -1,0 +1,52 @@
+"""What holds of every answer to wrong input, in Python and in the shell; rows of inputs and sentences are read by these two.
+
+`test_refusals` has the rows of the core; those of an extension stand in its own tests.
+"""
+
+import re
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from atlas import BadInput
+from atlas.cli import main
+
+
+def matches(message: str, sentence: str) -> bool:
+    """Whether a message is the sentence, in which "..." stands for any text."""
+    return re.fullmatch(".*".join(map(re.escape, sentence.split("..."))), message) is not None
+
+
+def files() -> dict[Path, bytes]:
+    """The current folder: each file with its bytes, each folder with none."""
+    return {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")}
+
+
+def assert_refused(call: Callable[[], object], sentence: str) -> None:
+    """A call raises BadInput with this sentence, in one line, and leaves every file as it was."""
+    before = files()
+    with pytest.raises(BadInput) as error:
+        call()
+    message = str(error.value)
+    assert matches(message, sentence), message
+    assert message.isprintable()
+    assert files() == before
+
+
+def assert_refused_in_shell(command: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A command answers with this sentence, in one line, and exit code 2, and leaves every file as it was."""
+    before = files()
+    capsys.readouterr()
+    try:
+        code = main(shlex.split(command))
+    except SystemExit as stop:  # raised by the parser of the options
+        code = stop.code
+    printed = capsys.readouterr()
+    assert code == 2
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
+    assert matches(line, sentence if sentence.startswith("atlas ") else f"atlas: {sentence}"), line
+    assert line.isprintable()
+    assert files() == before

@@ -151,6 +151,15 @@ def longer(tmp_path, longer_atlas, monkeypatch):
 
 
 @pytest.fixture
+def own_systems():
+    """Forget the systems that a test registers."""
+    from plugins import registry
+
+    with registry():
+        yield
+
+
+@pytest.fixture
 def installed_extensions():
     """Function that replaces the extensions of all packages, and those that cannot be loaded, until the end of the test.
 
@@ -167,9 +176,10 @@ def installed_extensions():
         metadata._registered,
     )  # fmt: skip
 
-    def replace(found: Mapping[str, object] | None = None, broken: Mapping[str, str] | None = None) -> None:
+    def replace(found: Mapping[str, object] | None = None, broken: dict[str, str] | None = None) -> None:
         if found is not None:
-            patched.setattr(extension, "_found", lambda: (dict(found), dict(broken or {})))
+            noted = {} if broken is None else broken
+            patched.setattr(extension, "_found", lambda: (dict(found), noted))
         for each in caches:
             each.cache_clear()
 

@@ -1,5 +1,12 @@
 """A system of another package and a scene of it; packages as Python finds them: a module and its metadata in a folder."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from atlas import systems
+
 PENDULUM = '''
 """A pendulum with a cubic spring: a system that no line of the package is about."""
 
@@ -78,6 +85,14 @@ method = "rk8"
 [labels.std_tolerance]
 x = 0.5
 """
+
+
+@contextmanager
+def registry() -> Iterator[None]:
+    """Systems that are registered in this context are forgotten at its end."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+        yield
 
 
 def install(folder, module, text, names, package="some-systems", version="1.2"):

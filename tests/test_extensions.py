@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas import BadInput, cli, extension, sources
+from atlas import BadInput, cli, sources
 from atlas.extension import PARTS, Extension, extensions
 from atlas.label.plan import Plan
 from atlas.runs import plan
@@ -191,8 +191,7 @@ def test_a_part_that_cannot_be_imported_is_as_if_missing(
         functions={"new": "theory:new"},
     )
     kept = {"half": broken, **extensions()}
-    installed_extensions(kept, found := {})
-    monkeypatch.setattr(extension, "_found", lambda: (kept, found))
+    installed_extensions(kept)
     assert atlas.load_scene(scene_text({})).extensions == []
     why = r"the extension half cannot be loaded \(ModuleNotFoundError: No module named 'no_such_library'\)$"
     with pytest.raises(BadInput, match=rf"^outputs\.variables: 'new' is unknown; .*; {why}"):

@@ -358,7 +358,7 @@ CALLS = [
     (lambda ds, points: atlas.trajectory("satellite", {"C": 3.0}), "A + B = 2 is less than C = 3: no rigid body has these moments of inertia"),
     *(
         (lambda ds, points, what=what: atlas.run(what), f"scene: found {what!r}; {NO_SCENE}")
-        for what in ({"schema": 1}, 3, None, ["a.toml"])
+        for what in (3, None, ["a.toml"])
     ),
     *(
         (lambda ds, points, given=given: atlas.label_points("satellite", given), sentence)

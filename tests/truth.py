@@ -304,6 +304,13 @@ def state(tiles):
     )
 
 
+def with_key(manifest):
+    """A changed manifest of a run with the key that belongs to it."""
+    from atlas.runs import run
+
+    return manifest | {"key": run._key(manifest)}
+
+
 def check_whole_periods(motion):
     """An exact motion has its period, and the statistics of a run of many periods and a part are sums over its parts."""
     from atlas.validation import exact

@@ -7,10 +7,10 @@ import pytest
 import xarray as xr
 
 import atlas
-from atlas import load_scene, systems
-from atlas.analysis import differences
+from atlas import load_scene
 from atlas.cli import main
 from atlas.flags import Label
+from atlas.systems import Observable, Parameter, System
 
 NAMES = list(Label.meanings())
 
@@ -52,12 +52,12 @@ def test_numbers_differ_beside_the_larger_error_estimate(pair):
     first, second = pair
     table = rows(first.atlas.compare(second))
     error = np.fmax(first.error_estimate, second.error_estimate).values
-    constants = {name: np.ravel(p.default) for name, p in systems.SYSTEMS["satellite"].parameters.items()}
+    constants = {name: np.ravel(p.default) for name, p in atlas.systems.get("satellite").parameters.items()}
     points = {
         n: first[n].broadcast_like(first.label).values.ravel() if n in first else v
         for n, v in constants.items()
     }
-    bound = systems.SYSTEMS["satellite"].frequency_bound(points).reshape(error.shape)
+    bound = atlas.systems.get("satellite").frequency_bound(points).reshape(error.shape)
     for name, unit in {"theta_max": 1.0, "psi_dot_std": bound}.items():
         difference = np.abs(first[name] - second[name]).values
         ratio = difference / (error * unit)
@@ -79,14 +79,39 @@ def test_an_atlas_equals_itself_and_missing_values_are_infinite_differences(pair
     assert rows(first.atlas.compare(holes))["theta_max"][:2] == ["inf", "inf"]
 
 
-def test_an_error_estimate_of_an_observable_counts_over_its_magnitude(monkeypatch):
-    system = type("System", (), {"observables": ("x",), "name": "pendulum"})()
-    monkeypatch.setattr(differences, "system_of", lambda ds: system)
-    monkeypatch.setattr(differences, "main_instrument", lambda system: type("Main", (), {"statistics": lambda self, system: ("x_mean",)})())  # fmt: skip
-    first = xr.Dataset({"x_mean": ("point", [0.0, 1.0]), "x_min": ("point", [-4.0, 0.0]), "x_max": ("point", [1.0, 2.0]), "error_estimate": ("point", [1e-3, 1e-2])})  # fmt: skip
-    second = first.assign(error_estimate=2e-3)
-    np.testing.assert_allclose(differences._estimate(first, second, "x_mean"), [4 * 2e-3, 2 * 1e-2])
-    assert differences._estimate(first.drop_vars("x_min"), second, "x_mean") is None
+class Oscillator(System):
+    """x'' = -x."""
+
+    class equations:
+        STATE, CONSTANTS, INTEGRALS = ("x", "v"), (), ()
+
+        def rhs(state, constants):
+            x, v = state
+            return v, -x
+
+    name = title = "oscillator"
+    parameters = {"x0": Parameter("x0", "1", "start", 1.0, start=True)}  # noqa: RUF012
+    observables = (Observable("x", "1", "x"),)
+
+    def initial_state(self, points):
+        return np.array([points["x0"], 0.0 * points["x0"]])
+
+
+def test_an_error_estimate_of_an_observable_counts_over_its_magnitude(own_systems):
+    atlas.register(Oscillator)
+    numbers = {
+        "x_mean": [0.0, 1.0],
+        "x_min": [-4.0, 0.0],
+        "x_max": [1.0, 2.0],
+        "error_estimate": [1e-3, 1e-2],
+    }
+    first = xr.Dataset(
+        {name: ("point", values) for name, values in numbers.items()}, attrs={"atlas_system": "oscillator"}
+    )
+    for change, over in (([0.5, 0.0], 0.5 / (4 * 2e-3)), ([0.0, 0.5], 0.5 / (2 * 1e-2))):
+        second = first.assign(error_estimate=0 * first.error_estimate + 2e-3, x_mean=first.x_mean + change)
+        assert rows(first.atlas.compare(second))["x_mean"][:2] == ["0.5", f"{over:.3g}"]
+        assert rows(first.drop_vars("x_min").atlas.compare(second))["x_mean"][:2] == ["0.5", "-"]
 
 
 def test_differences_are_an_atlas_to_be_mapped(pair):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas import extension, sources
+from atlas import sources
 from atlas.analysis import tracer
 from atlas.analysis.plane import Plane
-from atlas.extension import Extension
+from atlas.extension import Extension, extensions
 from atlas.plotting import cells
 
 SCENE = """
@@ -39,7 +39,7 @@ def diagonal(plane, ds):
 
 
 @pytest.fixture
-def own(tmp_path, monkeypatch):
+def own(tmp_path, monkeypatch, installed_extensions):
     """Record of an extension that is installed for one test; its modules are in tmp_path / "own_lines"."""
     package = tmp_path / "own_lines"
     package.mkdir()
@@ -53,16 +53,12 @@ def own(tmp_path, monkeypatch):
         lines={"theta_max": "lines:diagonal"},
         line_styles={"equal rates": "lines:STYLE"},
     )
-    extensions, broken = extension._found()
-    monkeypatch.setattr(extension, "_found", lambda: (extensions | {"own_lines": record}, broken))
-    extension.parts.cache_clear()
+    installed_extensions(extensions() | {"own_lines": record})
     yield package
-    monkeypatch.undo()
-    extension.parts.cache_clear()
     sources.OF_FOLDERS.clear()
 
 
-def test_kept_lines_depend_on_the_code_of_extensions(own, tmp_path, monkeypatch):
+def test_kept_lines_depend_on_the_code_of_extensions(own, without_extension, tmp_path, monkeypatch):
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(tracer, "WORTH_KEEPING", -1.0)
     plane = Plane(atlas.load_scene(SCENE), {"n": (0.1, 2.0), "m": (0.1, 2.0)}, {})
@@ -84,9 +80,7 @@ def test_kept_lines_depend_on_the_code_of_extensions(own, tmp_path, monkeypatch)
     sources.OF_FOLDERS.clear()
     assert is_traced()
     assert not is_traced()
-    extensions, broken = extension._found()
-    others = {name: each for name, each in extensions.items() if name != "own_lines"}
-    monkeypatch.setattr(extension, "_found", lambda: (others, broken))
+    without_extension("own_lines")
     assert is_traced()
 
 

@@ -13,7 +13,6 @@ from scipy.integrate import quad_vec, solve_ivp
 from strategies import default_points, random_satellites, select
 
 import atlas
-from atlas import systems
 from atlas.errors import BadInput
 from atlas.flags import Status
 from atlas.kernel import assemble, augmented, blocks, tangent
@@ -234,12 +233,11 @@ def register(text, folder, monkeypatch):
     """Register the pendulum of this text; the folder has the name of the test."""
     (folder / f"{folder.name}.py").write_text(text)
     monkeypatch.syspath_prepend(folder)
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     atlas.register(importlib.import_module(folder.name).Pendulum)
 
 
 @pytest.mark.parametrize(("factor", "least", "most"), [("", 0.0, 1e-9), ("1.000001 * ", 1e-7, 1e-5)])
-def test_friction_of_a_pendulum(tmp_path, monkeypatch, factor, least, most):
+def test_friction_of_a_pendulum(tmp_path, monkeypatch, own_systems, factor, least, most):
     text = FRICTION.replace("return friction", f"return {factor}friction")
     register(text, tmp_path, monkeypatch)
     points = {"friction": [0.05, 0.2, 1.0], "x0": 2.0, "cubic": 0.1}
@@ -265,7 +263,7 @@ def test_friction_of_a_pendulum(tmp_path, monkeypatch, factor, least, most):
         (('"power"', '"integrate"'), "the function integrate(state, constants) is missing"),
     ],
 )  # fmt: skip
-def test_mistakes_of_authors(tmp_path, monkeypatch, change, message):
+def test_mistakes_of_authors(tmp_path, monkeypatch, own_systems, change, message):
     with pytest.raises(BadInput) as error:
         register(FRICTION.replace(*change), tmp_path, monkeypatch)
     assert message in str(error.value)

@@ -21,7 +21,7 @@ from strategies import (
 from truth import assert_shards_and_threads_agree, cases, columns_of
 
 import atlas
-from atlas import cli, systems
+from atlas import cli
 from atlas.flags import Label, Status
 from atlas.kernel import specialization
 from atlas.label import pipeline, theory
@@ -365,10 +365,9 @@ def test_the_error_of_an_unstable_exact_start_is_bounded():
     assert ds.error_estimate < 1.001
 
 
-def test_a_system_in_euler_angles(monkeypatch):
+def test_a_system_in_euler_angles(monkeypatch, own_systems):
     """A free symmetric top whose angular velocity is no linear function of its state."""
     path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"
-    monkeypatch.setattr(systems, "SYSTEMS", dict(SYSTEMS))
     kernels = Mock(wraps=specialization.kernel)
     monkeypatch.setattr(specialization, "kernel", kernels)
     atlas.register(runpy.run_path(str(path))["HeavyTopEuler"])

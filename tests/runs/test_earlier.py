@@ -75,12 +75,13 @@ def test_a_zero_with_another_sign_is_another_point(old, scene_text):
         atlas.run(scene, reuse=old, progress=False)
 
 
-def test_variables_of_theory_are_added_without_integrating(old, scene_text, monkeypatch, tmp_path):
+def test_variables_of_theory_are_added_without_integrating(old, scene_text, evaluated):
     names = ["label", "theta_dot_rms", "frequency_1", "stability_kind", "status"]
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "outputs": {"variables": names}}))
     fresh = atlas.run(scene, progress=False)
-    monkeypatch.setattr(memory, "evaluate", None)
+    evaluated.clear()
     assert_same_bytes(fresh, atlas.run(scene, reuse=str(old), progress=False))
+    assert sum(evaluated) == 0
 
 
 def test_atlases_are_joined_and_extended_again_with_the_provenance_of_all(
@@ -240,16 +241,16 @@ def test_no_tile_begins_after_the_time(scene_text, tmp_path):
         atlas.run(load_scene(scene_text({})), f"{tmp_path}/night/", stop_after=1e-9, progress=False)
 
 
-def test_a_disk_that_is_too_small_is_refused_before_the_run(scene_text, tmp_path, monkeypatch):
+def test_a_disk_that_is_too_small_is_refused_before_the_run(scene_text, tmp_path, monkeypatch, evaluated):
     scene = load_scene(scene_text({}))
     usage = type("Usage", (), {"free": 2_000})
     with monkeypatch.context() as patched:
         patched.setattr(estimate.shutil, "disk_usage", lambda folder: usage)
-        patched.setattr(memory, "evaluate", None)
         with pytest.raises(
             BadInput, match=r"the run needs about \S+ GB more, and 2e-06 GB are free on this disk"
         ):
             atlas.run(scene, tmp_path / "night.nc", progress=False)
+    assert evaluated == []
     with monkeypatch.context() as patched:
         patched.setattr(
             estimate, "_measure", None

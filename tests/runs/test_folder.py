@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from truth import assert_same_bytes, state, tile_path
+from truth import assert_same_bytes, state, tile_path, with_key
 
 import atlas
 from atlas import BadInput, cli, files, load_scene
@@ -279,9 +279,8 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
         atlas.run(load_scene(scene_text({"fixed.m": 0.6})), out, progress=False)
     manifest = files.parsed((tmp_path / "run" / "manifest.json").read_text(), is_sealed=True)
     manifest["identity"]["cpu"] = "abacus"
-    manifest["key"] = folder._key(manifest)
     (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "manifest.json").write_text(files.sealed(manifest))
+    (tmp_path / "other" / "manifest.json").write_text(files.sealed(with_key(manifest)))
     with pytest.raises(BadInput, match=r"cpu \(abacus in the folder"):
         atlas.run(scene, f"{tmp_path}/other/", progress=False)
     assert {p: p.read_bytes() for p in before} == before
@@ -325,8 +324,7 @@ def test_a_manifest_with_values_of_other_kinds_is_refused_in_one_line(
 ):
     file = tmp_path / "run" / "manifest.json"
     manifest = empty_run_folder(scene, file.parent).manifest | {entry: value}
-    manifest["key"] = folder._key(manifest) if entry != "key" else value
-    file.write_text(files.sealed(manifest))
+    file.write_text(files.sealed(manifest if entry == "key" else with_key(manifest)))
     with pytest.raises(BadInput, match=r"manifest\.json: damaged: ") as error:
         RunFolder.open(file.parent)
     assert str(error.value).isprintable()
@@ -340,7 +338,7 @@ def test_what_a_run_folder_claims_is_limited(scene_text, tmp_path):
     file = run.path / "manifest.json"
     for tile in ([1, 1], [10**3, 10**4]):
         manifest = run.manifest | {"tile": tile}
-        file.write_text(files.sealed(manifest | {"key": folder._key(manifest)}))
+        file.write_text(files.sealed(with_key(manifest)))
         tracemalloc.start()
         with pytest.raises(BadInput, match="at most 1000000 points in each and 8000000 tiles"):
             RunFolder.open(run.path)
@@ -365,8 +363,7 @@ def test_a_manifest_of_another_version_is_not_called_damaged(scene, tmp_path):
     file.write_text(files.sealed(manifest | {"scene": "schema = 99"} | {"key": ""}))
     with pytest.raises(BadInput, match="damaged: its key"):
         RunFolder.open(file.parent)
-    unreadable = manifest | {"scene": "schema = 99"}
-    file.write_text(files.sealed(unreadable | {"key": folder._key(unreadable)}))
+    file.write_text(files.sealed(with_key(manifest | {"scene": "schema = 99"})))
     with pytest.raises(BadInput, match=f"its scene, of atlas {atlas.__version__}, cannot be read"):
         RunFolder.open(file.parent)
 
@@ -479,9 +476,9 @@ def test_a_process_whose_folder_is_removed_says_so(
 
 def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text, tmp_path, monkeypatch):
     run = empty_run_folder(scene, tmp_path / "run")
-    assert folder._key(run.manifest) == run.key == run.manifest["key"]
+    assert with_key(run.manifest)["key"] == run.key == run.manifest["key"]
     other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "abacus"}}
-    keys = {run.key, folder._key(other)}
+    keys = {run.key, with_key(other)["key"]}
     keys.add(empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "other").key)
     monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     keys.add(empty_run_folder(scene, tmp_path / "small").key)

@@ -96,19 +96,12 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
 
 
 @pytest.mark.usefixtures("small_tiles")
-def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tmp_path, evaluated, capsys):
-    calls, counted = [0], memory.evaluate
+def test_a_refined_run_that_ends_at_any_tile_is_continued_there(
+    scene, whole, tmp_path, evaluated, interrupt, capsys
+):
     more = True
     while more:
-        calls[0] = 0
-
-        def ended_at_the_third(*arguments, **options):
-            calls[0] += 1
-            if calls[0] == 3:
-                raise KeyboardInterrupt
-            return counted(*arguments, **options)
-
-        memory.evaluate = ended_at_the_third
+        interrupt(3)
         try:
             ds = run(scene, f"{tmp_path}/night/")
             more = False
@@ -120,8 +113,6 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(scene, whole, tm
                 "of the levels that have begun, and more levels may follow, no process"
                 in capsys.readouterr().out
             )
-        finally:
-            memory.evaluate = counted
     assert_whole(ds, whole)
     assert sum(evaluated) == int(whole.computed.sum())  # no tile twice
 

@@ -17,7 +17,6 @@ import atlas
 from atlas import BadInput, cli, files, load_scene
 from atlas.flags import Label, Stability, Status
 from atlas.runs import folder as folders
-from atlas.runs import memory
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
 from atlas.variables import variables
@@ -172,23 +171,21 @@ def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["no/such/folder/a.nc", "a.txt", "folder.nc"])
-def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, monkeypatch):
+def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene, tmp_path, name, evaluated):
     (tmp_path / "folder.nc").mkdir()
-    monkeypatch.setattr(memory, "evaluate", None)
     with pytest.raises(BadInput):
         atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
+    assert evaluated == []
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
 
 
-def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(small_scene, tmp_path, monkeypatch):
-    def interrupt(*args, **kwargs):
-        raise KeyboardInterrupt
-
+def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(
+    small_scene, tmp_path, monkeypatch, interrupt
+):
     scene = load_scene(small_scene)
-    with monkeypatch.context() as patched:
-        patched.setattr(memory, "evaluate", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            atlas.run(scene, tmp_path / "a.nc", progress=False)
+    interrupt(1)
+    with pytest.raises(KeyboardInterrupt):
+        atlas.run(scene, tmp_path / "a.nc", progress=False)
 
     def full(*args, **kwargs):
         raise OSError(28, "No space left on device")
@@ -284,7 +281,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
             assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
-def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp_path, monkeypatch):
+def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp_path, evaluated):
     scene = load_scene(small_scene)
     longest = os.pathconf(tmp_path, "PC_NAME_MAX")
     for name in ("a" * 215 + ".nc", "b" * (longest - 7) + ".nc", "c" * longest + "/"):
@@ -293,7 +290,7 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
     while len(str(deep)) + 240 < os.pathconf(tmp_path, "PC_PATH_MAX"):
         deep = deep / ("d" * 200)
     os.makedirs(deep)
-    monkeypatch.setattr(memory, "evaluate", None)
+    evaluated.clear()
     before = sorted(tmp_path.rglob("*"))
     for out in (
         f"{tmp_path}/{'a' * (longest - 6)}.nc",
@@ -304,6 +301,7 @@ def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp
         with pytest.raises(BadInput, match="too long") as error:
             atlas.run(scene, out, progress=False)
         assert len(str(error.value)) < 400
+    assert evaluated == []
     assert sorted(tmp_path.rglob("*")) == before
 
 

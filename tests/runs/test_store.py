@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truth import assert_same_bytes, state, tile_path
+from truth import assert_same_bytes, state, tile_path, with_key
 
 import atlas
 from atlas import BadInput, load_scene
@@ -17,7 +17,6 @@ from atlas.files import process_name
 from atlas.kernel import machine_code
 from atlas.runs import claims
 from atlas.runs import folder as folders
-from atlas.runs import run as folder
 from atlas.runs.memory import evaluate_at
 from atlas.runs.plan import ScenePlan
 from atlas.runs.run import RunFolder
@@ -170,7 +169,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.tiles.indices(3))
     other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "another"}}
-    foreign = replace(run.tiles, key=folder._key(other))
+    foreign = replace(run.tiles, key=with_key(other)["key"])
     foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")
     assert state(run.tiles).damaged == {3: "it is a tile of another run or place"}
     before = run.place.walk()

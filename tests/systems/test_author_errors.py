@@ -53,9 +53,7 @@ class Oscillator(System):
         return np.array([points["x0"], np.zeros_like(points["x0"])])
 
 
-@pytest.fixture(autouse=True)
-def registry(monkeypatch):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+pytestmark = pytest.mark.usefixtures("own_systems")
 
 
 def error_of(**members):

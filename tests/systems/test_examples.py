@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plugins import registry
 from scipy.integrate import solve_ivp
 
 import atlas
@@ -43,8 +44,7 @@ def path(tmp_path_factory):
     """The examples are installed; the value is the search path of other processes."""
     site = tmp_path_factory.mktemp("site")
     folders = [site, *(EXAMPLES / name for name in NAMES)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    with registry(), pytest.MonkeyPatch.context() as patch:
         for name in NAMES:
             install(name, site)
         for folder in folders:

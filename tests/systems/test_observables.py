@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from numpy import cos
 from plain_kernel import plain_module
-from plugins import PENDULUM, PENDULUM_SCENE
+from plugins import PENDULUM, PENDULUM_SCENE, registry
 from scipy.integrate import simpson, solve_ivp
 from strategies import evaluate
 
@@ -50,8 +50,7 @@ class Driven(systems.System):
 
 
 @pytest.fixture
-def driven(monkeypatch):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+def driven(own_systems):
     return atlas.register(Driven)
 
 
@@ -82,9 +81,8 @@ def pendulum(tmp_path_factory):
     """The system, registered from a module file that is imported as the plug-in of a package would be."""
     folder = tmp_path_factory.mktemp("module")
     (folder / "observed_pendulum.py").write_text(PENDULUM)
-    with pytest.MonkeyPatch.context() as patch:
+    with registry(), pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
-        patch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
         import observed_pendulum
 
         yield atlas.register(observed_pendulum.Pendulum)
@@ -299,11 +297,8 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
 
 
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
-    from atlas.store import tiling as tiles
-
     whole = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False, threads=1)
-    monkeypatch.setattr(tiles, "TILE_POINT_STEPS", 20 * 200)
-    monkeypatch.setattr(tiles, "MIN_POINTS_PER_TILE", 20)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "20")
     folder = atlas.run(atlas.load_scene(PENDULUM_SCENE), f"{tmp_path}/night/", progress=False)
     xr.testing.assert_equal(folder.load().drop_attrs(), whole.drop_attrs())
     refined = atlas.run(atlas.load_scene(PENDULUM_SCENE + "[refine]\nlevels = 1\n"), progress=False)
@@ -500,9 +495,8 @@ class Duffing(systems.System):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_steps_through_a_wall_give_no_label(method, monkeypatch):
+def test_steps_through_a_wall_give_no_label(method, own_systems):
     """Against the ball that bounces, x = |R cos(t - phase)|: two runs that miss the wall alike are rare."""
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     atlas.register(Wall)
     rng, duration = np.random.default_rng(3), 14.0
     points = {"x0": rng.uniform(0.6, 1.6, 48), "v0": rng.uniform(-2.0, 2.0, 48)}
@@ -532,9 +526,8 @@ class ConservativeWall(Wall):
     name = title = "conservative_wall"
 
 
-def test_a_first_integral_shows_every_wall_that_steps_miss(monkeypatch):
+def test_a_first_integral_shows_every_wall_that_steps_miss(own_systems):
     """Without the energy one of them is ok though every run misses its wall."""
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     atlas.register(ConservativeWall)
     rng, duration = np.random.default_rng(8), 14.0
     points = {"x0": rng.uniform(0.6, 1.6, 48), "v0": rng.uniform(-2.0, 2.0, 48)}
@@ -546,9 +539,8 @@ def test_a_first_integral_shows_every_wall_that_steps_miss(monkeypatch):
     assert drifting_energy.sum() > 10
 
 
-def test_chaos_keeps_its_label(monkeypatch):
+def test_chaos_keeps_its_label(own_systems):
     """Errors as large as the motion, which grew as the difference of two starts does."""
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     atlas.register(Duffing)
     points = {"x0": np.linspace(-1.5, 1.5, 40), "force": 0.3}
     ds = atlas.label_points("duffing", points, duration=400.0, tolerance=1e-6, method="rk8")

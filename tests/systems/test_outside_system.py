@@ -6,6 +6,7 @@ import heavy_top_equations as equations
 import numpy as np
 import pytest
 import xarray as xr
+from plugins import registry
 from scipy.integrate import solve_ivp
 
 import atlas
@@ -117,16 +118,14 @@ tolerance = 1e-6
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+def registered(own_systems):
     for system in (HeavyTop(), HeavyTopWithTheory(), BareTop()):
         systems.register(system)
 
 
 @pytest.fixture(scope="module")
 def ds():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    with registry():
         systems.register(HeavyTop())
         return atlas.run(atlas.load_scene(SCENE), progress=False)
 

@@ -16,12 +16,11 @@ from atlas.runs.plan import identity
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, own_systems):
     """A folder of installed packages."""
     packages = tmp_path / "packages"
     packages.mkdir()
     monkeypatch.syspath_prepend(packages)
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     before = set(sys.modules)
     yield packages
     for name in set(sys.modules) - before:

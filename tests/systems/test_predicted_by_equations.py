@@ -125,8 +125,7 @@ REASONS = {"dragged_top": "tanh", "driven_top": "state t ", "running_down_top": 
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+def registered(own_systems):
     for system in (Top(), DraggedTop(), DrivenTop(), RunningDownTop()):
         systems.register(system)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy import cos, sin
+from plugins import registry
 
 import atlas
 from atlas import BadInput, systems
@@ -50,8 +51,7 @@ class Forced(systems.System):
 
 @pytest.fixture(scope="module")
 def forced():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    with registry():
         yield atlas.register(Forced)
 
 
@@ -132,8 +132,7 @@ def test_reference_by_dop853_measures_at_the_same_instants(forced):
         ),
     ],
 )  # fmt: skip
-def test_mistakes_are_one_line(observables, message, monkeypatch):
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+def test_mistakes_are_one_line(observables, message, own_systems):
     wrong = type("Wrong", (Forced,), {"name": "wrong", "observables": observables})
     with pytest.raises(BadInput, match=message) as caught:
         atlas.register(wrong)

@@ -12,7 +12,6 @@ from plain_kernel import plain_module
 from plugins import PENDULUM
 
 import atlas
-from atlas import systems
 from atlas.extensions.page import motion
 from atlas.extensions.page.page import atlas_page
 from atlas.kernel import blocks
@@ -293,11 +292,10 @@ def test_a_map_over_one_axis(browser, small_atlas, tmp_path, quick_page):
     assert not browser.errors
 
 
-def test_a_system_with_observables(browser, tmp_path, monkeypatch, quick_page):
+def test_a_system_with_observables(browser, tmp_path, monkeypatch, quick_page, own_systems):
     """A pendulum of another module: its angle and height over time, with the steps that the atlas recorded."""
     (tmp_path / "pendulum_of_a_page.py").write_text(PENDULUM)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
     atlas.register(importlib.import_module("pendulum_of_a_page").Pendulum)
     points = {"omega": np.array([0.5, 1.0, 1.5]), "x0": np.array([0.5, 1.5, 2.5]), "cubic": 0.3}
     ds = atlas.label_points("pendulum", points, duration=20.0, tolerance=1e-6, method="rk8")

@@ -206,6 +206,33 @@ def copied_package(tmp_path):
     return copy, {"PYTHONPATH": str(copy.parent)}
 
 
+@pytest.fixture(scope="module")
+def server():
+    """A server of S3 with a bucket, in a thread of this process."""
+    import logging
+    import urllib.request
+
+    moto = pytest.importorskip("moto.server")
+    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)
+    host, port = server.get_host_and_port()
+    address = f"http://{host}:{port}"
+    urllib.request.urlopen(urllib.request.Request(f"{address}/bucket", method="PUT")).close()
+    variables = {
+        "ENDPOINT": address,
+        "ACCESS_KEY_ID": "a",
+        "SECRET_ACCESS_KEY": "b",
+        "REGION": "us-east-1",
+        "ALLOW_HTTP": "true",
+    }
+    with pytest.MonkeyPatch.context() as patched:
+        for name, value in variables.items():
+            patched.setenv(f"AWS_{name}", value)
+        yield server
+    server.stop()
+
+
 @pytest.fixture
 def steps_of_theory(monkeypatch):
     """Names of the methods by which theory identifies and decides motions of a satellite, call by call."""

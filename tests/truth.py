@@ -282,6 +282,7 @@ def assert_shards_and_threads_agree(scene, folder: Path) -> None:
 def assert_same_bytes(expected: xr.Dataset, dataset: xr.Dataset) -> None:
     """Assert that variables and coordinates agree in every byte, in type, dimensions and names of attributes."""
     assert set(expected.variables) == set(dataset.variables)
+    expected, dataset = expected.compute(), dataset.compute()  # all variables at once
     for name, variable in expected.variables.items():
         actual = dataset.variables[name]
         assert (variable.dtype, variable.dims) == (actual.dtype, actual.dims), name

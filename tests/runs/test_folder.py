@@ -1,7 +1,6 @@
-"""Run folders after kills, damage and full disks, on a small scene; test_faults.py does more of it."""
+"""Run folders: tiles, manifests, other processes and kills; faults by place and moment are in test_fault_table.py, at length in test_faults.py."""
 
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -35,7 +34,7 @@ from atlas.runs.run import RunFolder
 from atlas.runs.status import status
 from atlas.scene import grid
 from atlas.store import dataset
-from atlas.store.tile import DamagedTile, Tiles
+from atlas.store.tile import Tiles
 from atlas.store.tiling import MAX_TILES, Tiling, tile_types
 
 
@@ -128,125 +127,10 @@ def test_tiles_of_two_runs_have_the_same_values(scene, tmp_path, small_tiles):
         assert values_of(file) == values_of(tmp_path / "two" / "tiles" / file.name)
 
 
-def test_finished_tiles_are_not_computed_again(scene, whole, tmp_path, small_tiles, evaluated, interrupt):
-    out = f"{tmp_path}/run/"
-    run = empty_run_folder(scene, out)
-    interrupt(6)
-    with pytest.raises(KeyboardInterrupt):
-        atlas.run(scene, out, progress=False, threads=1)
-    kept = state(run.tiles).done
-    assert 1 <= len(kept) <= 5
-    partial = atlas.open_atlas(out)
-    not_computed = int((partial.label == Label.NOT_COMPUTED).sum())
-    assert not_computed == 63 - sum(run.tiling.size_of(tile) for tile in kept)
-    evaluated.clear()
-    assert_same_bytes(whole, atlas.run(scene, out, progress=False))
-    assert len(evaluated) == 9 - len(kept)
-    assert_same_bytes(whole, partial)  # lazily opened before it was finished
-
-
-def written_anew(file: Path, **facts) -> None:
-    """Change facts in the header of a tile, whose hash then fits again."""
-    content = file.read_bytes()
-    line, _, parts = content[:-32].partition(b"\n")
-    forged = json.dumps(json.loads(line) | facts).encode() + b"\n" + parts
-    file.write_bytes(forged + hashlib.sha256(forged).digest())
-
-
-def flip_one_bit(file: Path) -> None:
-    content = bytearray(file.read_bytes())
-    content[900] ^= 1
-    file.write_bytes(content)
-
-
-DAMAGES = {
-    "truncated": lambda file: os.truncate(file, file.stat().st_size // 2),
-    "zeroed": lambda file: file.write_bytes(bytes(file.stat().st_size)),
-    "one flipped bit": flip_one_bit,
-    "empty": lambda file: file.write_bytes(b""),
-    "no tile": lambda file: file.write_text("hello"),
-    "removed": lambda file: file.unlink(),
-    "another tile": lambda file: shutil.copy(file.with_name("00000001.tile"), file),
-    "of another run": lambda file: written_anew(file, key="0" * 64),
-    "another number": lambda file: written_anew(file, tile=1),
-    "fewer points": lambda file: written_anew(file, points=1),
-    "endless points": lambda file: written_anew(file, points=10**18),
-    "no columns": lambda file: written_anew(file, columns={}),
-    "columns of another kind": lambda file: written_anew(file, columns=[1]),
-    "seconds of another kind": lambda file: written_anew(file, seconds="long"),
-    "a tally of another kind": lambda file: written_anew(
-        file, tally={"counts": {"label": {"2": "many"}}, "largest": {}}
-    ),
-    "a FIFO": lambda file: [file.unlink(), os.mkfifo(file)],
-    "endless": lambda file: [file.unlink(), file.symlink_to("/dev/zero")],
-}
-
-
 def values_of(file: Path) -> bytes:
     """The columns of a tile, without what computed it."""
     content = file.read_bytes()
     return content[content.index(b"\n") : -32]
-
-
-def test_every_damaged_tile_is_reported_and_computed_again(
-    scene, whole, tmp_path, small_tiles, caplog, capsys
-):
-    """By `status --verify`, by a join and by the next run, which computes it again."""
-    out = f"{tmp_path}/run/"
-    atlas.run(scene, out, progress=False)
-    run = RunFolder.open(out)
-    before = {p: values_of(p) for p in (tmp_path / "run" / "tiles").glob("*.tile")}
-    for name, damage in DAMAGES.items():
-        damage(tmp_path / "run" / "tiles" / "00000003.tile")
-        kept = state(run.tiles)
-        assert len(kept.done) == 8, name
-        assert (list(kept.damaged) or kept.missing) == [3], name
-        assert cli.main(["status", out, "--verify"]) == cli.DONE
-        expected = "done 8, damaged 0, missing 1" if name == "removed" else "done 8, damaged 1, missing 0"
-        assert expected in capsys.readouterr().out, name
-        (tmp_path / "joined.nc").write_text("an older atlas")
-        with pytest.raises(BadInput):
-            run.join(tmp_path / "joined.nc")
-        assert (tmp_path / "joined.nc").read_text() == "an older atlas", name
-        caplog.clear()
-        ds = atlas.run(scene, out, progress=False)
-        assert name == "removed" or "tile 3 is computed again" in caplog.text, name
-        assert {p: values_of(p) for p in before} == before, name
-    assert_same_bytes(whole, ds)
-
-
-def test_swapped_tiles_are_computed_again(scene, whole, tmp_path, small_tiles):
-    atlas.run(scene, f"{tmp_path}/run/", progress=False)
-    run = RunFolder.open(tmp_path / "run")
-    one, two = tile_path(run.tiles, 2), tile_path(run.tiles, 5)
-    contents = one.read_bytes(), two.read_bytes()
-    two.write_bytes(contents[0])
-    one.write_bytes(contents[1])
-    assert list(state(run.tiles).damaged) == [2, 5]
-    assert_same_bytes(whole, atlas.run(scene, f"{tmp_path}/run/", progress=False))
-
-
-def test_a_file_is_computed_from_tiles_that_are_whole(scene, whole, tmp_path, small_tiles, caplog):
-    """Tiles that were damaged after an interrupted run are computed again before they are joined."""
-    run = empty_run_folder(scene, tmp_path / "a.nc.run")
-    atlas.run(scene, f"{run.path}/", progress=False, shard=(1, 2))
-    flip_one_bit(tile_path(run.tiles, 2))
-    with atlas.run(scene, tmp_path / "a.nc", progress=False) as ds:
-        assert_same_bytes(whole, ds)
-    assert "tile 2 is computed again: its hash differs" in caplog.text
-
-
-def test_a_flipped_bit_of_a_tile_never_gives_other_data(scene, tmp_path, small_tiles):
-    atlas.run(scene, f"{tmp_path}/run/", progress=False)
-    run, rng = RunFolder.open(tmp_path / "run"), np.random.default_rng(6)
-    file = tile_path(run.tiles, 3)
-    content = file.read_bytes()
-    for _ in range(300):
-        flipped = bytearray(content)
-        flipped[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
-        file.write_bytes(flipped)
-        with pytest.raises(DamagedTile, match="its hash differs"):
-            run.tiles.read(3)
 
 
 def test_a_finished_run_is_opened_without_reading_its_tiles(
@@ -510,27 +394,6 @@ def test_shards_in_any_order_complete_the_run(scene, whole, tmp_path, small_tile
     assert_same_bytes(whole, ds)
 
 
-def test_after_a_full_disk_the_run_can_be_continued(scene, whole, tmp_path, small_tiles, monkeypatch):
-    out, calls = f"{tmp_path}/run/", 0
-    empty_run_folder(scene, out)
-
-    def disk_full_after_12_calls(handle):
-        nonlocal calls
-        calls += 1
-        if calls > 12:
-            raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(files.os, "fsync", disk_full_after_12_calls)
-        with pytest.raises(OSError, match="No space"):
-            atlas.run(scene, out, progress=False)
-    assert not list(Path(out).rglob("*.tmp"))
-    kept = state(RunFolder.open(out).tiles)
-    assert not kept.damaged
-    assert len(kept.done) >= 3
-    assert_same_bytes(whole, atlas.run(scene, out, progress=False))
-
-
 def test_a_read_only_folder_is_refused_unless_it_is_finished(
     scene, whole, tmp_path, small_tiles, monkeypatch
 ):
@@ -675,24 +538,6 @@ def test_a_tile_is_written_whole_or_not_at_all(scene, tmp_path, small_tiles, mon
         patched.setattr(type(run.place), "read", lambda self, name, most: before[:-1])
         with pytest.raises(OSError, match="read back otherwise"):
             run.tiles.write(3, columns, **facts)
-
-
-def test_a_flipped_bit_of_the_manifest_is_refused_unless_it_changes_nothing(scene, tmp_path, small_tiles):
-    manifest = empty_run_folder(scene, tmp_path / "run").manifest
-    file, rng = tmp_path / "run" / "manifest.json", np.random.default_rng(3)
-    whole = file.read_bytes()
-    method = whole.index(b'"atlas_method": "rk4"') + 18
-    for place in [method, *rng.integers(0, len(whole), 300)]:
-        content = bytearray(whole)
-        content[place] ^= 1 << int(rng.integers(8))
-        file.write_bytes(content)
-        try:
-            assert RunFolder.open(tmp_path / "run").manifest == manifest, place
-        except BadInput as error:
-            assert "\n" not in str(error)  # noqa: PT017
-    file.write_bytes(whole.replace(b'"atlas_method": "rk4"', b'"atlas_method": "rk8"'))
-    with pytest.raises(BadInput, match="checksum"):
-        RunFolder.open(tmp_path / "run")
 
 
 def test_damaged_final_attributes_are_refused_and_written_anew(scene, tmp_path, small_tiles, caplog):

@@ -14,7 +14,7 @@ import xarray as xr
 from truth import assert_same_bytes
 
 import atlas
-from atlas import BadInput, cli, files, load_scene
+from atlas import BadInput, cli, load_scene
 from atlas.flags import Label, Stability, Status
 from atlas.runs import folder as folders
 from atlas.runs.plan import ScenePlan
@@ -177,26 +177,6 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_run(small_scene,
         atlas.run(load_scene(small_scene), tmp_path / name, progress=False)
     assert evaluated == []
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.nc"]
-
-
-def test_after_an_interrupt_or_a_full_disk_only_the_run_folder_is_left(
-    small_scene, tmp_path, monkeypatch, interrupt
-):
-    scene = load_scene(small_scene)
-    interrupt(1)
-    with pytest.raises(KeyboardInterrupt):
-        atlas.run(scene, tmp_path / "a.nc", progress=False)
-
-    def full(*args, **kwargs):
-        raise OSError(28, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(files.os, "fsync", full)
-        with pytest.raises(OSError, match="No space"):
-            atlas.run(scene, tmp_path / "a.nc", progress=False)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.nc.run"]
-    atlas.run(scene, tmp_path / "a.nc", progress=False)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
 def test_the_same_command_ends_well_wherever_a_run_was_killed_after_its_join(small_scene, tmp_path):

@@ -1,18 +1,14 @@
-"""Runs in a folder and on an S3 server, by the same code."""
+"""Runs in a folder and on an S3 server, by the same code; their interruption and damage are in test_fault_table.py."""
 
 import json
-import logging
 import sys
-import urllib.request
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from truth import assert_same_bytes, state, tile_path, with_key
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.cli import main
 from atlas.files import process_name
 from atlas.kernel import machine_code
 from atlas.runs import claims
@@ -26,30 +22,6 @@ from atlas.store import tile
 pytest.importorskip("zarr")
 obstore = pytest.importorskip("obstore")
 FEW = {"outputs.variables": ["label", "predicted", "status", "theta_max"]}
-
-
-@pytest.fixture(scope="module")
-def server():
-    """A server of S3 with a bucket, in a thread of this process."""
-    moto = pytest.importorskip("moto.server")
-    server = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-    server.start()
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
-    host, port = server.get_host_and_port()
-    address = f"http://{host}:{port}"
-    urllib.request.urlopen(urllib.request.Request(f"{address}/bucket", method="PUT")).close()
-    variables = {
-        "ENDPOINT": address,
-        "ACCESS_KEY_ID": "a",
-        "SECRET_ACCESS_KEY": "b",
-        "REGION": "us-east-1",
-        "ALLOW_HTTP": "true",
-    }
-    with pytest.MonkeyPatch.context() as patched:
-        for name, value in variables.items():
-            patched.setenv(f"AWS_{name}", value)
-        yield server
-    server.stop()
 
 
 @pytest.fixture(params=["folder", "s3"])
@@ -76,49 +48,6 @@ def whole(scene):
 def small_tiles(monkeypatch):
     """Tiles of one row: 5 for the scene."""
     monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
-
-
-def test_a_run_is_interrupted_and_continued(
-    scene, whole, place, tmp_path, evaluated, interrupt, capsys, caplog
-):
-    interrupt(4)
-    with pytest.raises(KeyboardInterrupt):
-        atlas.run(scene, place, progress=False, threads=1)
-    assert main(["status", place]) == 0
-    assert "done 3, missing 2" in capsys.readouterr().out
-    with atlas.open_atlas(place) as growing:
-        assert int((growing.label == 0).sum()) == 14
-    evaluated.clear()
-    ds = atlas.run(scene, place, progress=False, threads=1)
-    assert len(evaluated) == 2
-    assert_same_bytes(whole, ds)
-    assert "5 of 5 tiles" in ds.attrs["atlas_run"]
-    with atlas.open_atlas(place) as opened:
-        assert_same_bytes(whole, opened)
-        assert opened.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
-        assert opened.atlas.compare() == whole.atlas.compare()
-    assert_same_bytes(whole, atlas.run(scene, place, progress=False))
-    assert len(evaluated) == 2
-    assert main(["join", place, "-o", str(tmp_path / "joined.nc")]) == 0
-    with atlas.open_atlas(tmp_path / "joined.nc") as joined:
-        assert_same_bytes(whole, joined)
-    caplog.clear()
-    # Damaged and lost tiles are reported, and computed again.
-    run = RunFolder.open(place)
-    for damage, message in (
-        (
-            lambda: run.tiles.place.write("00000003.tile", run.tiles.place.read("00000002.tile")),
-            "damaged 1, missing 0",
-        ),
-        (lambda: run.tiles.place.remove("00000003.tile"), "damaged 0, missing 1"),
-    ):
-        damage()
-        assert main(["status", place, "--verify"]) == 0
-        assert message in capsys.readouterr().out
-        with atlas.open_atlas(place) as opened:
-            assert np.isnan(opened.theta_max.values[3]).all()
-        assert_same_bytes(whole, atlas.run(scene, place, progress=False))
-    assert "tile 3 is computed again: it is a tile of another run or place" in caplog.text
 
 
 def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):

@@ -325,7 +325,7 @@ COMMANDS = [
 
 ON_X = xr.DataArray([1.0, 2.0], dims="x", coords={"x": [0, 1]})
 NO_NUMBER = "must be a number or an array of numbers"
-NO_SCENE = "must be the path of a scene file, the text of one, or a Scene of atlas.load_scene"
+NO_SCENE = "must be the path of a scene file, the text of one, a dictionary of its keys, or a Scene of atlas.load_scene"
 SEVERAL_PLACES = "arrays of different points: cannot ..."
 
 # A call, and the sentence. `ds` is the atlas of the small scene, `points` that of two points of `label_points`.

@@ -241,7 +241,7 @@ def _observable_functions(
             slopes.append(f"change[{list(equations.STATE).index(name)}]")
             continue
         head, _, result = text.rpartition("return ")
-        changes[change] = differential(f"{head}return ({result},)", change)  # which takes tuples
+        changes[change] = differential(f"{head}return ({result},)", change)  # `differential` takes tuples
         lines.append(f"d_{name}, = {change}(state, constants, change)")
         slopes.append(f"d_{name}")
     rows = ", ".join(f"nodes[slot, row + {k}, l]" for k in range(len(values)))
@@ -303,7 +303,7 @@ def _plugged_lines(equations: ModuleType, plugs: Sequence[Plug]) -> list[str]:
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
-    """Lines that count the nodes above some levels of the energy, the first integral without the sum of its loss."""
+    """Lines that count nodes at which the energy, the first integral without the sum of its loss, exceeds some levels."""
     name = next(iter(equations.INTEGRALS))
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)
@@ -319,8 +319,9 @@ def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> li
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step.
 
-    Over the first weight, which is factored out, the weights of rk4 are 1, 2, 2, 1: additions leave the multipliers, the narrowest
-    part of the processor, to the equations. The total grows stage by stage, so that few slopes are live at once.
+    The first weight is factored out, so that the weights of rk4 become 1, 2, 2, 1 and the sum needs additions alone: the
+    multipliers of the processor, which limit its speed, are left to the equations. The sum grows stage by stage, so that few
+    slopes are kept at a time.
     """
     lines, first = [], method.b[0]
     for stage in range(method.stages):

@@ -10,7 +10,7 @@ attitude is a rotation by a small vector eta of the body's axes: dv = v x eta, a
 
     eta' = du + eta x u.
 
-Three components thus replace those of all vectors, whose lengths and products they keep; every other state has its own.
+Three components thus replace the changes of all vectors, and keep lengths and angles; every other state has its own.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def with_frame_vector(equations: ModuleType) -> ModuleType:
 
 
 def _new_names(names: Iterable[str], sources: Mapping[str, str]) -> list[str]:
-    """These names, with underscores where a function uses them."""
+    """The names, with underscores added until no function uses them."""
     occupied, result = arithmetic.names_in(*sources.values()), []
     for name in names:
         while name in occupied:

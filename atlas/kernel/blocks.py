@@ -21,7 +21,7 @@ from .generated import WIDTH
 from .sampling import EndWeights, Quadrature
 from .stepsize import StepSizes
 
-# Most point-steps of a call of the kernel, some 0.1 s, for which Ctrl-C and the progress line wait.
+# Largest number of point-steps in a call of the kernel, about 0.1 s: Ctrl-C and the progress line wait for its end.
 CHUNK = 20_000_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -129,7 +129,7 @@ def call_by_parts(
     threads: int | None,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Call a kernel for all blocks in threads, for a long block several times; threads = 0: in this thread, for short work."""
+    """Call a kernel for all blocks in threads, several times for a long block; threads = 0: in the calling thread."""
     # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
     total, stop = np.cumsum(point_steps), threading.Event()
     least_chunks = 4 * (threads or available_threads())

@@ -1,4 +1,4 @@
-"""Time that this process spent on compiling kernels: announced for each, and left out of speeds. Imports no compiler."""
+"""The time that this process has spent on compiling kernels, which speeds leave out. This module imports no compiler."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def differential(text: str, name: str) -> str:
                 changes = ", ".join(f"{PREFIX}{ast.unparse(element)}" for element in names)
                 body += [statement, *ast.parse(f"{changes}, = change").body]
             case ast.Assign(targets=[target], value=value):
-                # Before the assignment, because the differential needs the values that a name has before it.
+                # The differential precedes the assignment, because it needs the values that names have before it.
                 pairs = [(target, value)]
                 if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
                     pairs = list(zip(target.elts, value.elts, strict=True))
@@ -146,7 +146,7 @@ def _times(x: ast.expr, y: ast.expr) -> ast.expr:
 
 
 def simplify(text: str, zero: Collection[str], equal: Mapping[str, str], ones: Collection[str] = ()) -> str:
-    """Source of a function in which some names are 0, else 1, else equal to another name."""
+    """Source of a function, simplified where names are 0, 1, or equal to another name."""
     tree = ast.parse(text)
     simplifier = _Simplifier(set(zero), dict(equal), set(ones))
     return ast.unparse(ast.fix_missing_locations(simplifier.visit(tree)))
@@ -170,7 +170,7 @@ class _Simplifier(ast.NodeTransformer):
         return node
 
     def visit_Assign(self, node: ast.Assign) -> ast.Assign:
-        """Fold the right side; names that are assigned a plain 0 vanish from there on."""
+        """Simplify the right side; a name that is assigned 0 counts as 0 from there on."""
         node.value = self.visit(node.value)
         target = node.targets[0]
         if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):

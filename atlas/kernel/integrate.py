@@ -5,7 +5,7 @@ into vector instructions, and inlines every function into `integrate`. The funct
 the system and the method.
 
 Each point is integrated in units of its own (`scaled` of its equations), in which all steps are STEP long and most coefficients
-are 1: a sixth of the multiplications less. The statistics are in the units of the caller.
+are 1, which saves a sixth of the multiplications. The statistics are in the units of the caller.
 
 A node is an instant, every steps_per_sample steps, at which the motion is evaluated with its derivative. Node i is kept in slot
 i % 4 of `nodes`, so that the motion between the nodes i - 2 and i - 1 can be interpolated from four nodes. The statistics are
@@ -213,7 +213,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def empty_queue(rows):
-    """Queue of zeros: its unused columns are computed like the others."""
+    """A queue of zeros, because unused columns are computed like the others."""
     queue = aligned_empty((rows, QUEUE + WIDTH))
     queue[:] = 0.0
     return queue
@@ -325,7 +325,7 @@ def queue_passages(
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
     """Whether zeta may have a zero near an interval, 1.0 or 0.0, and its place: see `poles.turns_near_vertical`.
 
-    A run that begins or ends near the vertical may have one although sin^2 theta does not turn.
+    A run that begins or ends near the vertical may have a zero there although sin^2 theta has no minimum.
     """
     slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
     slope_1 = spacing * (
@@ -354,7 +354,7 @@ def store_passage(passages, e, nodes, slots, l, spacing, duration, time, stats):
 
 
 def store_turn(turns, e, nodes, slots, l, spacing, node, x):
-    """Write a turning point of lane l into column e: about x after this one of the four nodes."""
+    """Write a turning point of lane l into column e; it is at about x after `node`, one of the four nodes."""
     store_component(turns, Turn.G1, Turn.G1_SLOPE, e, nodes, slots, 3, l, 1.0, spacing)
     store_component(turns, Turn.G2, Turn.G2_SLOPE, e, nodes, slots, 4, l, 1.0, spacing)
     store_component(turns, Turn.G3, Turn.G3_SLOPE, e, nodes, slots, 5, l, 1.0, spacing)
@@ -370,7 +370,7 @@ def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, 
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):
-    """Extend the extremes of lanes to the first QUEUE of `count` turning points; returns the number of the others."""
+    """Extend the extremes of lanes to the first QUEUE of `count` turning points; returns how many are left."""
     for e in range(QUEUE):
         difference(turns, Turn.G1, e)
         difference(turns, Turn.G2, e)
@@ -384,7 +384,7 @@ def extend_to_turns(stats, turns, lanes, count, extremes):
 
 
 def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared):
-    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; the number of the others."""
+    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; returns how many are left."""
     nearer = np.int64(0)
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
@@ -415,7 +415,7 @@ def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, inter
                     tau, slope = stretched(z, intervals - z)
                     sum_errors(terms, farther, e, tau, slope, passages[Passage.VERTICAL, e])
                 per_time = 1.0 / (stride * dt[l])
-                for k in range(5):  # of squares, where k is even
+                for k in range(5):  # rows with even k are of squared rates
                     unit = per_time if k % 2 else per_time * per_time
                     error = terms[farther, Term.THETA_DOT_SQUARED_ERROR + k, e]
                     stats[Row.THETA_DOT_SQUARED_ERROR + k, l] += error * unit
@@ -425,7 +425,7 @@ def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, inter
 def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
     """Whether the zero z of a passage, counted from the first node of the run, needs a correction of its own."""
     x, y = abs(terms[farther, Term.Z_REAL, e] - 1.5), abs(z.imag)
-    # Far from the real axis the accuracy that the polynomial loses beyond its nodes matters little.
+    # Beyond its nodes the polynomial loses accuracy, which matters little for a zero far from the real axis.
     near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
     # During the run a passage inside the cylinder has no samples of psi' and phi'.
     inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals

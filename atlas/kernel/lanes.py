@@ -1,4 +1,4 @@
-"""Points into and out of the lanes of a block, and their steps; block arrays have a column for each lane."""
+"""Copies of points to and from the lanes of a block, and steps of a block; its arrays have a column for each lane."""
 
 from .generated import (
     INTEGRALS,
@@ -46,7 +46,7 @@ def load_runs(points, block, state, sums, nodes, integrals0, state0, resume, out
 
 
 def store_runs(points, block, state, nodes, integrals0, state0, resume):
-    """Keep interrupted runs for `load_runs`, the sums apart."""
+    """Keep interrupted runs, without their sums, for `load_runs`."""
     rows = nodes.shape[1]
     for l in range(WIDTH):
         p = points[block, l]
@@ -74,7 +74,7 @@ def store_sums(points, block, sums, out):
 
 
 def load_plugged(points, block, begins, given, plugged, given0, out, first_row):
-    """Bring the constants of the plugged instruments into the lanes, and their sums, zeros where the runs begin."""
+    """Bring constants and sums of the plugged instruments into the lanes; sums are 0 where the runs begin."""
     for l in range(WIDTH):
         p = points[block, l]
         for row in range(given.shape[0]):

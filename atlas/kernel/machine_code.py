@@ -49,7 +49,7 @@ from numba import njit
 from atlas.kernel.intrinsics import aligned_empty, aligned_stack, axpy
 
 '''
-# Only `integrate` is called from Python; the others need no second and third version with its calling conventions.
+# Only `integrate` is called from Python; its callees need no wrappers for calls from Python and C.
 INLINE = (
     "@njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,"
     f" fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
@@ -74,8 +74,8 @@ MACHINE_CODE_SETTINGS = {
 }
 # Intrinsics are compiled into every kernel without being in its source.
 _INTRINSICS = Path(__file__).with_name("intrinsics.py").read_bytes() + Path(__file__).read_bytes()
-# No second thread may get half a module, nor parse at the same time: Python 3.11 keeps one depth of recursion for all threads,
-# and raises SystemError where two conversions of syntax trees overlap.
+# No other thread may see an unfinished module, or parse at the same time: Python 3.11 keeps one depth of recursion for all
+# threads, and raises SystemError where two conversions of syntax trees overlap.
 PARSING = threading.RLock()
 
 
@@ -152,12 +152,12 @@ def load(source: str) -> ModuleType:
                 compiler.compile = functools.partial(_compile, source, module, compiler.compile)
             else:
                 _define(source, module, functions=True)
-            sys.modules[name] = module  # Numba looks the globals of a cached kernel up by module name
+            sys.modules[name] = module  # Numba finds the globals of a cached kernel by the name of its module
         return sys.modules[name]
 
 
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """Execute the source of the callees of `integrate`, whose decorators take a tenth of a second, or else the rest of it."""
+    """Execute a part of a source: the callees of `integrate`, whose decorators take a tenth of a second, or the rest."""
     body = [
         node
         for name, node, _ in _statements(source)
@@ -168,7 +168,7 @@ def _define(source: str, module: ModuleType, *, functions: bool) -> None:
 
 def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arguments: Any) -> Any:
     """Compile `integrate`, which is not in the cache; the time is measured and announced."""
-    # A compilation makes millions of objects and few cycles of them, which wait for the next collection.
+    # Few of the millions of objects of a compilation are in cycles of references, which may wait.
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -198,7 +198,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
             trees = (definitions[each].tree for each in sorted(needed))
             shared = f"atlas_function_{name}_{_hash(trees, environment)}"
             names.append(shared)
-            # Numba looks the globals of cached code up by module name, and this kernel's module may not be loaded.
+            # Numba finds the globals of cached code by the name of a module, and the module of this kernel may not be loaded.
             function.py_func.__module__ = shared
             sys.modules.setdefault(shared, ModuleType(shared))
             function._cache = _MachineCode(shared)
@@ -210,7 +210,7 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
 
 
 def _at_level(level: tuple[int, int], compile_function: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile a function, also within the compilation of another one, at this level of optimisation and of vectorisation."""
+    """Compile a function at a level of optimisation and vectorisation, also while another one is being compiled."""
     config: Any = numba.config
     with global_compiler_lock:
         before = config.OPT, config.LOOP_VECTORIZE
@@ -230,7 +230,7 @@ class _MachineCode(NullCache):
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """The compiled function, or None if it has to be compiled."""
-        # Finished code needs the allocator alone; refreshing the compiler, as Numba's own cache does, takes 0.5 s.
+        # Cached code needs the allocator alone; refreshing the compiler, as Numba's own cache does, takes 0.5 s.
         rtsys.initialize(target_context)
         path, key = self._place(signature, target_context.codegen())
         try:
@@ -280,7 +280,7 @@ class _MachineCode(NullCache):
 
 
 def _hashed(key: bytes, payload: bytes) -> bytes:
-    """Content of a file of the cache; the hash finds damage and files with another key."""
+    """Content of a file of the cache; the hash reveals damage and a wrong key."""
     return hashlib.sha256(key + payload).digest() + payload
 
 

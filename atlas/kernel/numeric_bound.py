@@ -2,7 +2,7 @@
 
 The numeric frequency of `systems.jacobian` at the start alone is often too low, because a motion may begin slowly. A
 preliminary run with the longest possible steps therefore samples it, and is repeated with a larger bound where it has grown.
-The Jacobian's powers do not contain a forcing by time, itself a state: the derivatives of the states along the run show it. No
+Powers of the Jacobian do not show a forcing by time, which is a state; the derivatives of the states along the run do. No
 point's result depends on others.
 """
 
@@ -21,18 +21,18 @@ from .tableaux import Method
 # Distance of two samples in rad of the bound: short enough to show that a motion becomes faster, such as on an eccentric orbit
 # before the centre, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Turns in a run by the least bound, which samples a motion that starts with a vanishing Jacobian.
+# Turns in a run at the least bound, with which a motion is sampled whose Jacobian vanishes at the start.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because a coarse run may
 # be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# The largest n-th derivative of a state over its largest (n - 1)-th, n = 2 and 3, is at most OVERTONE bounds. Derivatives below the
-# share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
+# For n = 2 and 3 the largest n-th derivative of a state is at most OVERTONE times the bound times the largest (n - 1)-th.
+# Derivatives below the share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # Jacobians computed at a time
-FEW_STEPS = 20000  # of all points: fewer take less time than the start of a thread
+FEW_STEPS = 20000  # of all points: fewer take less time than starting a thread
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
@@ -119,7 +119,7 @@ def _largest_frequency(
         # The number of samples doubles, because most bounds that are too low are exceeded early.
         count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
         states = np.empty((len(part.state), count, active.size))
-        # The first call may compile the kernel: in a thread, so that it delays no interruption.
+        # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
         in_threads = 0 if n_samples > 0 and steps[active].sum() <= FEW_STEPS else threads
         for k in range(count):
             states[:, k] = part.final_states(kernel, steps[active], step_size[active], threads=in_threads)

@@ -2,9 +2,9 @@
 
 An observable is evaluated with its derivative at the nodes, instants a few steps apart. Its integrals over a run are sums over
 the nodes by the trapezoidal rule with the corrections of `sampling.end_weights` at both ends; its extremes between two nodes
-are extremes of the interpolation of four. An observable measured once a period has sums and extremes over the nodes at the
-periods alone. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, sums of g, g^2 and u g give
-mean, standard deviation and slope of the line fitted to f.
+are extremes of the interpolation between four nodes. An observable measured once a period has sums and extremes over the nodes
+at the periods alone. With the value f0 at the start, g = f - f0 and u from -1/2 to 1/2 along the run, sums of g, g^2 and u g
+give mean, standard deviation and slope of the line fitted to f.
 """
 
 import numpy as np
@@ -164,7 +164,7 @@ def compare_with_neighbours(sums, nodes, i, spacing):
 
 
 def extend_between(sums, nodes, turning, i, interval, spacing):
-    """Extend the extremes to the turning points between two nodes; the last four are i - 3 to i."""
+    """Extend the extremes to the turning points between two nodes; the last four nodes are i - 3 to i."""
     first, second = interval & 3, (interval + 1) & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + FIELDS * k, OBSERVABLES + k

@@ -19,7 +19,7 @@ import numpy as np
 
 # Beyond this distance from the real axis a pole does no harm: exp(-8 pi).
 REACH = 4.0
-# Steps of Newton's method for its position before the last, in `pole_terms`.
+# Steps of Newton's method for the position of a pole; a step of Halley's in `pole_terms` follows.
 NEWTON_STEPS = 3
 
 
@@ -37,7 +37,7 @@ class Passage(IntEnum):
     Z_IMAG = 26
     FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
     VERTICAL = 28  # the sign of g3
-    PSI_DOT_REFERENCE = 29  # zero of psi' and phi' in the sums
+    PSI_DOT_REFERENCE = 29  # the sums count psi' and phi' from here
     PHI_DOT_REFERENCE = 30
 
 
@@ -68,7 +68,7 @@ class Term(IntEnum):
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
     """Whether sin^2 theta has a minimum between two nodes with a zero of zeta near it, 1.0 or 0.0, and the place.
 
-    Slopes are half the derivative of sin^2 theta; near: on a parabola, within REACH of the real axis.
+    Slopes are half the derivative of sin^2 theta. A zero is near if the zero of a parabola is within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -128,7 +128,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of the differenced passage e into column e of terms[farther]."""
+    """Write zero, Laurent coefficients and errors of passage e, of divided differences, into column e of terms[farther]."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
@@ -137,7 +137,7 @@ def pole_terms(passages, e, terms, farther):
     change = value * complex_inverse(slope - curvature * change)
     z, slope = z - change, slope - 2.0 * (curvature * change)
     mirror_value, mirror_slope, _ = polynomial(zeta, z.conjugate())
-    # conj(zeta(conj t)) and its derivative at z: |zeta|^2 is the product of zeta and that function.
+    # The function conj(zeta(conj t)) and its derivative at z; at real t its product with zeta is |zeta|^2.
     conjugate, conjugate_slope = mirror_value.conjugate(), mirror_slope.conjugate()
     u3_z, _, _ = polynomial(differences_of(passages, Passage.U3, e), z)
     # phi' = R / (t - z) + a + ... with R = i/2; g3 = +-1 at z.
@@ -239,7 +239,7 @@ def polynomial(differences, z):
     return horner(p, s, c, z, c0)
 
 
-# Steps of Newton's method for the instant.
+# Steps of Newton's method for the instant of a turning point.
 TURN_STEPS = 5
 
 
@@ -260,9 +260,9 @@ TURN_ROWS = max(Turn) + 1
 
 
 def turns_twice(f0, f1, s0, s1, rounding):
-    """Whether the cubic with these values and slopes, of one sign, at 0 and 1 turns twice between them, 1.0 or 0.0.
+    """Whether the cubic with these values at 0 and 1, and slopes of one sign, has two extremes between them, 1.0 or 0.0.
 
-    A motion that starts at rest and turns back once does so as well; a change below `rounding` is no turn.
+    The cubic of a motion that starts at rest and turns back once counts as well, changes below `rounding` do not.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)

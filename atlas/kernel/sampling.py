@@ -24,9 +24,9 @@ END = 18
 LONG = 2 * END
 # Terms of the Euler-Maclaurin formula: B_2k / (2k)! of the derivatives of the orders 1, 3, 5, 7.
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
-# Nodes are interpolated by fours.
+# The motion is interpolated between four nodes, which are three intervals.
 MIN_INTERVALS = 3
-# About the distance of the nearest sample from an end, whose own weight covers the rest.
+# About the distance of the first sample from an end of a run; the weight of the end itself covers this distance.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
@@ -50,7 +50,7 @@ def rule_position(i, intervals):
 
 
 class Quadrature(NamedTuple):
-    """The rules of all runs, by the number of intervals, LONG and above being one."""
+    """The rules of all runs by the number of intervals, with one rule for LONG and more."""
 
     node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
     # Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1, (LONG + 1, LONG + 1)
@@ -74,7 +74,7 @@ def quadrature() -> Quadrature:
         t, weight = t[~at_node], weight[~at_node]
         interval = np.minimum(t.astype(np.int64), intervals - 1)
         first_sample[intervals] = count + np.searchsorted(interval, np.arange(LONG + 1))
-        # Nodes 0 to 3 for the first interval of a run, the last four for the last, else one before and one after.
+        # The nodes around an interval and one more on either side; at both ends of a run its first or last four nodes.
         first_node = np.clip(interval - 1, 0, intervals - 3)
         rows.append(np.column_stack([weight, hermite_weights(t - first_node)]))
         count += t.size

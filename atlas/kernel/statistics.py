@@ -105,7 +105,7 @@ NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_
 
 
 def begin(stats, l, motion, cylinder_squared):
-    """Start lane l of the sums with the first node, from whose rates the others are counted."""
+    """Start the sums of lane l at the first node; later rates are counted from the rates there."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
     theta_dot, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)

@@ -17,7 +17,7 @@ RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16
 # A run is resolved up to this step ratio and this dissipation error.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
-# Steps of a run that is not resolved, enough to show an overflow: it gets no label however long it is.
+# Steps of a run that is not resolved: enough to show an overflow, because it gets no label in any case.
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
@@ -192,7 +192,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: Any, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Whole steps in each of `intervals` equal parts of runs of so many steps: not longer than these, or than `settings.step`."""
+    """Steps in each of `intervals` equal parts of runs, at most as long as those of `steps` in a run, or as `settings.step`."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))

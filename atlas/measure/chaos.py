@@ -21,9 +21,9 @@ from ..kernel.tangent import METHOD
 from ..systems.base import Array, Flags, Mask, Points, System
 from .instrument import Instrument, Variable
 
-# Nodes of a run at least: instants at which the tangent vector is divided by its norm and the sums grow.
+# Least number of nodes of a run, the instants at which the tangent vector is divided by its norm and the sums grow.
 NODES = 1024
-# Steps between two nodes at most: a tangent vector grows by less than e^700 in as many, so that it cannot overflow.
+# Largest number of steps between two nodes: a tangent vector grows by less than e^700 there, and cannot overflow.
 MAX_STEPS_PER_NODE = 1000
 # Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
 # motions by less than 0.01.
@@ -111,7 +111,7 @@ class Separation:
             # Weights of the components of a tangent vector, in the kernel's units, in its norm.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # The units are factors: changes by 1 give them.
+            # Units are factors, which a state of ones shows.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]
@@ -147,7 +147,7 @@ class Separation:
         threads: int | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> None:
-        """Integrate points with equal times behind them for one more duration."""
+        """Integrate points, which have run equally long, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -239,13 +239,13 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Errors may decide how motions leave an unstable one: after growth, not where all neighbours only approach.
+        # Errors may decide how a motion leaves an unstable one, once a vector has grown; not while all neighbours approach.
         highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
-        # In chaos vectors grow by more than one passage of an unstable motion explains; other runs go on.
+        # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
-        log_growth = separation.sums[tangent.LOG_GROWTH]  # as `drawdown` a view
+        log_growth = separation.sums[tangent.LOG_GROWTH]  # a view, as `drawdown` is
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
             if duration < MAX_DURATIONS and active.size:

@@ -236,7 +236,7 @@ class Circle(Instrument):
         return self.name == "label_any_axis_inertial"
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables of both frames, which the instrument of the system's frame makes."""
+        """The variables of both frames, all from the instrument of the system's frame."""
         if self.inertial:
             return ()
         labels, predicted = [], []
@@ -392,7 +392,7 @@ def values(
         reversed_axis = measured["psi_dot_mean"] < 0
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
-        # Regular precession: the last component of the spin axis above the tolerance is positive.
+        # The last component above the tolerance of the spin axis of a regular precession is made positive.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]

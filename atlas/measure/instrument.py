@@ -39,7 +39,7 @@ class Variable:
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
     missing: int = 0  # of integers: the value where a point is not computed
-    # of positions 0, 1, ... in a list, and -1 for none, the missing value: names of none and of a member as flags
+    # names of the flags of positions in a list: of -1, which is none and the missing value, and of the members 0, 1, ...
     positions: tuple[str, str] | None = None
 
     def attributes(self) -> dict[str, object]:
@@ -71,7 +71,7 @@ class Rule:
 
     label: Callable[[Measured], Flags]  # whatever the status
     statistics: tuple[str, ...]  # the measurements that it reads, which have errors
-    # Means among them: their magnitude counts, after this rate is added
+    # Means among them -> a rate: the label depends on the magnitude of their sum
     means: Mapping[str, Array | float] = field(default_factory=dict)
 
 
@@ -205,11 +205,11 @@ class Instrument:
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Measurements from the sums of a run; measured: by the instruments before it."""
+        """Measurements from the sums of a run; measured: those of earlier instruments."""
         return {}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rules of its labels; rules: of the instruments before it."""
+        """Rules of its labels; rules: those of earlier instruments."""
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -233,7 +233,7 @@ class Instrument:
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Its variables where they differ from the measurements; columns: of the instruments before it, and the status."""
+        """Its variables where they differ from the measurements; columns: the status and earlier instruments' variables."""
         return {}
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:

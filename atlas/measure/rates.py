@@ -198,7 +198,7 @@ class Rates(MainInstrument):
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """The variables of a body without those that the system lacks."""
+    """The variables of a body, as far as the system has them."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if len(system.geometries) < 2:
         missing |= {"geometry"}
@@ -233,7 +233,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
-    # Entering or leaving the cylinder, a run has no usable psi': theta decides.
+    # A run that enters or leaves the cylinder has no usable psi': theta decides.
     entered = _least_sine(measured) < tolerances.angle
     # psi' is then measured on a part of the run alone, so that the rate about the vertical must be steady as well.
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle

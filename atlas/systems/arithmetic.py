@@ -86,7 +86,7 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 
 
 def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Value of arithmetic in pi, FUNCTIONS and names that have values; BadInput for another text, which begins with the key."""
+    """Value of an arithmetic text in pi, FUNCTIONS and names; for any other text BadInput, which begins with the key."""
     known = {**numpy_functions(), "pi": np.pi, **names}
     try:
         tree = ast.parse(text, mode="eval")
@@ -131,14 +131,14 @@ def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, st
     namespace: dict[str, Any] = dict(numpy_functions())
     for name, text in sources.items():
         exec(compile(text, f"<{name} of {module.__name__}>", "exec"), namespace)
-    # A state outside the domain of a function gives nan, which the status of its point states.
+    # A state outside the domain of a function gives nan, so that its point gets the status not_finite.
     functions = {name: np.errstate(all="ignore")(namespace[name]) for name in sources}
     vars(module).update({**names, "SOURCES": dict(sources)} | functions)
     return module
 
 
 def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int | None]) -> ast.FunctionDef:
-    """A function whose constants are followed by TIME_UNIT, by which so many of its components are multiplied."""
+    """A function with TIME_UNIT after its constants, by which the first rates[name] of its components are multiplied."""
     unpacked = False
     for statement in node.body:
         match statement:
@@ -220,7 +220,7 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
 
 
 def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
-    """Names of the functions that LOSSES of the equations maps first integrals to, checked."""
+    """Names of the functions in LOSSES of the equations; BadInput unless they can be used."""
     losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
     if not isinstance(losses, Mapping) or not all(isinstance(name, str) for name in losses.values()):
         raise BadInput(f"{key}: LOSSES = {shown(losses)}; allowed: a mapping of first integrals to functions")

@@ -24,7 +24,7 @@ class EllipticFunctions(NamedTuple):
         """modulus, complement: k^2 and 1 - k^2."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (unequal := c[-1] > 1e-9 * a[-1]).any():
-            # Further levels leave means that have met as they are to the bit, lest they depend on the other points.
+            # Means that have converged stay as they are, so that the bits of a point do not depend on other points.
             b[-1] = np.where(unequal, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 # The derivative of a function is the imaginary part of its value at x + i STEP over STEP, exact but for rounding.
 STEP = 1e-30
-# Distance of an instant from its neighbours, which give a derivative by time, in units of time of the rate.
+# Distance in time, in units of 1 / rate, of two neighbouring instants whose difference gives a derivative.
 DISTANCE = 1e-3
 # |J^POWER|^(1 / POWER) exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
 # states differ by factors of up to 10^6, by 14 % (at most 25 %). The 16th power would give 69 % (135 %) there.
@@ -51,7 +51,7 @@ def frequency(
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The states and their first three derivatives along the motion, in units of 1 / rate; those of the states within DISTANCE^2.
+    """The states and their first three derivatives along the motion, in units of 1 / rate, with errors of about DISTANCE^2.
 
     The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
     """

@@ -312,7 +312,7 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
     )
 
 
-# The exact motions of points of a system, by what stress cases name.
+# The exact motions that stress cases name.
 
 
 def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:

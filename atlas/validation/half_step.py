@@ -38,7 +38,7 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """An index from each of `count` equal parts of range(size), ascending, by a hash that follows no period of the grid."""
+    """Ascending indices, one from each of `count` equal parts of range(size), by a hash that follows no period of the grid."""
     count = min(size, count)
     fraction = (mixed(np.arange(count, dtype=np.uint64)) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]

@@ -43,7 +43,7 @@ TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
 # A level leaves out points with more steps.
 MAX_STEPS = 10_000_000
-# Largest error of an accurate unsteadiness, relative to itself, or to the rate tolerance if that is larger.
+# Largest error of an unsteadiness that counts as accurate, relative to the larger of it and the rate tolerance.
 ACCURATE = 0.01
 
 
@@ -321,7 +321,7 @@ RADIANS, MAX_DURATION = 60.0, 1e3
 
 
 def generic_cases(system: System) -> list[StressCase]:
-    """Cases with each parameter at its default times powers of 10, at its bounds and at a huge value, fast motions in short runs."""
+    """Cases of each parameter: its default times powers of 10, its bounds and a huge value; runs of fast motions are short."""
     moderate = {name: p.default for name, p in system.parameters.items() if np.isfinite(p.default)}
     for name, p in system.parameters.items():
         if p.start and p.default == 0 and p.low <= START <= p.high:

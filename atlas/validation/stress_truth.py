@@ -246,7 +246,7 @@ def _labels_by_reference(
 ) -> tuple[TrueLabels, Mask]:
     """Labels by the reference for despun points, whose phi' is larger by `excess`, and a mask of undecided points.
 
-    Of a long run a part is integrated: where it drifts by sqrt(whole / part) tolerances, the whole drifts.
+    Only a part of a long run is integrated: where it is unsteady by sqrt(whole / part) tolerances, the whole run drifts.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

@@ -173,7 +173,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # Of levels with equal steps the scene's own one or else the finest, unless it takes long.
+    # Among levels with equal steps the scene's own, or else the finest, unless it takes too long.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]

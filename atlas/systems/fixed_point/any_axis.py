@@ -1,8 +1,8 @@
 """Regular precessions and permanent rotations of the gyrostat about other axes than the third and the vertical.
 
-A motion w = n nu + m s has an axis s at rest in the body and an axis nu at rest in space; theta1 is the angle between
-them and kappa that from nu to the vertical g. Its equations are linear in the body, that is in I, l and w = Mg r_c.
-Written as harmonics of the angles n t and m t they allow, with n, m, sin theta1 not 0:
+A motion w = n nu + m s has an axis s at rest in the body and an axis nu at rest in space; theta1 is the angle between them,
+kappa the angle from nu to the vertical g. Its equations are linear in the body, that is in I, l and w = Mg r_c. Written as
+harmonics of the angles n t and m t they allow, with n, m, sin theta1 not 0:
 
 - kappa not 0 and N not 0: the harmonic 2 n + 2 m and then 2 n + m (n - m in place of n + m if their signs differ)
   leave a spherical body, of which the field has no effect, and so no weight (next item). `free_precession`;
@@ -128,7 +128,7 @@ def section_normals(inertia: Array) -> Array:
 
 
 def along(i: int, vector: Array, base: Array | float, direction: Array) -> Array:
-    """Component i of a vector = base + lambda direction, lambda from the component of the largest other one of direction."""
+    """Component i of a vector base + lambda direction, with lambda from the other component in which direction is largest."""
     magnitudes = np.abs(direction)
     magnitudes[i] = -1.0
     base = np.broadcast_to(base, direction.shape)
@@ -174,7 +174,7 @@ class Precession(Start):
     """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
 
     def axes(self) -> TwoAxes:
-        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A that about s."""
+        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A the one about s."""
         s = self.axis_of_symmetry((2, 0, 1), self.rotor)
         momentum = self.inertia * self.w + self.rotor
         axial = dot(self.inertia * s, s)
@@ -265,7 +265,7 @@ class Balanced(Start):
     """Precession about the vertical where field and centrifugal torque cancel."""
 
     def axes(self) -> TwoAxes:
-        """With the sign of n of which the spin axis is nearer to a normal of a circular section."""
+        """With the sign of n that brings the spin axis nearer to a normal of a circular section."""
         candidates, off = [], []
         for sign in (1.0, -1.0):
             n = sign * np.sqrt(self.N)
@@ -277,7 +277,7 @@ class Balanced(Start):
         return TwoAxes(*(np.where(first, a, b) for a, b in zip(*candidates, strict=True)))
 
     def needed_rotor(self) -> tuple[Array, Array]:
-        """What the part of the rotor across the spin axis must be, and that axis."""
+        """The part of the rotor across the spin axis that balances the motion, and this axis."""
         s, m, g, n = self.axes()
         return -(m + 2 * n * dot(s, g)) * across(self.inertia * s, s), s
 
@@ -286,7 +286,7 @@ class Balanced(Start):
         return self.residual((across(self.rotor, s) - needed) * length(self.w))
 
     def excess_weight(self) -> Array:
-        """Mg r_c less what it must be."""
+        """Mg r_c less the value that balances the motion."""
         s, m, _, n = self.axes()
         return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 

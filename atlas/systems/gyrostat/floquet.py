@@ -34,14 +34,14 @@ from .fundamental import of_harmonics
 # |s| - 2 and (s1 - s2)^2 / 4, with s = multiplier + 1/multiplier, up to this are round-off and the error of the integration:
 # at a collision of multipliers at +-1 a shift of s by 1e-7 is a growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
-_STEP = 1.4  # of the integration, over the norm of the system: errors of about 1e-7
+_STEP = 1.4  # length of a step times the norm of the system: errors of about 1e-7
 _MIN_STEPS, _MAX_STEPS = 64, 8192  # in a period of rotation; longer periods are not integrated but adiabatic
 _ADIABATIC_PHASES = 256
 # Growth over a period, as a logarithm, beyond which the adiabatic approximation decides; it is wrong by a few units.
 _ADIABATIC_GROWTH = 10.0
 # Distance of the frozen exponents from a collision, over the rate of rotation, beyond which none grows.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # of a closed form, for each unit of norm times period: errors of the trace below 1e-7
+_STEPS_PER_NORM = 2  # along a closed form, for each unit of norm times period: errors of the trace below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 
@@ -69,14 +69,14 @@ def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array
 
 
 class _Periodic:
-    """Linear systems as a mean and two harmonics over the period, and the steps over a span; infinite: it is not integrated."""
+    """Linear systems as a mean and two harmonics over the period, and numbers of steps over a span; infinite: not integrated."""
 
     def __init__(self, harmonics: NDArray[np.complex128], period: Array, span: Array, steps: Array):
         self.harmonics, self.period, self.span = harmonics, period, span
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """result with the values of a function of the fundamental matrices over the spans where these are integrated."""
+        """Write a function of the fundamental matrices over the spans, where these are integrated, into result, and return it."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]
@@ -150,7 +150,7 @@ def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128])
 def _multipliers(monodromy: Array, log_scale: Array, ones: int) -> tuple[Flags, Array]:
     """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale).
 
-    All but ones of the multipliers, which are 1, are two pairs, or one, of which the trace is the sum.
+    `ones` of the multipliers are 1, the others two pairs or one pair.
     """
     # Traces give multipliers on the unit circle exactly, and lose the smaller ones beside large ones.
     moderate = log_scale < 16

@@ -19,7 +19,7 @@ from ..base import Array
 LANES = 64
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
 RESCALING = 16  # steps after which matrices are rescaled, lest they overflow, and phases computed anew
-STEPS = 4096  # of a call, which cannot be interrupted: some tenths of a second; a multiple of RESCALING
+STEPS = 4096  # largest number in a call, some tenths of a second that cannot be interrupted; a multiple of RESCALING
 
 
 def of_harmonics(

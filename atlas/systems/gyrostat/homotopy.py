@@ -8,9 +8,9 @@ For p = q = 0 and distinct moments these are the 24 orientations with the princi
 for complex moments too. The path of each is followed while (I, p, q) goes along a straight line from (I0, 0, 0), I0
 complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
 complex equilibria that are isolated (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials,
-World Scientific 2005, chapters 7 and 8). That there are 24 of them for general p and q as well is what Newton's method
-from thousands of complex orientations finds (`tests/systems/test_satellite_equilibria.py`). The real ones among them
-are the equilibria: if 24 different ends are reached, none is missed.
+World Scientific 2005, chapters 7 and 8). Newton's method from thousands of complex orientations finds 24 for general p and q as
+well (`tests/systems/test_satellite_equilibria.py`). The real ones among them are the equilibria: if 24 different ends are
+reached, none is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
 """
@@ -33,14 +33,14 @@ AXES = np.eye(3)
 # Arbitrary; a choice that needs few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 # Largest correction by Newton's method (rad, sum over the axes), largest step and Newton iterations at the end, of the first
-# attempt and of those that follow for bodies of which a path is lost, or two end in one place because one was left for the
-# other. Near a bifurcation each iteration only halves the error.
+# attempt and of later ones, for bodies of which a path is lost or two paths end in one place because one jumped to the other.
+# Near a bifurcation each iteration only halves the error.
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
-# Beside a symmetry of the body paths turn by much where the rest of t is as small as the distance from it.
+# Near a symmetric body paths turn sharply where 1 - t is as small as the distance from symmetry.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
 # Components of a path that goes to infinity, where its end has fewer than 24 solutions, and the t from which it may.
 _FAR, _FAR_FROM = 100.0, 0.99
-_STRIDE = 5  # of bodies in order, of which one is followed
+_STRIDE = 5  # one of so many successive bodies is followed
 _ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
 # the two, are not certainly different or real.

@@ -26,7 +26,7 @@ def directions(points: Points) -> tuple[Array, Array]:
 
 
 def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
-    """A rate about the vertical, m about e3 and theta_dot0 about the node, (3, points)."""
+    """The sum of a rate about the vertical, m about e3 and theta_dot0 about the node, (3, points)."""
     w = rate * gamma
     w[0] += points["theta_dot0"] * np.cos(points["phi0"])
     w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
@@ -41,7 +41,7 @@ def about_third_axis(points: Points) -> TwoAxes:
 
 
 def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
-    """An axis s of the body and the vertical, with n from the part of w in their plane."""
+    """An axis s of the body and the vertical; the rates follow from the part of w in their plane."""
     normal = across(gamma, s)
     n = ratio(dot(w, normal), (normal**2).sum(0))
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
@@ -145,13 +145,13 @@ class Equation(Condition):
     form: Callable[[Points], Array] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "residual", self._in_units)
+        def residual(points: Points) -> Array:
+            value = self.function(points)
+            if value.ndim > len(shape_of(points)):
+                value = np.hypot(*value) if len(value) == 2 else length(value)
+            return value if self.unit is None else relative_to(value, shared(self.unit)(points))
 
-    def _in_units(self, points: Points) -> Array:
-        value = self.function(points)
-        if value.ndim > len(shape_of(points)):
-            value = np.hypot(*value) if len(value) == 2 else length(value)
-        return value if self.unit is None else relative_to(value, shared(self.unit)(points))
+        object.__setattr__(self, "residual", residual)
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
         """Solvers of the parameters of these names, in each of which the equation is linear."""
@@ -161,7 +161,7 @@ class Equation(Condition):
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
     """Solvers of function(points) = 0 for parameters in which it is linear.
 
-    keep: a parameter that does not enter keeps its value where the equation holds; else it becomes nan.
+    keep: where the equation holds for any value of a parameter, this keeps its value; else it becomes nan.
     """
     return each(partial(_solve, function, keep), *names)
 

@@ -1,11 +1,11 @@
 """Linear stability of motions that are equilibria in some frame, small oscillations about them, and stability by the energy.
 
-A motion that is no equilibrium may be that of another body. A body that turns about an axis of symmetry, with rotor and
-fields along it, is the same as one at rest with the rotor k_i + I_i u_i, u the rotation relative to the frame: the moment I_i
-enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts along alpha the rate of
-the frame about gamma may be chosen, and where nothing acts at all its vertical is along the angular momentum. Other turning
-bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the rate of rotation: they
-have none here.
+A motion that is no equilibrium may be equivalent to an equilibrium of another body. A body that turns about an axis of
+symmetry, with rotor and fields along it, is the same as one at rest with the rotor k_i + I_i u_i, u the rotation relative to
+the frame: the moment I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts
+along alpha the rate of the frame about gamma may be chosen, and where nothing acts at all its vertical is along the angular
+momentum. Other turning bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the
+rate of rotation: they have none here.
 
 At an equilibrium a small turn xi of the body (delta d = d x xi for both directions d of the frame) obeys
 
@@ -16,9 +16,9 @@ W the amended potential, so that the squares x of the characteristic exponents a
     det(x I + W'') + x v.(x I + W'') v = 0.
 
 A turn xi = e about the vertical or the axis of symmetry that changes nothing is a cyclic direction: xi = e is a solution, and
-the momentum e.(I xi' - v x xi) is constant, so that two exponents are 0. They say that there are neighbouring steady motions,
-with other momenta, and nothing about this one; rounding would make a pair +-1e-8 of them. For each of these directions the
-lowest coefficient of the cubic, which is 0, is left out with its root.
+the momentum e.(I xi' - v x xi) is constant, so that two exponents are 0. These belong to neighbouring steady motions with other
+momenta and do not concern stability; rounding would turn them into a pair +-1e-8. For each of these directions the lowest
+coefficient of the cubic, which is 0, is left out with its root.
 
 The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
 Dirichlet); with constant momenta about the cyclic directions E that of W on their level, W'' + F (E^T I E)^-1 F^T with
@@ -57,10 +57,10 @@ class Equilibria(NamedTuple):
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
-        """Those of the motions that are equilibria; w, alpha, gamma: at the start, (points, 3).
+        """The equilibria among some motions; w, alpha, gamma: at the start, (points, 3).
 
-        from_space: an axis of symmetry on a vertical along which alone something acts is at rest in space; else in the frame
-        in which its two oscillations have one frequency, where the energy has its largest minimum.
+        from_space: the frame of an axis of symmetry on the vertical, where nothing acts along alpha, is at rest in space; else
+        its rate makes both oscillations of the axis equally fast, which gives the energy its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -88,7 +88,7 @@ class Equilibria(NamedTuple):
         return cls(points, equivalent, alpha[some], gamma[some], rate[some], cyclic[some], free[some])
 
     def squared_exponents(self) -> NDArray[np.complex128]:
-        """Squares of the characteristic exponents without damping, (points, 3); nan for those of cyclic directions, inf: overflow."""
+        """Squares of the characteristic exponents without damping, (points, 3); nan: of a cyclic direction, inf: overflow."""
         inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
         hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)
@@ -120,7 +120,7 @@ class Equilibria(NamedTuple):
         return result
 
     def exponents(self) -> NDArray[np.complex128]:
-        """Characteristic exponents in units of the rate, (points, 6); nan and inf as of their squares."""
+        """Characteristic exponents in units of the rate, (points, 6); nan and inf as in `squared_exponents`."""
         roots = np.sqrt(self.squared_exponents())
         exponents = np.concatenate([roots, -roots], 1)
         damped = np.flatnonzero(self.body.damping > 0)
@@ -166,7 +166,7 @@ class Equilibria(NamedTuple):
         return -np.sort(-values, axis=-1)  # nan last
 
     def hessian_eigenvalues(self) -> Array:
-        """Eigenvalues of the Hessian of W on the level of the momenta, over its size, ascending; 1 of cyclic directions."""
+        """Ascending eigenvalues of the Hessian of W on the level of the momenta, over its size; 1 for cyclic directions."""
         E = self.cyclic
         forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
@@ -196,7 +196,7 @@ class Equilibria(NamedTuple):
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Body and motion with the first axis of a sphere, of which every axis is principal, along rotor and fields, else across w."""
+    """Body and motion in other axes of a sphere, all of which are principal: the first along rotor and fields, or across w."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
@@ -217,7 +217,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Rate of a frame in which a body is at rest but for a turn about an axis of symmetry, that axis (-1: none), where."""
+    """Rates of frames in which bodies rest but for a turn about an axis of symmetry, the axes (-1: none), and where."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

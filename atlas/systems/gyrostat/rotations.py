@@ -24,8 +24,8 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
 
     points: every parameter, arrays (bodies,), of a system in which nothing acts along alpha. A set of solutions is represented
     by one member. Returns, in the order of theta, row: the number of the body; dimension of the set; index: number of
-    directions in which the amended potential decreases (0: stable); flat: where that is not certain; theta0, phi0 (rad), gamma
-    and equilibria.STABILITY. nearly: also attitudes near complex solutions, index -1.
+    directions in which the amended potential decreases (0: stable); flat: whether the index is uncertain; theta0, phi0 (rad),
+    gamma and equilibria.STABILITY. nearly: also attitudes near complex solutions, index -1.
     """
     turning = system.body_at_rest(points)
     vectors, dimensions = directions(turning, nearly=nearly)
@@ -54,7 +54,7 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
 
 
 def rotations_of_bodies(system: Gyrostat, points: Points, nearly: bool) -> dict[str, NDArray[Any]]:
-    """The same with the arrays of the bodies padded, (bodies, places), and completeness, values of flags.Completeness."""
+    """As `rotations`, in arrays (bodies, places), and completeness, values of flags.Completeness."""
     result = padded(rotations(system, points, nearly), points["n"].size, PLACES)
     flags = np.where(result.pop("flat").any(1), Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
     flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)

@@ -95,9 +95,9 @@ def critical_directions(
     g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
     and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: selects the member of a circle of solutions, (3, points). Returns g, (3, 12, points), nan in unused columns, and
-    the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every direction, -1 unused, with nearly
-    also NEARLY.
+    towards: directions, (3, points), to which the nearest member of a circle of solutions is given. Returns g, (3, 12, points),
+    nan in unused columns, and the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every
+    direction, -1 unused, with nearly also NEARLY.
     """
     order = np.argsort(d, axis=0, kind="stable")
     d, b = np.take_along_axis(d, order, 0), np.take_along_axis(b, order, 0)

@@ -40,8 +40,8 @@ class Plug(Protocol):
 
         Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
         time, is in slot i & 3 of `nodes`, the three before it in the other slots: see `integrate.motion_at`; slopes are per
-        1 / inverse_unit. None: the constants are levels of the energy, the first of the equations' INTEGRALS, and the sums count
-        the nodes above them, one node in `integrate.NODES_PER_LEVEL`.
+        1 / inverse_unit. None: the constants are levels of the energy, the first of the equations' INTEGRALS, and the sums
+        count those above them of every `integrate.NODES_PER_LEVEL`-th node.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:

@@ -111,7 +111,7 @@ class Separation:
             # Weights of the components of a tangent vector, in the kernel's units, in its norm.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # Units are factors, which a state of ones shows.
+            # The state changes its units by factors, which are the result for ones.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]

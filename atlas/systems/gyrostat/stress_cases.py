@@ -239,7 +239,7 @@ def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     cone = {"theta0": 0.8, "n": 0.5, "C": 0.7} | heavy
     flip = {"A": 1.0, "B": 2.0, "C": 1.5, "m": 1.0}
     middle = {"A": 1.0, "B": 1.5, "C": 2.0, "theta0": np.pi / 2, "n": 1.0}
-    # conical motions are unstable where N (A - C) > A n^2 only, at small C r + l3
+    # conical motions are unstable only where N (A - C) > A n^2, at small C r + l3
     steep = {"A": 1.0, "C": 0.4, "N": 3.0, "n": 0.5, "theta0": 1.0, "Mg": 1.0}
     spun: dict[str, ArrayLike] = {**steep, "m": [0.3, 3.0]}
     paper = {"A": [22.49, 50.32], "B": [22.49, 50.32], "C": [35.6, 33.4]}

@@ -23,6 +23,7 @@ from typing import Any
 from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
+FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
 # A write that fails with fewer free bytes than this, more than a tile, means a full disk.
 MIN_FREE_BYTES = 1 << 25
 # Limits for files from anyone: bytes of JSON; beyond MIN_CLAIM, bytes of numbers for each stored byte (compression: 3000).

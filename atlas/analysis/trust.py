@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, shown
+from ..systems.base import Array
 from ..validation.half_step import upper_bound
-from .intervals import wilson_interval
 from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
@@ -129,6 +129,21 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
         for (name, text), values in zip(texts.items(), columns, strict=True)
     }
     return xr.Dataset(variables, {**coords, **counts.coords}, {**ds.attrs, "atlas_draws": draws})
+
+
+def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
+    """Lower and upper 95 % limit of a probability of which `events` of `draws` independent trials are an estimate.
+
+    E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212; nan without trials.
+    """
+    from scipy.special import ndtri  # slow to import, and most questions do not need it
+
+    z = float(ndtri(0.975))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share, width = np.divide(events, draws), np.divide(z * z, draws)
+        middle = (share + 0.5 * width) / (1.0 + width)
+        half = np.sqrt(width * (share * (1.0 - share) + 0.25 * width)) / (1.0 + width)
+    return np.maximum(middle - half, 0.0), np.minimum(middle + half, 1.0)
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:

@@ -12,13 +12,12 @@ import atlas
 
 from .. import systems
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, say
-from ..files import atomic_write, without_suffix, writable
+from ..files import FIGURES, atomic_write, without_suffix, writable
 from ..plotting.options import MapOptions
 from ..scene.model import DEFAULTS, Duration
 from ..scene.text import open_text
 from .options import (
     ATLAS,
-    FIGURES,
     FILES,
     QUIET,
     STANDARD_INPUT,

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..extension import available_text
-from ..files import check_name, without_suffix
-from ..plotting.options import FORMATS
+from ..files import FIGURES, check_name, without_suffix
 from ..scene.text import read_text
 
 if TYPE_CHECKING:
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
-FIGURES = FORMATS
 FILES = (*FIGURES, ".nc", ".csv")
 
 Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE

@@ -13,11 +13,10 @@ from typing import Any
 
 from .. import systems
 from ..errors import say, text_table
-from ..files import atomic_write
+from ..files import FIGURES, atomic_write
 from ..systems.base import stress_cases_of
 from .options import (
     FAILED,
-    FIGURES,
     FILES,
     SCENE,
     THREADS,

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 Width = Literal["column", "page"]
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
-FORMATS = (".png", ".pdf", ".svg")  # of figures
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
 MIN_DPI, MAX_DPI = 10.0, 2400.0
 

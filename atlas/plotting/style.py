@@ -20,9 +20,8 @@ from matplotlib.mathtext import MathTextParser
 
 from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
-from ..files import atomic_write, writable
+from ..files import FIGURES, atomic_write, writable
 from ..systems.base import families_of
-from .options import FORMATS
 
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
@@ -107,7 +106,7 @@ class PrintFigure(Figure):
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
     """Write a figure as PNG, PDF or SVG (else BadInput), with reproducible bytes, all of it or nothing."""
-    path = writable(path, FORMATS, force=True)
+    path = writable(path, FIGURES, force=True)
     kind = path.suffix.lower()[1:]
     # No date in the file, so that the same atlas gives the same bytes.
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]

@@ -19,9 +19,9 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from ..analysis.metadata import system_of
 from ..errors import BadInput, attribute_text, shown
 from ..files import atomic_write, writable
-from ..scene.checks import choice, positive
+from ..scene.checks import positive
 from ..systems.base import Observable
-from .options import WIDTHS, Width
+from .options import WIDTHS
 from .style import COLOURS, STYLE, SYMBOLS, unit_text
 
 FAR_OPACITY = 0.35  # of paths on the far side of the sphere
@@ -50,30 +50,25 @@ FRAMES_PER_SECOND, FILM_DPI = 25, 150
 NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along its vertical"
 
 
-def trajectory_figure(tr: xr.Dataset, *, width: Width = "page", ax: Axes | None = None) -> Figure:
+def trajectory_figure(tr: xr.Dataset, *, ax: Axes | None = None) -> Figure:
     """Angles and rates over time and the path of the third body axis, or observables, or on `ax` the path; see `Atlas.plot`."""
-    choice("width", width, WIDTHS)
     if ax is not None:
         if not isinstance(ax, Axes):
             raise BadInput(f"ax = {shown(ax)}: must be Axes of Matplotlib")
         _draw_sphere(ax, _path(tr), system_of(tr).frame_axes)
         return ax.get_figure(root=True)  # type: ignore[return-value]
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
-        return _figure_of_observables(tr, observables[:MAX_PANELS], width)
+        return _figure_of_observables(tr, observables[:MAX_PANELS])
     path = _path(tr)
-    page = width == "page"
-    height = 85.0 if page else 165.0
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTHS[width] / 25.4, height / 25.4), layout="constrained")
-        shares: dict[str, Any] = {"width_ratios": (1.35, 1)} if page else {"height_ratios": (1.2, 1)}
-        left, right = figure.subfigures(*((1, 2) if page else (2, 1)), **shares)
+        figure = Figure(figsize=(WIDTHS["page"] / 25.4, 85 / 25.4), layout="constrained")
+        left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))  # type: ignore[misc]
         _draw_time_series(left, tr)
         mean = path.mean(axis=0)
         mean /= np.linalg.norm(mean) or 1.0
         distance = float(np.linalg.norm(path - mean, axis=1).max())
         if AT_REST < distance < SMALL:
-            shares = {"height_ratios" if page else "width_ratios": (1.25, 1)}
-            sphere, plane = right.subplots(*((2, 1) if page else (1, 2)), **shares)
+            sphere, plane = right.subplots(2, 1, height_ratios=(1.25, 1))
             _draw_enlarged(plane, path - mean, mean, system_of(tr).frame_axes)
         else:
             sphere = right.subplots()
@@ -137,7 +132,7 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | N
     return None
 
 
-def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: Width) -> Figure:
+def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable]) -> Figure:
     """A panel over time for each observable."""
     panels = {}
     for observable in observables:
@@ -148,7 +143,7 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], wi
             observable.name: tr[observable.name].values
         }
     with rc_context(STYLE):
-        size = WIDTHS[width] / 25.4, (14 + 26 * len(observables)) / 25.4
+        size = WIDTHS["page"] / 25.4, (14 + 26 * len(observables)) / 25.4
         figure = Figure(figsize=size, layout="constrained")
         _draw_over_time(figure, tr, panels)
     return figure

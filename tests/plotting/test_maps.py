@@ -21,6 +21,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis import boundary, metadata, select, tracer
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
+from atlas.files import FIGURES
 from atlas.flags import Label
 from atlas.kernel.compiling import announced
 from atlas.plotting import cells, content, maps, style, trajectory
@@ -938,7 +939,7 @@ def test_too_many_panels_are_refused(solid):
 
 
 def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path):
-    for suffix in style.FORMATS:
+    for suffix in FIGURES:
         path = tmp_path / f"map{suffix}"
         written = []
         for _ in range(2):

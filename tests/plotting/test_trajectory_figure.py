@@ -19,22 +19,21 @@ pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 def test_a_trajectory_figure_shows_the_motion():
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
-    for width, mm in options.WIDTHS.items():
-        figure = trajectory.trajectory_figure(tr, width=width)
-        assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
-        theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes
-        np.testing.assert_array_equal(theta_ax.lines[0].get_ydata(), tr.theta)
-        psi = angle_ax.lines[0].get_ydata()
-        finite = np.isfinite(psi)
-        np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
-        assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
-            style.SYMBOLS[n] for n in trajectory.RATES
-        ]
-        # the near and the far part of the path are the whole path, inside the disc
-        near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()
-        assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
-        assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
-        assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
+    figure = trajectory.trajectory_figure(tr)
+    assert figure.get_figwidth() * 25.4 == pytest.approx(options.WIDTHS["page"])
+    theta_ax, angle_ax, rate_ax, sphere_ax = figure.axes
+    np.testing.assert_array_equal(theta_ax.lines[0].get_ydata(), tr.theta)
+    psi = angle_ax.lines[0].get_ydata()
+    finite = np.isfinite(psi)
+    np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
+    assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
+        style.SYMBOLS[n] for n in trajectory.RATES
+    ]
+    # the near and the far part of the path are the whole path, inside the disc
+    near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()
+    assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
+    assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
+    assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
 
 
 def small_motion(theta0):

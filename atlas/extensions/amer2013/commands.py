@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from ...cli.options import FIGURES, argument, command, out_options, output_folder
+from ...cli.options import argument, command, out_options, output_folder
 from ...errors import say, text_table
+from ...files import FIGURES
 
 FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 

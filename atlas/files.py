@@ -26,7 +26,7 @@ from .process import PROCESS_NAME, is_running, process_name
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
 # A write that fails with fewer free bytes than this, more than a tile, means a full disk.
 MIN_FREE_BYTES = 1 << 25
-# Limits for files from anyone: bytes of JSON; beyond MIN_CLAIM, bytes of numbers for each stored byte (compression: 3000).
+# Limits for files of unknown origin: bytes of JSON; beyond MIN_CLAIM bytes, bytes of numbers for each stored byte (compressed: 3000).
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
@@ -53,7 +53,7 @@ def foreign_message(path: Path | str) -> str:
 def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Give the name of a new, empty file, which appears at `path` whole or not at all, if `durable` also after a power cut."""
     temporary = temporary_path(path)
-    # Not through a link of somebody else.
+    # O_EXCL and O_NOFOLLOW: never through a link that somebody else has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary

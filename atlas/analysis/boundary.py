@@ -133,9 +133,9 @@ KINDS: Mapping[str, Kind] = {
 def theory_borders(plane: Plane) -> Lines:
     """Polylines, by KINDS, at which theory predicts a change in a plane, in the units of its axes.
 
-    The kinds that depend on the frame are also those in space, with IN_SPACE at the end. They separate linearly stable from
-    unstable motions, regular precession from permanent rotation, and points with a motion from points without; and a regular
-    precession has psi' = 0 or phi' = 0 on them, so that it is a permanent rotation on the line alone.
+    Kinds that depend on the frame appear a second time, in space, with IN_SPACE at the end of the name. Lines separate linearly
+    stable from unstable motions, regular precession from permanent rotation, and points with a motion from points without. On the
+    lines of a zero rate, psi' or phi', a motion that precesses regularly on both sides is a permanent rotation.
     """
     frames, nudged = ("", IN_SPACE), bool(plane.scene.nudge)
     kinds = {

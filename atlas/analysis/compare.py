@@ -69,7 +69,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
 
 
 def _compared(ds: xr.Dataset) -> xr.Dataset:
-    """Label, predicted, and what else an atlas has to compare them by; BadInput unless they have flags of the same points."""
+    """Label, predicted, and variables that explain their differences; BadInput unless both are flags of the same points."""
     if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
@@ -149,14 +149,14 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
 
 
 def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
-    """Points within BAND of the range of one of these axes of a point of other linear stability."""
+    """Points that have a point of other linear stability within BAND of the range of one of these axes."""
     reach = [max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 0 for count in stable.shape]
     window = [1 + 2 * n * (axis in axes) for axis, n in enumerate(reach)]
     return grid.near_change(stable, window)
 
 
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
-    """The clearest disagreements: strongest drift where theory is steady, weakest where it drifts."""
+    """The clearest disagreements: the strongest drift where theory predicts none, the weakest where it predicts drift."""
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
@@ -238,7 +238,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """A line on the family of steady motions nearest to the drifting points of a list, if there are any."""
+    """Of single points: a line that names the family of steady motions nearest to the drifting ones, if some drift."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)

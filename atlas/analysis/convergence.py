@@ -22,7 +22,7 @@ from ..store import dataset
 from ..store.progress import Progress
 from .metadata import flag_names
 
-# Setting -> factors of its value whose changes count on the map; the other FACTORS show the way to them.
+# Setting -> factors of its value at which a changed flag counts on the map; other FACTORS are computed for the table alone.
 VARIED = {"duration": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5)}
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
@@ -34,7 +34,7 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """Flags of at most `points` points of a grid for several values of settings; `label_change`: which settings change any.
+    """Flags of at most `points` points of a grid for several values of settings; `label_change` has the settings that change a flag.
 
     Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; changes are in the direction of VARIED.
     """
@@ -87,7 +87,7 @@ def convergence(
 
 
 def _changed(scene: Scene, name: str, factor: float) -> Scene:
-    """The scene with one setting multiplied; a step in place of the tolerance of the integration."""
+    """The scene with one setting multiplied by a factor: a given step, if there is one, for the tolerance."""
     if name == "duration":
         return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))
     settings: Any = scene.settings

@@ -49,7 +49,7 @@ _FLAGS = {
     "stability_kind": StabilityKind.meanings(), "completeness": Completeness.meanings(),
 }  # fmt: skip
 _NOT_COUNTED = "nan where completeness is not complete"
-# Values of variables, 0 or nan of the others, for a body that cannot exist and an equilibrium that a body does not have.
+# Fill values, 0 or nan for other variables: of a body that cannot exist, and of an equilibrium that a body does not have.
 UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
 _DIMS = ("equilibrium", "body_axis")
 

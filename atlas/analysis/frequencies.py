@@ -24,9 +24,9 @@ from .metadata import system_of
 
 Signal = NDArray[np.complex128]
 
-# Share of the largest frequency of the samples beyond which a line may belong to a faster motion.
+# A line above this share of the Nyquist frequency of the samples may be the alias of a faster one.
 MAX_SHARE_OF_NYQUIST = 0.8
-# Amplitude, over the largest value of the signal, from which a line is compared with its derivative.
+# A line is compared with the derivative of the signal if its amplitude is above this share of the signal's largest value.
 MIN_AMPLITUDE = 1e-5
 # How often all lines are refined after each new one.
 PASSES = 2
@@ -76,8 +76,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line that is too fast for the samples appears at another frequency, or as a constant; the ratio of
-        # its derivative to it has the true frequency. The frequency of a line as weak as errors counts as true.
+        # A line that is too fast for the samples appears at another frequency, or as a constant; the ratio of its
+        # amplitudes in the derivative and in the signal is i times the true frequency. Weak lines are taken as they are.
         candidates = [*line_frequencies, 0.0]
         fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
@@ -101,7 +101,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
-        # Derivatives by differences along the slope of the motion.
+        # Derivatives by central differences: a short step forward and back along the right-hand side.
         points = {
             name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
             for name in system.parameters

@@ -60,7 +60,7 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
     return parse_scene(text, of_atlas=True) if text else None
 
 
-# Coordinates are equal within this share, or within so many spacings of the floats that they are.
+# Coordinates count as equal within this relative difference, or within so many spacings of their type of float.
 ROUNDING, SPACINGS = 1e-9, 8
 MAX_COMPARED = 400  # points at which coordinates are compared
 CHANGED = (
@@ -71,14 +71,14 @@ CHANGED = (
 def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     """The scene by which a part of an atlas can be computed again, None for points that come from no scene.
 
-    BadInput unless coordinates are what the scene resolves to, to rounding, at evenly chosen points, of a lazy part at its
-    corners and middles. An axis has values of the scene or, joined from scenes that agree in all else, all of them and others.
+    BadInput unless the coordinates of evenly chosen points, in a lazy part its corners and middles, equal to rounding what the
+    scene gives. An axis has some of the scene's values or, where atlases of scenes that agree otherwise were joined, all and more.
     """
     system, scene = system_of(ds), scene_of(ds)
     axes = {} if scene is None else axes_of(scene)
     units = {name: parameter.unit for name, parameter in system.parameters.items()}
     units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}
-    # Variables, since arrays with coordinates would take longer than all that is computed here.
+    # Variables of xarray: DataArrays would take longer, with their coordinates, than all that is computed here.
     numbers = {n: v for n in units if n in ds.coords and (v := ds.variables[n]).dtype.kind in "iuf"}
     for name, variable in numbers.items():
         unit = attribute_text(variable.attrs, "units")
@@ -120,14 +120,14 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Values of a coordinate; a value of the scene's axis, equal to rounding, has the bits of the axis."""
+    """Values of a coordinate, each replaced by the value of the scene's axis that it equals to rounding, if there is one."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal others to rounding, also of differences of numbers of about 1."""
+    """Whether values of a coordinate equal others to rounding; near 0 to the rounding of differences of numbers of about 1."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -163,7 +163,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Axes along which points have neighbours, as in the scene: no lists, repeated values or numbers of random draws."""
+    """Axes along which points have neighbours, as in the scene: not those of single points, repeated values or random draws."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}

@@ -138,7 +138,7 @@ class Plane:
         return derived_values(self.scene.system, names, points.base, points.duration, lambda: None)
 
 
-# Start values of a family's formula, and the largest number of ends of its curve that are resampled.
+# Number of start values for a family's formula, and most ends of its curves near which it is sampled more densely.
 STARTS, MAX_ENDS = 17, 8
 
 

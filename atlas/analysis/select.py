@@ -27,7 +27,7 @@ from .metadata import (
 )
 
 MAX_PANELS = 12
-# Cells drawn along an axis; of more every k-th one is, since a printer has no more dots.
+# Most values of an axis on a map, as many as a printer has dots; of a longer axis every k-th value is taken.
 MAX_CELLS = 2000
 
 
@@ -53,7 +53,9 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(chunk.isel(pointwise).load())
-    if not selected:  # names and types of a point: old versions of xarray cannot read no points from a file
+    if (
+        not selected
+    ):  # by way of one point in memory: old versions of xarray cannot read zero points from a file
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
         return ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing)
     if len(selected) == 1:
@@ -127,7 +129,7 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
 
 
 def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
-    """Raise BadInput unless the axes of a map, as far as they are named, are different and allowed; what: each must be."""
+    """Raise BadInput unless the chosen axes of a map are different and allowed; what: description of an allowed axis."""
     roles: dict[str, str] = {}
     for role, name in chosen.items():
         if name is not None and name not in allowed:

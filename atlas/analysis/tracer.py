@@ -54,15 +54,15 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
 
 # Samples along each axis before refinement: even, as SAMPLES.
 COARSE_SAMPLES = 150
-# Cells that a line crosses are divided into 3 x 3, so often. An odd number leaves the middle of an extent, where
-# special values such as 0 often are, between two samples.
+# Cells that a line crosses are divided into DIVISION x DIVISION, LEVELS times. An odd number leaves the middle of an extent,
+# where special values such as 0 often are, between two samples.
 DIVISION, LEVELS = 3, 2
-# Seconds of the first samples, from which the whole takes more than two.
+# Seconds: if the first samples take longer, the whole takes more than two, and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# Vertices of the stretches into which a line is first divided, and cells by which a straight one may differ from its chord.
+# Vertices of the stretches into which a line is first divided; cells between a stretch that counts as straight and its chord.
 STRETCH, FLATNESS = 16, 0.05
 
 # Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
@@ -75,8 +75,8 @@ def class_borders(
 ) -> Lines:
     """Polylines by kind between the points of classes 1 and 2, in the units of the axes.
 
-    `classes` is a function of positions (points, axes), fractions of the extent of each axis; `zeros` has the magnitude there of
-    what changes its sign on the lines of a kind, through zero or a pole, where they are cut.
+    `classes` is a function of positions (points, axes), fractions of the extent of each axis. For kinds on whose lines a quantity
+    changes its sign, `zeros` has its magnitude as a function of positions: lines are cut where it passes through a pole.
 
     On two axes samples on COARSE_SAMPLES values along each are refined where a line crosses a cell, and around it as far as the line
     continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed to its ends if one sample
@@ -143,7 +143,7 @@ def narrowed_lines(
 
 
 def _narrowed(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
-    """Positions between low and high (vertices, axes), up to which a level is exceeded as it is at low."""
+    """Positions (vertices, axes) between low and high at which `is_above` first differs from its value at low, by trisection."""
     for _ in range(count):
         third = (high - low) / 3
         inner = np.concatenate([low + third, low + 2 * third])
@@ -175,9 +175,9 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 
 
 def _divided(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
-    """Samples of the cells divided into DIVISION x DIVISION, and where they were evaluated; elsewhere they are the nearest's.
+    """Samples of the cells divided into DIVISION x DIVISION, and whether each was evaluated or copied from the nearest.
 
-    All samples of cells with a change are evaluated, and of those beside them as far as a line continues.
+    Evaluated are all samples of cells with a change, and of the cells beside them as far as a line continues.
     """
     count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
     nearest = np.rint(np.arange(count) / DIVISION).astype(int)
@@ -232,7 +232,7 @@ def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
 
 
 def lines_at(values: Array, level: float) -> list[Array]:
-    """Lines through the middles between neighbours on both sides of a level, as indices (vertices, axes); nan cuts them."""
+    """Lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes); nan cuts them."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if not ((above == 0).any() and (above == 1).any()):
         return []

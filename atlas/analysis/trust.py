@@ -156,7 +156,7 @@ def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
 
 
 def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataArray:
-    """Numbers of points with each flag, over the axes `along`, in their order in the atlas, and one named like the variable."""
+    """Number of points with each flag: dimensions are the axes `along`, in the order of the atlas, then one named like the variable."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
     dims_along = [dim for dim in dims if dim in along]

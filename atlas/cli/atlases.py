@@ -155,7 +155,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
-    """The trajectory at a place of a scene, or of the scene of an atlas, or of the nearest point of an atlas without a scene."""
+    """The motion at values of the axes of a scene or of the scene of an atlas; without a scene, of the nearest point of the atlas."""
     from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene

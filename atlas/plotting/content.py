@@ -27,7 +27,7 @@ NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not c
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching narrower than this, and lines nearer to the frame, in sides of the frame, are not visible.
+# Hatching narrower than this share of the frame's side is not visible, nor are lines nearer to the frame.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
 # Flags of motions, on whose maps theory draws the borders of labels.
@@ -97,7 +97,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # of other axes, or over some of them
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or an average over some
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
@@ -106,7 +106,9 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         # Between the points of an atlas there may be bodies that cannot exist; the map itself needs none of them.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
-    if borders and borders.keys().isdisjoint((*KINDS, *RESONANCES)):  # of no motions
+    if borders and borders.keys().isdisjoint(
+        (*KINDS, *RESONANCES)
+    ):  # lines about bodies, such as numbers of equilibria
         return Panel(array, white, slow, borders)
     if not of_motions:
         borders = {

@@ -167,7 +167,7 @@ class Drawing:
 
 
 def name_panel(ax: Axes, part: xr.Dataset, dims: Sequence[str], *, top: bool, end: bool) -> None:
-    """Write values of the axes of panels: of a single one above each; of two above the top row and at the end of rows."""
+    """Write the values of the axes of panels: of one axis above each panel; of two above the top row and at the ends of rows."""
     texts = []
     for dim in dims:
         value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
@@ -316,7 +316,7 @@ class Sheet:
         return 5.0 if self.options.title else 0.0
 
     def label_axes(self, axes: list[Axes], labels: list[str], entries: Entries) -> None:
-        """Label the axes, of several panels once for all of them; entries: of a legend that the caller may draw."""
+        """Label the axes, of several panels once for all of them; entries: the legend, which the caller may draw again."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)

@@ -159,7 +159,7 @@ def drawable(text: str) -> str:
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
     """A text with its formulas and symbols in Matplotlib's mathematical notation.
 
-    One formula if all words are names or symbols; else only names that can be no words: with a digit, Greek
+    The whole text is one formula if all its words are names or symbols. In other texts formulas are names with a digit, Greek
     letters, and a parameter at the end. A text that has mathematics of its own is returned as it is.
     """
     if "$" in text:

@@ -32,7 +32,7 @@ def claim(place: Place, name: str) -> bool:
 
 
 def claimant(place: Place, name: str) -> str:
-    """Another process that made a claim, runs as far as is known, and renewed the claim of late; or an empty text."""
+    """The process that holds a claim, unless it is this one, has ended, or has not renewed it for CLAIM_AGE: then an empty text."""
     with suppress(OSError, ValueError):  # it has been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False and place.age(name) <= CLAIM_AGE:

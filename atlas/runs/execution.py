@@ -106,6 +106,6 @@ def run(
     options |= {"progress": progress, "began": began}
     if out is None:
         return run_in_memory(Execution.of(scene, reuse, options))
-    from .folder import run_kept  # what a run is kept in costs one in memory nothing
+    from .folder import run_kept  # not imported by a run in memory
 
     return run_kept(scene, out, reuse, options, force=force)

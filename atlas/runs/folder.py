@@ -263,7 +263,7 @@ class _Job:
 
     run: RunFolder
     tiles: Tiles
-    share: range  # of a level all tiles, because every shard completes it before the next one
+    share: range  # those of the shard; all of a level, which every shard completes before the next one
     execution: Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
@@ -285,7 +285,7 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        # It was written after the listing of the folder, maybe with others.
+                        # It was written since the folder was listed, maybe with other tiles.
                         files.place.remove(files.name(tile, claims.SUFFIX))
                         bar.skip(size_of(tile))
                         files.listing = None

@@ -57,7 +57,7 @@ class Execution:
     def of(
         cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
     ) -> Execution:
-        """Of a scene, the paths of earlier atlases, and options of `run`."""
+        """The execution of a scene, by the paths of earlier atlases and the options of `run`."""
         plan, paths = ScenePlan.of(scene), [reuse] if isinstance(reuse, str | Path) else reuse
         earlier = []
         if paths:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 # Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound where it does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
-COSTLY_SHARE = 0.3  # of all steps: a warning follows where a hundredth of the points takes it
+COSTLY_SHARE = 0.3  # of all steps: if 1 % of the points take more, a warning follows
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from .plan import ScenePlan
 # Integrates points, flat indices in the finest grid, and yields the variables of parts of them.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Integrated points on either side of a boundary, at each level: 2 are a cell with different corners, and the cells around it.
+# Points that are integrated on either side of a boundary, at each level: 2 cover a cell it crosses and the cells around it.
 BOUNDARY_WIDTH = 2
 # Expected number of nudged unstable motions that survive the run at points that are not integrated.
 EXPECTED_MISSES = 0.05

@@ -24,7 +24,7 @@ from .backend import open_atlas
 from .plan import differences, identity
 from .run import RESULT, RunFolder, result_hash
 
-SAMPLE = 2048  # points of an earlier atlas sought in a scene before its run
+SAMPLE = 2048  # points of an earlier atlas that are looked up in the scene before its run
 
 
 @dataclass(frozen=True, eq=False)

@@ -274,7 +274,7 @@ Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made b
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Dataclass field read from a table, of several from `section`; without a default its key is needed."""
+    """Dataclass field read from a table, from `section` if the class is read from several; without a default its key is required."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -313,7 +313,7 @@ def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
 def from_table(
     fields: Keys, table: Mapping[str, Any], section: str, also: Collection[str] = (), rule: str = ""
 ) -> dict[str, Any]:
-    """Checked values of a table; BadInput for bad, missing (by the rule) and other keys than `also`."""
+    """Checked values of a table; BadInput for a bad value, a missing key, which `rule` explains, and one in neither `fields` nor `also`."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
     for name in needed:

@@ -55,7 +55,7 @@ _ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 class Expression:
     """Arithmetic of names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`.
 
-    With a seed it may contain DRAWS of any values, by the seed, the key, and the number of the draw in the text.
+    With a seed it may contain DRAWS: random numbers that follow from their arguments, the seed, the key, and their place in the text.
     """
 
     def __init__(self, key: str, text: str, seed: int | None = None):
@@ -75,7 +75,7 @@ class Expression:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
         calls = [] if seed is None else [part for part in ast.walk(tree) if isinstance(part, ast.Call)]
         draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
-        # Numbers, names and functions, each after its arguments, with their number.
+        # In postfix order: numbers and names with 0, functions with the number of their arguments.
         self._program, self.drawn = list[tuple[Any, int]](), set[str]()
         self._compile(tree, draws)
         self.names = frozenset(part for part, _ in self._program if isinstance(part, str))

@@ -161,7 +161,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
 def reasons(
     system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
 ) -> Flags:
-    """Why points are not computed, their durations apart: values of `Reason`."""
+    """Why points are not computed, whatever their durations: values of `Reason`."""
     conditions = {
         Reason.NO_VALUE: no_value,
         Reason.IMPOSSIBLE_BODY: ~possible_body(system, points),
@@ -296,7 +296,7 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
-    """Points of a grid with different values in a window around them, of this size along each axis."""
+    """Points of a grid whose surroundings have different values; window: number of points of the surroundings along each axis."""
     from scipy.ndimage import maximum_filter, minimum_filter  # slow to import, and most runs do not need it
 
     return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))

@@ -33,7 +33,7 @@ MAX_TIE_SHOWN = 30  # characters
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of integration and labels, durations apart. BadInput for a value out of range."""
+    """Settings of integration and labels, without the duration. BadInput for a value out of range."""
 
     method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
     # Beyond a phase error of 1 the phase means nothing.
@@ -58,7 +58,7 @@ class Settings:
     drift_tolerance: float = checked(
         checks.positive, 1e-5, "labels", "largest relative change of a first integral"
     )
-    # Default, also of each observable without an entry: see `systems.base.Observable.tolerance`.
+    # An observable without an entry has its own tolerance: see `systems.base.Observable.tolerance`.
     std_tolerance: Mapping[str, float] | None = checked(
         checks.positive_numbers, None, "labels",
         "largest standard deviation with which an observable counts as constant, by its name, for systems with"
@@ -213,7 +213,9 @@ class Scene:
     )
     seed: int = 0  # of the random numbers in ties
     refine: Refine | None = None  # refinement at borders
-    points: Mapping[str, Any] | None = None  # the table [points] in place of axes, with the numbers of a file
+    points: Mapping[str, Any] | None = (
+        None  # the table [points] in place of axes; a file is replaced by its numbers
+    )
     about: About = EMPTY_ABOUT  # attributes of the atlas: summary, creator, licence and the like
     source: Source | None = field(default=None, compare=False)  # the file of the scene, for error messages
 

@@ -20,10 +20,10 @@ from .tables import CsvColumns
 from .text import read_text
 
 SAMPLES = ("latin_hypercube", "sobol")
-# Points of a sample, and its numbers: points times ranges.
+# Most points of a sample, and most numbers: points times ranges.
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 MAX_COLUMNS = 100  # of a table or file of points
-# Bytes of a file of points in a scene, and fields of a CSV file, names of points included.
+# Most bytes of a file of points in a scene, and most fields of a CSV file, in which some columns may name the points.
 MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
 RANGES = checks.Check(

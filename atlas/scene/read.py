@@ -264,7 +264,7 @@ def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
 
 
 def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
-    """Variables in the order of the registry, of an atlas those that are known, and the one that maps show; empty if none is named."""
+    """Variables in the order of the registry, of an atlas without unknown ones, and the name of the variable that maps show, or ""."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     listed = table.get("variables", default_variables(system))

@@ -137,7 +137,7 @@ def kept_columns(
 def parameter_arrays(
     system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **others: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Names of the parameters in a table; aligned arrays of float64 of these and `others`; and the columns to keep."""
+    """Names of the parameters in a table; their values, and `others`, as aligned arrays of float64; and the columns to keep."""
     import xarray as xr
 
     name_columns = kept_columns(system, columns, keep)
@@ -163,7 +163,7 @@ def parameter_arrays(
 
 
 def _numbers(name: str, values: Any) -> xr.DataArray:
-    """A number, a 1-D array or a DataArray as a DataArray of float64, lazy if it is one of dask; else BadInput."""
+    """A number, a 1-D array or a DataArray as a DataArray of float64, a dask array as a lazy one; else BadInput."""
     import xarray as xr
 
     try:
@@ -253,7 +253,7 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
 
 SEPARATORS = ("\t", ";", ",")  # the first of them in the line of names separates fields
 INDEX = "index"  # name of a first column without name, as in files of pandas
-# Characters of a line, because a file that is no table may be one line, and of a table, because a pipe may have no end.
+# Most characters of a line (a file that is no table may be a single line) and of a table (a pipe may have no end).
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
 
 
@@ -272,7 +272,7 @@ class CsvColumns(dict[str, Any]):
 
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
-    number = size = 0  # of the last line; of all lines, in characters
+    number = size = 0  # number of the last line read; characters read
 
     def content_lines() -> Iterator[str]:
         """The lines without empty ones and comments."""

@@ -31,7 +31,7 @@ _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)
 def open_text(path: Path | None) -> Iterator[TextIO]:
     """Open a file in UTF-8, or standard input; BadInput if it cannot be opened or read."""
     name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # another file may have its number now
+    if path is None and sys.__stdin__ is None:  # its descriptor may be that of another file now
         raise BadInput(f"{name}: is closed")
     try:
         with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:

@@ -71,7 +71,7 @@ def stamp(path: Path | str) -> object:
 def writable(
     path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path | str:
-    """Check the place of an atlas to write; BadInput as `files.writable`, and if the place holds anything but an atlas or a part."""
+    """Check the place of an atlas to write; BadInput as `files.writable`, and if the place holds anything but an atlas or part of one."""
     form(path)  # BadInput if it is not installed
     if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
         return netcdf.writable(path, suffixes, force=force, inputs=inputs)

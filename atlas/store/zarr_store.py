@@ -55,7 +55,7 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        # Whether no object may be missing; with objects by CODECS the bytes of the numbers in each, by array.
+        # Whether every object must be there; array -> bytes of the numbers in an object, if all are packed by CODECS.
         self.is_whole, self.sizes = is_whole, sizes
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
@@ -69,7 +69,7 @@ class PlaceStore(WrapperStore[Any]):
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
         if self.sizes is not None and "/c" in key:
-            # The errors of codecs would not name the object. Blosc begins with four bytes and the unpacked size.
+            # Checked here, because errors of codecs would not name the object. Bytes 4 to 7 of Blosc are the unpacked size.
             size, checksum = (int.from_bytes(part, "little") for part in (content[4:8], content[-4:]))
             if checksum != crc32c(content[:-4]) or size != self.sizes.get(key.partition("/")[0], size):
                 raise BadInput(damaged)

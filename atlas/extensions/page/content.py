@@ -415,7 +415,7 @@ class Layout:
     whole: xr.Dataset  # the atlas
     ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
     scene: Scene | None  # scene of the atlas, from which theory and motions follow
-    problem: str  # why there is none, of an atlas that names one
+    problem: str  # why an atlas that names a scene has none here; else empty
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
     panel_dims: list[str]  # the other dimensions

@@ -35,8 +35,8 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # State and constants are as in `kernel.ensemble.Ensemble`; the first axis of the frame follows the state of a body whose
-    # equations have no `axis_in_frame`.
+    # State and constants are as in `kernel.ensemble.Ensemble`; for a body whose equations have no `axis_in_frame` the state is
+    # followed by the first axis of the frame.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
@@ -122,7 +122,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
-    """Values of an array over some dimensions of the points, whose names and sizes these are, over all of them."""
+    """An array over some dimensions of the points, broadcast to all of them; sizes: name -> size of each dimension, in order."""
     whole = array.expand_dims({dim: size for dim, size in sizes.items() if dim not in array.dims})
     return np.asarray(whole.transpose(*sizes).values)
 

@@ -26,7 +26,7 @@ from ...scene import checks
 from .content import MAX_BYTES, MAX_POINTS, Layout, Store, motion_table, page_layout, page_table
 from .motion import CannotTranslate, sources, translate
 
-# In one scope; the last one starts the page.
+# Scripts of the page, joined in one scope; the last one starts it.
 SCRIPTS = ("map.js", "point.js", "motion.js", "controls.js")
 FORMATS = (".html", ".htm")
 FALLBACK_DPI = 110

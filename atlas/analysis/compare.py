@@ -32,8 +32,8 @@ from .metadata import (
     system_of,
 )
 
-# Near the analytical boundary growth is slow and stable motions have large amplitudes: half the width of
-# the band that counts as near, as a fraction of the axis range.
+# Half the width of the band around the analytical boundary that counts as near it, as a fraction of the axis range: there growth
+# is slow, and stable motions have large amplitudes.
 BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.

@@ -87,7 +87,7 @@ def convergence(
 
 
 def _changed(scene: Scene, name: str, factor: float) -> Scene:
-    """The scene with one setting multiplied by a factor: a given step, if there is one, for the tolerance."""
+    """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
     if name == "duration":
         return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))
     settings: Any = scene.settings

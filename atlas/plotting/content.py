@@ -146,7 +146,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
         and set(dims) <= set(axes_of(scene))
         and without_motion.any()
     ):
-        # Where the scene has a motion only its tile is missing.
+        # A white cell at which the scene has a motion belongs to a tile that is not computed yet.
         grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
         columns = {dim: grid[without_motion] for dim, grid in zip(dims[::-1], grids, strict=True)}
         try:

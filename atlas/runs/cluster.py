@@ -148,7 +148,7 @@ def for_each(
 
 
 def _succeeded(future: Future[Any], attempt: int) -> bool:
-    """Whether a task has a result, or else is submitted again; raises its error."""
+    """Whether a task has a result; without one it is to be submitted again. Raises the error of a task that failed."""
     from distributed import KilledWorker
 
     if future.status == "finished":

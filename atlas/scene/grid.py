@@ -25,6 +25,7 @@ from ..systems.base import (
     on_family,
     possible_body,
     shape_of,
+    subset,
     within_range,
 )
 from ..systems.steady import lacks_theory
@@ -82,9 +83,7 @@ class Grid:
 
     def subset(self, where: np.ndarray | slice) -> Grid:
         """Some of the points, by their indices, a mask or a slice."""
-        base, points = (
-            {name: values[where] for name, values in columns.items()} for columns in (self.base, self.points)
-        )
+        base, points = subset(self.base, where), subset(self.points, where)
         step = None if self.step is None else self.step[where]
         return Grid(base, points, self.reason[where], self.duration[where], step)
 
@@ -152,9 +151,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
         duration = durations(system, scene.duration, base, "integration.duration")
         reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
         has_values = reason != Reason.NO_VALUE
-        system.check(
-            base if has_values.all() else {name: column[has_values] for name, column in base.items()}
-        )
+        system.check(base if has_values.all() else subset(base, has_values))
     return base, reason, duration
 
 
@@ -223,7 +220,7 @@ def check(scene: Scene) -> Grid:
                 f"{scene.ties[name].key} = {shown(scene.ties[name].text)}: gives {values[name][0]:g}, and no point has"
                 " values of all ties"
             )
-        check_possible(scene.system, {name: column[defined] for name, column in grid.base.items()})
+        check_possible(scene.system, subset(grid.base, defined))
         if scene.family is not None:
             exists = (grid.reason == Reason.NONE) | (grid.reason == Reason.NO_TURN)
             candidates = indices[exists if exists.any() else grid.reason == Reason.NO_MOTION]

@@ -208,9 +208,7 @@ class Scene:
     duration: Duration = Duration()  # length of the runs
     settings: Settings = DEFAULTS  # integration and labels
     outputs: tuple[str, ...] = ()  # variables of the atlas
-    map: str = (
-        ""  # the variable of its map and its page by default; empty: see `analysis.metadata.map_variable`
-    )
+    map: str = ""  # default variable of its map and its page; empty: see `analysis.metadata.map_variable`
     seed: int = 0  # of the random numbers in ties
     refine: Refine | None = None  # refinement at borders
     points: Mapping[str, Any] | None = (

@@ -71,7 +71,7 @@ class Folder:
         return False
 
     def _file(self, name: str) -> Path:
-        """Path of a content, whose folder is made inside this one, unless another process has removed this one."""
+        """Path of a content; its folder is made, but not the place itself, which another process may have removed."""
         path = self.path / name
         if not path.parent.is_dir() and self.path.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -146,9 +146,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
             group = "numerics" if name in NUMERICS else "motion"
             if name in THEORY or name in derived_variables(layout.system):
                 group = "theory"
-            lines = (
-                "inertial" if name.endswith("_inertial") else "frame"
-            )  # kind of lines of theory on its map
+            lines = "inertial" if name.endswith("_inertial") else "frame"
             texts = {
                 "name": name,
                 "label": text_runs(label),

@@ -19,9 +19,6 @@ from strategies import default_points
 
 import atlas
 from atlas.systems import SYSTEMS
-from atlas.systems.satellite.equations import rhs
-from atlas.systems.satellite.families import steady_motion
-from atlas.systems.satellite.initial import constants
 
 REFERENCE = Path(__file__).parent / "reference"
 
@@ -324,14 +321,3 @@ def check_whole_periods(motion):
     nodes, weight = exact._quadrature(motion, duration)
     for name, value in exact.moments(motion(nodes), weight / duration).items():
         np.testing.assert_allclose(whole[name], value, rtol=1e-12, atol=1e-12)
-
-
-def unbalanced_acceleration(point):
-    """Largest error of the acceleration of the satellite over 13 times of the motion w' = n gamma + m e3 of one point."""
-    t = np.linspace(0.0, 13.0, 13)
-    state = steady_motion(point, t)
-    rates = np.array(rhs(state, constants(point)[:, None]))
-    needed = (
-        (point["n"] + point["Omega"]) * point["m"] * np.array([state[7], -state[6], np.zeros_like(state[6])])
-    )
-    return float(np.abs(rates[:3] - needed).max())

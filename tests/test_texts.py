@@ -2,30 +2,50 @@
 
 import ast
 import io
+import itertools
 import json
 import logging
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import HOSTILE, VALUES, changed
 from matplotlib.text import Text
 
 import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.errors import MAX_MESSAGE, MAX_TEXT
+from atlas.extensions.page import content, page
 from atlas.files import process_name
 from atlas.runs.status import status as status_of
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 PACKAGE = Path(atlas.__file__).parent
+# A screen is cleared, a line is forged, writing turns round, half a character; longer than a text may be.
+HOSTILE = "\x1b[2J\ndone\u202e\udcff" + "<b>A</b>" * 100
+# In turn also what is no formula, what would take long to set, letters without a glyph, and what is no text.
+VALUES = (
+    HOSTILE, r"$\nonsense{$" + HOSTILE, f"${'A' * 3_000_000}$", f"${'{' * 3000}{'}' * 3000}$", "$\u4e2d_0$ \u4e2d", 3,
+    np.arange(5.0),
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def ds(small_scene):
     return atlas.run(load_scene(small_scene), progress=False)
+
+
+def changed(ds, values):
+    """The atlas with these values in turn in its text attributes, but for those that name its system and its flags."""
+    ds, values = ds.copy(), itertools.cycle(values)
+    keep = ("atlas_system", "atlas_scene", "flag_meanings")
+    for owner in (ds, *ds.variables.values()):
+        owner.attrs = {
+            name: next(values) if isinstance(old, str) and name not in keep else old
+            for name, old in owner.attrs.items()
+        }
+    return ds
 
 
 def is_clean(text):
@@ -48,9 +68,20 @@ def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, first, 
     assert not caplog.records
 
 
+def test_pages_hold_clean_texts(ds, monkeypatch):
+    monkeypatch.setattr(content, "MAX_SLICES", 0)  # no lines of theory
+    monkeypatch.setattr(page, "_fallback", lambda shown: "data:,")
+    monkeypatch.setattr(page, "_assembled", lambda table, *_: table)
+    hostile = changed(ds, [HOSTILE]).assign({HOSTILE[:40]: ds.theta_dot_rms})
+    text = json.dumps(hostile.atlas.page().html, ensure_ascii=False)
+    assert not {"\u202e", "\udcff"} & set(text)
+    assert not any(f"\\u{i:04x}" in text for i in range(32))
+    assert "\\\\x1b[2J\\\\ndone\\\\u202e\\\\udcff<b>" in text
+
+
 def test_attributes_are_read_by_the_functions_that_clean_them():
     """A text that is read in another way could reach a terminal or a figure."""
-    rooms = ("analysis", "cli", "extensions", "plotting")
+    rooms = ("analysis", "cli", "page", "plotting")
     files = [PACKAGE / "accessor.py", *(path for room in rooms for path in (PACKAGE / room).rglob("*.py"))]
     for path in files:
         if path.name == "metadata.py":
@@ -72,17 +103,18 @@ def test_attributes_are_read_by_the_functions_that_clean_them():
         ({"atlas_step": "a"}, "the attribute atlas_step is no number"),
         ({"atlas_rate_tolerance": [1, 2]}, "the attribute atlas_rate_tolerance is no number"),
         ({"atlas_scene": 3}, "atlas_scene is no text"),
+        ({"atlas_scene": "", "atlas_method": "\x1b"}, "attribute atlas_method = '\\\\x1b'"),
     ],
 )
 def test_attributes_of_a_wrong_type_are_refused(ds, attributes, words):
     damaged = ds.assign_attrs(attributes)
     with pytest.raises(BadInput, match=words.replace("\\\\", "\\\\\\\\")):
-        damaged.atlas.map(caption=True)
+        damaged.atlas.map(caption=True) if "atlas_method" not in attributes else damaged.atlas.page()
 
 
 def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
     texts = ds.assign(label=ds.label.astype(str))
-    for question in (texts.atlas.map, texts.atlas.compare):
+    for question in (texts.atlas.page, texts.atlas.map, texts.atlas.compare):
         with pytest.raises(BadInput, match="label: values of type <U"):
             question()
     for question in (ds.assign_coords(Omega="one").atlas.compare, ds.assign_coords(m=1j).atlas.trajectory):

@@ -10,8 +10,6 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis.metadata import axes_of, scene_of, scene_problem
 from atlas.cli import main
-from atlas.extensions.page.content import page_layout
-from atlas.extensions.page.page import atlas_page
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
 
@@ -286,7 +284,6 @@ def test_figures_show_the_same_values_of_a_reordered_axis(monkeypatch):
     shuffled = REORDERED["shuffled"](whole, np.random.default_rng(6))
     expected, result = (select.plane_of(ds, None, None, {})[0] for ds in (whole, shuffled))
     xr.testing.assert_identical(result, expected)
-    xr.testing.assert_identical(page_layout(shuffled, 20).ds, page_layout(whole, 20).ds)
 
 
 @pytest.mark.parametrize(
@@ -313,7 +310,7 @@ def test_a_lost_scene():
     assert ds.atlas.map().axes
 
 
-def test_maps_and_pages_of_changed_coordinates_have_no_theory(caplog, tmp_path, capsys):
+def test_maps_of_changed_coordinates_have_no_theory(caplog, tmp_path, capsys):
     whole = changed_atlas("solved")
     ds = whole.assign_coords(theta0=np.rad2deg(whole.theta0).assign_attrs(whole.theta0.attrs))
     assert len(whole.atlas.map().axes[0].lines) > len(ds.atlas.map().axes[0].lines) == 0
@@ -321,9 +318,6 @@ def test_maps_and_pages_of_changed_coordinates_have_no_theory(caplog, tmp_path, 
     caplog.clear()
     ds.atlas.map(boundary=False)
     assert not caplog.text
-    page = atlas_page(ds).html
-    assert "No motions in this page: theta0 = 5.7" in page
-    assert "No theory in this page: theta0 = 5.7" in page
     ds.to_netcdf(tmp_path / "degrees.nc")
     assert main(["trajectory", str(tmp_path / "degrees.nc"), "--at", "sigma=1.0", "theta0=5.7"]) == 2
     assert "no value of this axis of its scene" in capsys.readouterr().err

@@ -15,7 +15,6 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.cli import main
 from atlas.errors import MAX_MESSAGE, MAX_TEXT
-from atlas.extensions.page import content, page
 from atlas.files import process_name
 from atlas.runs.status import status as status_of
 
@@ -68,20 +67,9 @@ def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, first, 
     assert not caplog.records
 
 
-def test_pages_hold_clean_texts(ds, monkeypatch):
-    monkeypatch.setattr(content, "MAX_SLICES", 0)  # no lines of theory
-    monkeypatch.setattr(page, "_fallback", lambda shown: "data:,")
-    monkeypatch.setattr(page, "_assembled", lambda table, *_: table)
-    hostile = changed(ds, [HOSTILE]).assign({HOSTILE[:40]: ds.theta_dot_rms})
-    text = json.dumps(hostile.atlas.page().html, ensure_ascii=False)
-    assert not {"\u202e", "\udcff"} & set(text)
-    assert not any(f"\\u{i:04x}" in text for i in range(32))
-    assert "\\\\x1b[2J\\\\ndone\\\\u202e\\\\udcff<b>" in text
-
-
 def test_attributes_are_read_by_the_functions_that_clean_them():
     """A text that is read in another way could reach a terminal or a figure."""
-    rooms = ("analysis", "cli", "page", "plotting")
+    rooms = ("analysis", "cli", "extensions", "plotting")
     files = [PACKAGE / "accessor.py", *(path for room in rooms for path in (PACKAGE / room).rglob("*.py"))]
     for path in files:
         if path.name == "metadata.py":
@@ -103,18 +91,17 @@ def test_attributes_are_read_by_the_functions_that_clean_them():
         ({"atlas_step": "a"}, "the attribute atlas_step is no number"),
         ({"atlas_rate_tolerance": [1, 2]}, "the attribute atlas_rate_tolerance is no number"),
         ({"atlas_scene": 3}, "atlas_scene is no text"),
-        ({"atlas_scene": "", "atlas_method": "\x1b"}, "attribute atlas_method = '\\\\x1b'"),
     ],
 )
 def test_attributes_of_a_wrong_type_are_refused(ds, attributes, words):
     damaged = ds.assign_attrs(attributes)
     with pytest.raises(BadInput, match=words.replace("\\\\", "\\\\\\\\")):
-        damaged.atlas.map(caption=True) if "atlas_method" not in attributes else damaged.atlas.page()
+        damaged.atlas.map(caption=True)
 
 
 def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
     texts = ds.assign(label=ds.label.astype(str))
-    for question in (texts.atlas.page, texts.atlas.map, texts.atlas.compare):
+    for question in (texts.atlas.map, texts.atlas.compare):
         with pytest.raises(BadInput, match="label: values of type <U"):
             question()
     for question in (ds.assign_coords(Omega="one").atlas.compare, ds.assign_coords(m=1j).atlas.trajectory):

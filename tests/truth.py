@@ -321,3 +321,14 @@ def check_whole_periods(motion):
     nodes, weight = exact._quadrature(motion, duration)
     for name, value in exact.moments(motion(nodes), weight / duration).items():
         np.testing.assert_allclose(whole[name], value, rtol=1e-12, atol=1e-12)
+
+
+def acceleration_error(point):
+    """Largest error of the angular acceleration of one satellite at 13 times of w' = n gamma + m e3."""
+    from atlas.systems.satellite.equations import rhs
+    from atlas.systems.satellite.families import steady_motion
+    from atlas.systems.satellite.initial import constants
+
+    w, state = point["n"] + point["Omega"], steady_motion(point, np.linspace(0.0, 13.0, 13))
+    needed = w * point["m"] * np.array([state[7], -state[6], np.zeros_like(state[6])])
+    return float(np.abs(np.array(rhs(state, constants(point)[:, None]))[:3] - needed).max())

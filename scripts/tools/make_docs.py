@@ -16,8 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from atlas.analysis import catalogue
-from atlas.extensions.amer2013 import claims
-from atlas.extensions.amer2013.figures import amplitude_table, periodic_solutions
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
@@ -263,16 +261,24 @@ def flags(flag: type[Flag]) -> str:
 
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
+    from atlas.extensions.amer2013 import claims
+    from atlas.extensions.amer2013.figures import amplitude_table
+
     return table([tuple(map(with_formulas, row)) for row in amplitude_table(claims.figure_table())])
 
 
 def periodic(system: System) -> str:
     """Table of the periodic solutions of Amer et al. (2013)."""
+    from atlas.extensions.amer2013 import claims
+    from atlas.extensions.amer2013.figures import periodic_solutions
+
     return table([tuple(map(with_formulas, row)) for row in periodic_solutions(claims.periodic_table())])
 
 
 def claim_table(system: System) -> str:
     """Table of the claims of Amer et al. (2013)."""
+    from atlas.extensions.amer2013 import claims
+
     rows = [("claim", "verdict", "measured")]
     for claim in claims.claims(claims.figure_table()):
         verdict = claim.verdict if claim.holds else f"**{claim.verdict}**"

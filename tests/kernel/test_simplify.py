@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from installed import example_scenes
 from strategies import evaluate, specialization_of
 
 import atlas
@@ -160,8 +161,8 @@ def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_sce
     assert not symmetric
 
 
-def test_the_example_scenes_share_twelve_kernels(pytestconfig):
-    scenes = [load_scene(path) for path in (pytestconfig.rootpath / "configs").glob("*.toml")]
+def test_the_example_scenes_share_twelve_kernels():
+    scenes = [load_scene(path) for path in example_scenes()]
     assert len(scenes) >= 35
     plans = [Plan.of(scene) for scene in scenes]
     kernels = {(plan.system.name, plan.settings.method, plan.specialization, plan.plugs) for plan in plans}

@@ -2,11 +2,13 @@
 
 import re
 import sys
+import tomllib
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from installed import example_scenes
 
 import atlas
 from atlas import BadInput, load_scene
@@ -121,15 +123,17 @@ def test_durations(small_scene, duration, expected):
     np.testing.assert_allclose(grid.points_at_indices(scene, np.arange(3)).duration, expected)
 
 
-def test_every_config_is_a_scene(pytestconfig):
-    configs = sorted((pytestconfig.rootpath / "configs").glob("*.toml"))
-    assert configs
+def test_every_config_is_a_scene():
+    configs = example_scenes()
+    assert len(configs) >= 35
     for path in configs:
         text = path.read_text()
         assert text.startswith("# What it shows:"), path
         assert re.search(r"^# Stands for:", text, re.M), path
         assert re.search(r"^# Time:", text, re.M), path
-        grid.check(load_scene(path))
+        scene = load_scene(path)
+        assert scene.extensions == tomllib.loads(text).get("extensions", []), path
+        grid.check(scene)
 
 
 numbers = st.floats(-10, 10).map(lambda x: round(x, 3))

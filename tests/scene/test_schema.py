@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from installed import example_scenes
 
 from atlas import BadInput
 from atlas.cli import main
@@ -16,7 +17,7 @@ from atlas.systems.base import families_of
 from atlas.variables import variables
 
 ROOT = Path(__file__).parents[2]
-SCENES = [*sorted((ROOT / "configs").glob("*.toml")), ROOT / "tests" / "small.toml"]
+SCENES = [*example_scenes(), ROOT / "tests" / "small.toml"]
 SMALL = (ROOT / "tests" / "small.toml").read_text()
 SAMPLE = '[points]\nsample = "sobol"\ncount = 8\n[points.ranges.sigma]\nfrom = 0.3\nto = 1.7\n'
 SAMPLED = SMALL[: SMALL.index("[axes")] + SAMPLE + SMALL[SMALL.index("[ties]") :]

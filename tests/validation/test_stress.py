@@ -10,26 +10,25 @@ from atlas import cli
 from atlas.flags import Status
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
-from atlas.systems.base import StressCase, stress_cases_of
+from atlas.systems.base import StressCase
 from atlas.validation import exact, stress, stress_truth
 from atlas.validation.stress import case_points
 
 # Cases that take a fraction of a second each; `atlas stress` runs all of them.
 QUICK = {
     "near 0", "near pi", "steep precession", "weak field", "separatrix", "unstable, short", "unstable, long",
-    "unstable cone, short", "slower than the run", "at rest", "denormal", "overflow", "pitch",
+    "unstable cone, short", "slower than the run", "at rest", "denormal", "overflow",
     "heavy top passes", "free gyrostat ends", "free sphere starts", "magnetic sphere ends", "magnetic top starts",
 }  # fmt: skip
 # Unstable motions of which rounding decides when they are left.
 BY_ROUNDING = {
-    "unstable rest, offset", "unstable rotation, offset", "unstable pitch, offset", "unstable pitch, long",
-    "slow spin, unstable",
+    "unstable rest, offset", "unstable rotation, offset", "slow spin, unstable",
 }  # fmt: skip
 
 
 def selected(system, names):
-    """The cases of a system with these names."""
-    return [case for case in stress_cases_of(system) if case.name in names]
+    """The cases of a system with these names, without cases of extensions."""
+    return [case for case in system.stress_cases() if case.name in names]
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +71,7 @@ def test_statistics_are_as_accurate_as_the_estimate(studies, system):
     beyond = stress.beyond_estimate(ds)
     for i, method in enumerate(ds["method"].values):
         compared, worse = int(known[i].sum()), int(beyond[i].sum())
-        assert compared > 100
+        assert compared > (60 if system == "satellite" else 100)
         assert worse <= 0.01 * compared, f"{method}\n{stress.report(ds)}"
 
 

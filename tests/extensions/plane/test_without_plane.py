@@ -12,6 +12,7 @@ from atlas.flags import Label, Status
 from atlas.systems.base import families_of, rate_std
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.steady import lacks_theory
+from atlas.variables import variables
 
 SCENE = """
 schema = 1
@@ -118,3 +119,12 @@ def test_what_varies_is_what_the_rule_asks_for():
     flags, _ = SATELLITE.identify_family(points)
     varies = rate_std(SATELLITE, points, flags, np.full(flags.size, np.inf)) > 0
     assert set(kind[varies]) == {0, 4, 5}
+
+
+def test_flags_of_families_are_reserved(without_extension):
+    flags = {name: family.flag for name, family in families_of(SATELLITE).items()}
+    meanings = variables(SATELLITE)["family"].flags
+    assert list(flags) == list(meanings)[1:]
+    without_extension("plane")
+    assert families_of(SATELLITE).keys() == flags.keys() - {"plane_libration", "plane_rotation"}
+    assert variables(SATELLITE)["family"].flags == meanings

@@ -7,6 +7,8 @@ from strategies import default_points
 from truth import paper_vectors, satellite_symbols
 
 from atlas.extensions.yehia2021.published import ENTRIES, PUBLISHED, random_point, residual, with_values
+from atlas.systems.base import families_of
+from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
 from atlas.systems.satellite.initial import constants, initial_state
 
@@ -137,3 +139,15 @@ def test_special_cases_are_those_of_the_general_conditions():
     formula_of_3 = -m * A - (C - A) * (Omega * c + m)
     assert sp.simplify(radius.subs({mu3: 0, B: A}) - formula_of_3) == 0
     assert sp.simplify(velocity.subs({mu3: 0, B: A}) - formula_of_3) != 0
+
+
+@pytest.mark.parametrize("row", PUBLISHED, ids=lambda row: row.number)
+def test_printed_equations(row):
+    printed = [row.residual_printed(np.random.default_rng(seed)) for seed in range(5)]
+    true = [row.residual_true(np.random.default_rng(seed)) for seed in range(5)]
+    assert max(true) < 1e-12
+    assert row.family in ("", *families_of(SATELLITE))
+    if row.verdict == "true":
+        assert max(printed) < 1e-12
+    else:
+        assert np.median(printed) > 1e-2

@@ -55,9 +55,9 @@ class Extension:
     line_styles : mapping of str to str, optional
         Kind of these lines -> colour, linestyle and linewidth, as Matplotlib has them; others are thin and black.
     stress_cases : mapping of str to str, optional
-        Name of a system -> function that returns more of its stress cases.
+        Name of a system -> function of it that returns more of its stress cases; several extensions may have some.
     published : mapping of str to str, optional
-        Name of a system -> sequence of `PublishedEquation`, rows of its catalogue.
+        Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have some.
     """
 
     name: str
@@ -152,6 +152,15 @@ def load(kind: str, name: str) -> Any:
         return None
     extension, reference = parts(kind)[name]
     return extension.load(reference)
+
+
+def of_each(kind: str, system: str) -> list[Any]:
+    """The stress cases or published rows of a system, from every extension that has some; BadInput if they cannot be loaded."""
+    return [
+        each.load(getattr(each, kind)[system])
+        for each in extensions().values()
+        if system in getattr(each, kind)
+    ]
 
 
 def every(kind: str) -> list[Any]:

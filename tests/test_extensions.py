@@ -10,10 +10,11 @@ import pytest
 
 import atlas
 from atlas import BadInput, cli
+from atlas.analysis.published import published_equations
 from atlas.extension import PARTS, Extension, extensions
 from atlas.label.plan import Plan
 from atlas.runs import plan
-from atlas.systems.base import families_of
+from atlas.systems.base import families_of, stress_cases_of
 from atlas.systems.satellite import SATELLITE
 from atlas.variables import variables
 
@@ -212,3 +213,22 @@ def variables(system):
     with pytest.raises(BadInput, match=r"changing/theory\.py was written after this process"):
         plan.identity(Plan.of(scene))
     plan.identity(Plan.of(replace(scene, outputs=("label",))))
+
+
+def test_several_extensions_add_cases_and_equations_of_a_system(installed_extensions, tmp_path, monkeypatch):
+    module(tmp_path, "rows", "", theory="""
+from atlas.analysis.published import row
+from atlas.systems.base import StressCase
+def cases(system):
+    return (StressCase(f"at rest, {system.name}", "a case of an extension", 1.0, {}),)
+ROWS = (row({"number": "(1)", "printed": "0 = 0", "true": "the same", "verdict": "true"}, (None, None)),)
+""")  # fmt: skip
+    monkeypatch.syspath_prepend(tmp_path)
+    parts = {
+        "stress_cases": {"satellite": "theory:cases"}, "published": {"satellite": "theory:ROWS"}
+    }  # fmt: skip
+    installed_extensions({name: Extension(name, "rows", "rows", **parts) for name in ("first", "second")})
+    for rows, own in ((stress_cases_of, SATELLITE.stress_cases), (published_equations, SATELLITE.published)):
+        assert len(rows(SATELLITE)) == len(own()) + 2
+    installed_extensions({})
+    assert len(stress_cases_of(SATELLITE)) == len(SATELLITE.stress_cases())

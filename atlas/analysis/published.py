@@ -26,8 +26,11 @@ expression = cache(Expression)  # the same few are evaluated at many random poin
 
 
 def published_equations(system: System) -> Sequence[PublishedEquation]:
-    """Equations of papers on a system: its own, and of an extension."""
-    return [*system.published(), *(extension.load("published", system.name) or ())]
+    """Equations of papers on a system: its own, then of extensions."""
+    return [
+        *system.published(),
+        *(row for rows in extension.of_each("published", system.name) for row in rows),
+    ]
 
 
 def load(package: str) -> dict[str, Any]:

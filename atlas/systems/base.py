@@ -629,9 +629,9 @@ def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Ex
 
 
 def stress_cases_of(system: System) -> list[StressCase]:
-    """Stress cases of a system, then of an extension."""
-    of_extension = extension.load("stress_cases", system.name)
-    return [*system.stress_cases(), *(of_extension(system) if of_extension else ())]
+    """Stress cases of a system, then of extensions."""
+    of_extensions = extension.of_each("stress_cases", system.name)
+    return [*system.stress_cases(), *(case for cases in of_extensions for case in cases(system))]
 
 
 def other_families(system: System) -> list[Family]:

@@ -2,6 +2,10 @@
 
 from ...extension import Extension
 
+# Longest run that is integrated for the errors of the paper's solution, in radians of the fastest frequency: some seconds
+# for a chunk of points.
+MAX_RADIANS = 1000.0
+
 EXTENSION = Extension(
     "amer2013",
     __name__,

@@ -26,7 +26,7 @@ from ...errors import BadInput
 from ...systems.base import Array, Mask, Points, subset
 from ...systems.fixed_point import equations, initial
 from ...systems.fixed_point.initial import bodies, initial_state
-from .variables import MAX_RADIANS
+from . import MAX_RADIANS
 
 # Data of section VI: moments of the two bodies, and the rest in SI units.
 PAPER_BODIES = {"A < C": (22.49, 35.6), "A > C": (50.32, 33.4)}

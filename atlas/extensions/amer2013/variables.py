@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from ...flags import PeriodicSolution
 from ...systems.base import Array, DerivedVariable, Points, System
-
-# Longest run that is integrated for the errors of its solution, in radians of the fastest frequency: some seconds for a
-# chunk of points.
-MAX_RADIANS = 1000.0
+from . import MAX_RADIANS
 
 
 def solution_errors(system: System) -> dict[str, DerivedVariable]:

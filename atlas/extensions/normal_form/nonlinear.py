@@ -41,7 +41,7 @@ from ...systems.base import Array, Flags, Points, subset
 from ...systems.gyrostat.body import across
 from ...systems.gyrostat.oscillations import GROWTH_TOLERANCE, Equilibria
 from ...systems.gyrostat.variables import kinds_of_stability, steady_families
-from .variables import RESONANCE_BAND
+from . import RESONANCE_BAND
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

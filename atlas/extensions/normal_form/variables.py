@@ -12,10 +12,10 @@ from ...flags import NonlinearStability
 from ...systems.base import DerivedVariable, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.variables import energy_stable, kinds_of_stability, steady_families
+from . import RESONANCE_BAND
 
 NORMAL_FORM = ("birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")
 NONLINEAR = "nonlinear_stability"
-RESONANCE_BAND = 1e-3  # distance of |l1/l2| from 1, 2 and 3 up to which the verdict is that of the resonance
 
 _BANDS = f"within {RESONANCE_BAND:g} of l1/l2 = -1, -2 and -3 that of the resonance; with three degrees of freedom undecided"
 _FORM = "of H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2; nan without two degrees of freedom and two frequencies"

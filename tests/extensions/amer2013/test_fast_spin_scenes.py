@@ -11,8 +11,7 @@ from strategies import default_points
 
 import atlas
 from atlas.errors import BadInput
-from atlas.extensions.amer2013 import EXTENSION, fast_spin, published
-from atlas.extensions.amer2013.variables import MAX_RADIANS
+from atlas.extensions.amer2013 import EXTENSION, MAX_RADIANS, fast_spin, published
 from atlas.scene import grid
 from atlas.scene.read import scene_from
 from atlas.systems import get

@@ -108,3 +108,23 @@ def test_other_variables_do_not_depend_on_it(without_extension):
     alone = atlas.run(atlas.load_scene(text), progress=False)
     for name in alone:
         np.testing.assert_array_equal(alone[name], ds[name])
+
+
+def test_its_run_folders_are_refused_by_name(without_extension, tmp_path, capsys):
+    atlas.run(atlas.load_scene(SCENE), tmp_path / "run", progress=False)
+    with atlas.open_atlas(tmp_path / "run") as ds:
+        assert set(COUNTS) <= set(ds)
+    without_extension("branches")
+    with pytest.raises(BadInput, match=r"extensions: 'branches' is not installed; installed: [a-z0-9_, ]+$"):
+        atlas.open_atlas(tmp_path / "run")
+    out = str(tmp_path / "out")
+    for command in (
+        ["status", str(tmp_path / "run")],
+        ["join", str(tmp_path / "run"), "-o", f"{out}.nc"],
+        ["map", str(tmp_path / "run"), "-o", f"{out}.png"],
+        ["compare", str(tmp_path / "run")],
+    ):
+        assert main(command) == BAD_INPUT
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "extensions: 'branches' is not installed" in line
+    assert not list(tmp_path.glob("out*"))

@@ -63,9 +63,8 @@ def evaluate(
         added |= runs.tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         added |= predict_any_axis(
-            plan.system, tile.base, tile.points, columns, plan.settings.rate_tolerance,
-            nudged=plan.nudged, cylinder_tolerance=plan.settings.cylinder, duration=tile.duration,
-            motion=runs.theory.prediction.motion,
+            plan.system, tile.base, tile.points, columns, plan.settings.tolerances,
+            nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,
         )  # fmt: skip
         if "agreement_any_axis" in plan.names:
             added["agreement_any_axis"] = agreement(columns["label_any_axis"], added["predicted_any_axis"])

@@ -28,11 +28,13 @@ from ..systems.base import (
     families_of,
     motion_about_axes,
     rate_std,
+    rough_stability,
     shape_of,
     subset,
     unsteady,
     within_range,
 )
+from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import derivatives
 from ..systems.steady import (
     FAR,
@@ -40,6 +42,7 @@ from ..systems.steady import (
     SteadyMotion,
     condition_residual,
     departure,
+    growth_about_vertical,
     lacks_theory,
     polynomial_degree,
     steady_motions,
@@ -108,12 +111,10 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
             motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
         pushed = nudged & ~exact_starts(system, points, nudged & (residual <= FAMILY_TOLERANCE))
-        variables = predict(
-            system, base, tolerances.rate, pushed, tolerances.angle, family, duration, motion=motion
-        )
+        variables = predict(system, base, tolerances, pushed, family, duration, motion=motion)
         if motion is not None and nudged:
             _take_away(system, base, points, duration, tolerances, variables)
-        growth = system.log_growth(base, family, variables["growth_rate"], duration)
+        growth = log_growth(system, base, family, variables["growth_rate"], duration)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
         start_residual, varying = residual.copy(), np.flatnonzero(unsteady(system, family))
@@ -124,8 +125,8 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
         else:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
-    log_growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
-    return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, log_growth)
+    growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
+    return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, growth)
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Theory:
         )
         exact = ~prediction.pushed if plan.nudged else prediction.start_residual <= max_residual
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
-        about_vertical = system.growth_about_vertical(tile.points) * tile.duration
+        about_vertical = growth_about_vertical(system, tile.points) * tile.duration
         frames = _frame_rates(system, tile.points)
         return cls(
             prediction,
@@ -217,9 +218,8 @@ def steady_motions_of(
 def predict(
     system: System,
     points: Points,
-    rate_tolerance: float,
+    tolerances: Tolerances,
     nudged: Mask | bool,
-    cylinder_tolerance: float | None = None,
     family: Flags | None = None,
     duration: Array | float = np.inf,
     rough: bool = False,
@@ -228,16 +228,14 @@ def predict(
     """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
 
     A steady motion has the label of its exact statistics; nudged, it keeps it where it is linearly stable and drifts where it
-    is unstable. Rates of at most rate_tolerance, rad per time unit, count as zero, and a tilt below cylinder_tolerance, rad
-    (default: the same number), as on the vertical. family, motion: those of each start, if they are known; without the motion
-    a start on no family has no prediction. rough: whether growth_rate may have fewer digits.
+    is unstable. family, motion: those of each start, if they are known; without the motion a start on no family has no prediction.
+    rough: whether growth_rate may have fewer digits.
     """
     if family is None:
         family, _ = _identify(system, points)
-    tolerances = Tolerances(
-        rate_tolerance, rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
+    stable, growth = (
+        rough_stability(system, points, family) if rough else system.linear_stability(points, family)
     )
-    stable, growth = (system.rough_stability if rough else system.linear_stability)(points, family)
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     times = np.broadcast_to(duration, family.shape)
     if motion is None:
@@ -357,23 +355,18 @@ def predict_any_axis(
     base: Points,
     points: Points,
     theory: Mapping[str, np.ndarray],
-    rate_tolerance: float,
+    tolerances: Tolerances,
     *,
     nudged: bool,
-    cylinder_tolerance: float | None = None,
     duration: Array | float = np.inf,
     motion: SteadyMotion | None = None,
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
 
     `base` and `points` are the starts before and after a nudge, which along a family leads to another exact
-    start. Rates of at most rate_tolerance, rad per time unit, count as zero, and axes within
-    cylinder_tolerance, rad (default: the same number), as parallel. Labels of starts that are no steady motion are drifting
+    start. Axes within the tolerance of angles count as parallel. Labels of starts that are no steady motion are drifting
     where they are far from every circle of the angular velocity, else not_computed. motion: that of `base`, if it is known.
     """
-    tolerances = Tolerances(
-        rate_tolerance, rate_tolerance if cylinder_tolerance is None else cylinder_tolerance
-    )
     names = {own: own.replace("predicted", "predicted_any_axis") for own in _frame_rates(system, base)}
     times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
     with np.errstate(all="ignore"):
@@ -395,7 +388,7 @@ def predict_any_axis(
             close = (
                 ~decided
                 & (label == Label.DRIFTING)
-                & near_circle(system, points, times, rate_tolerance, frame_rate)
+                & near_circle(system, points, times, tolerances.rate, frame_rate)
             )
             result[names[own]] = np.where(close, Label.NOT_COMPUTED, label)
     return result

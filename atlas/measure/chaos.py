@@ -18,7 +18,7 @@ from ..kernel.generated import WIDTH
 from ..kernel.stepsize import StepSizes, count_ladder, steps_of_length
 from ..kernel.tableaux import METHODS
 from ..kernel.tangent import METHOD
-from ..systems.base import Array, Flags, Mask, Points, System
+from ..systems.base import Array, Flags, Mask, Points, System, shape_of
 from .instrument import Instrument, Variable
 
 # Least number of nodes of a run, the instants at which the tangent vector is divided by its norm and the sums grow.
@@ -96,6 +96,15 @@ class TangentArrays(NamedTuple):
     vectors: Array  # in the kernel's units, (kernel.TANGENT, points)
     weights: Array  # factors of their components in their norm, (kernel.TANGENT, points)
     sums: Array  # (tangent.SUMS, points)
+
+
+def rate_unit(system: System, points: Points) -> Array:
+    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: the rate of the frame, or 1.
+
+    A finite Lyapunov exponent depends a little on it, its limit does not.
+    """
+    rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
+    return np.where(rate > 0, rate, 1.0)
 
 
 class Separation:
@@ -190,7 +199,7 @@ class TangentRuns:
     kernel: ModuleType  # see `kernel.specialization.tangent_kernel`
     ensemble: Ensemble
     steps: TangentSteps
-    rate_unit: Array  # see `System.rate_unit`
+    rate_unit: Array  # see `rate_unit`
     share: float  # of the work of all runs of the points
 
     @classmethod
@@ -207,10 +216,10 @@ class TangentRuns:
         """The runs of points that are integrated without a tangent vector as well, with step_sizes."""
         with np.errstate(all="ignore"):
             steps = TangentSteps.of(ensemble.frequency_bound, duration, settings.step, settings.max_steps)
-            rate_unit = np.asarray(system.rate_unit(points))
+            unit = rate_unit(system, points)
         own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
-        return cls(system, kernel, ensemble, steps, rate_unit, work / (own + work))
+        return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
     def variables(
         self,

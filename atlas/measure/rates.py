@@ -52,7 +52,7 @@ class Rates(MainInstrument):
         flag = [
             Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
             Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
-            Variable("geometry", "int8", "1", "geometry of the measured motion", dict(system.geometries)),
+            Variable("geometry", "int8", "1", "geometry of the measured motion", {"none": "drifting or unresolved"} | {k: v.text for k, v in system.geometries.items()}),
             STATUS,
             Variable("family", "int8", "1", "family of exact steady motions the start belongs to", families),
             Variable("stable", "int8", "1", "linear stability of the steady motion, from theory", Stability.meanings()),
@@ -190,17 +190,27 @@ class Rates(MainInstrument):
         tolerances, ok = run.settings.tolerances, columns["status"] == Status.OK
         cylinder = in_cylinder(run.measured, tolerances.angle)
         steady = ok & (columns["label"] != Label.DRIFTING)
-        with np.errstate(invalid="ignore"):
-            geometry = run.system.geometry(run.measured, steady, cylinder, tolerances.rate, tolerances.angle)
-        return {"geometry": geometry} | {
+        return {"geometry": geometry(run.system, run.measured, steady, cylinder, tolerances)} | {
             name: np.where(cylinder, np.nan, columns[name]) for name in NEEDS_PSI
         }
+
+
+@np.errstate(invalid="ignore")
+def geometry(
+    system: System, measured: Measured, steady: Mask, cylinder: Mask, tolerances: Tolerances
+) -> Flags:
+    """Value of the first of the system's geometries that each motion has, 0 of those that are not steady, (points,)."""
+    kinds = [
+        kind.holds(measured, cylinder, tolerances.rate, tolerances.angle)
+        for kind in system.geometries.values()
+    ]
+    return np.select([~steady, *kinds], range(1 + len(kinds)), 0).astype(np.int8)
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
     """The variables of a body, as far as the system has them."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
-    if len(system.geometries) < 2:
+    if not system.geometries:
         missing |= {"geometry"}
     has_families = bool(system.families or system.reserved_families)
     if not has_families:

@@ -67,6 +67,16 @@ class TwoAxes(NamedTuple):
         return TwoAxes(*(values[..., where] for values in self))
 
 
+class Geometry(NamedTuple):
+    """Where the third axis is, of steady motions."""
+
+    text: str  # a sentence
+    # (measured variables, where the axis stayed on the vertical, rates and angles that count as zero) -> whether a motion has
+    # this geometry, if it has none before. axis_1, axis_2: means over the run of the third axis' components along the first
+    # two axes of the frame, of equations with axis_in_frame
+    holds: Callable[[Mapping[str, Array], Mask, float, float], Mask]
+
+
 @dataclass(frozen=True)
 class Observable:
     """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
@@ -106,7 +116,7 @@ class Family:
     # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
     # which the formulas may be used together
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability and System.rough_stability
+    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability and the function rough_stability
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None
     stability_text: str = ""  # what decides the stability, for the catalogue
@@ -211,14 +221,13 @@ class System(ABC):
 
     Equations
         `equations`, `parameters`, `observables`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
-        `equal_parameters`, `specialization`, `rate_unit`.
+        `equal_parameters`, `specialization`.
     Initial values
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `warnings`, and what is physically possible:
         `moments_of_inertia`, `possible_start`, `start_condition`.
     Theory
-        `families`, `reserved_families`, `identify_family`, `squared_rate`, `linear_stability`, `rough_stability`,
-        `log_growth`, `growth_about_vertical`, `frame_rate`, `geometries`, `geometry`, `derived`, `equilibria`,
-        `equilibria_of_bodies`, `published`, `stress_cases`.
+        `families`, `reserved_families`, `identify_family`, `linear_stability`, `frame_rate`, `geometries`, `derived`,
+        `equilibria`, `equilibria_of_bodies`, `stress_cases`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -330,13 +339,6 @@ class System(ABC):
         """
         return set(), set()
 
-    def rate_unit(self, points: Points) -> Array:
-        """Unit in which `rate_states` enter the norm of a tangent vector, rad per time unit, (points,).
-
-        The default is 1: a finite Lyapunov exponent depends a little on it, its limit does not.
-        """
-        return np.ones(shape_of(points))
-
     # Initial values.
 
     @abstractmethod
@@ -392,8 +394,8 @@ class System(ABC):
     """Families of exact steady motions by name, their flags counted from 1 in this order."""
     reserved_families: Mapping[str, str] = MappingProxyType({})
     """Name -> title of families that extensions may add; their flags follow in this order, whatever is installed."""
-    geometries: Mapping[str, str] = MappingProxyType({"none": "drifting or unresolved"})
-    """Name -> sentence of each value of the flag variable `geometry`, in the order of the values."""
+    geometries: Mapping[str, Geometry] = MappingProxyType({})
+    """Geometries of steady motions by name, the values of the flag variable `geometry` counted from 1; 0 is none."""
     derived: Mapping[str, DerivedVariable] = MappingProxyType({})
     """Quantities from theory that a scene may list among its outputs, by name."""
     frame_rate: Callable[[Points], Array] | None = None
@@ -453,13 +455,6 @@ class System(ABC):
         others = other_families(self)
         return identify(points, [each for each in families_of(self).values() if each not in others], others)
 
-    def squared_rate(self, points: Points) -> Array:
-        """Largest squared rate of each start, of body, frame and fields, by which `condition_residual` is divided, (points,).
-
-        The default is the square of the frequency bound.
-        """
-        return self.frequency_bound(points) ** 2
-
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """Linear stability of the steady motions.
 
@@ -486,71 +481,6 @@ class System(ABC):
             if members.size and family.stability is not None:
                 stable[members], growth[members] = family.stability(subset(points, members))
         return stable, growth
-
-    def rough_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        """As `linear_stability`, with fewer digits of the growth rate where that saves time.
-
-        Parameters
-        ----------
-        flags : int8 array (points,)
-            Families, as `identify_family` gives them.
-        """
-        rough = {f.flag: f.rough_stability for f in families_of(self).values() if f.rough_stability}
-        stable, growth = self.linear_stability(points, np.where(np.isin(flags, list(rough)), 0, flags))
-        for flag, decide in rough.items():
-            if (members := np.flatnonzero(flags == flag)).size:
-                stable[members], growth[members] = decide(subset(points, members))
-        return stable, growth
-
-    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
-        """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
-
-        The default, growth_rate x duration, is right unless the linear system varies more slowly than the run lasts.
-
-        Parameters
-        ----------
-        flags, growth_rate : arrays (points,)
-            As `identify_family` and `linear_stability` give them.
-        duration : array (points,)
-            Time units.
-        """
-        return growth_rate * duration
-
-    def growth_about_vertical(self, points: Points) -> Array:
-        """Growth rate of a steady motion of which the third axis is, and stays, exactly on the vertical.
-
-        No tilt can grow then, but the rotation about the vertical may be unstable. Rounding errors decide no label
-        where this rate is 0. The default nan stands for unknown: the growth rate of `linear_stability` counts.
-        """
-        return np.full(shape_of(points), np.nan)
-
-    def geometry(
-        self,
-        measured: Mapping[str, Array],
-        steady: Mask,
-        cylinder: Mask,
-        rate_tolerance: float,
-        angle_tolerance: float,
-    ) -> Flags:
-        """Geometry of the measured motion, values of `geometries`, int8 (points,).
-
-        Parameters
-        ----------
-        measured : mapping
-            Measured variables by name, (points,), and axis_1, axis_2: means over the run of the third axis'
-            components along the first two axes of the frame, where the equations have ``axis_in_frame``.
-        steady : bool array (points,)
-            Where the motion is labelled as steady.
-        cylinder : bool array (points,)
-            Where the third axis stayed on the vertical.
-        rate_tolerance, angle_tolerance : float
-            Rates (rad per time unit) and angles (rad) that count as zero.
-        """
-        return np.zeros(steady.shape, np.int8)
-
-    def published(self) -> Sequence[PublishedEquation]:
-        """Equations of the system's paper, as printed and as true; extensions may have more."""
-        return ()
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme points for the command `atlas stress`."""
@@ -771,6 +701,16 @@ def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> A
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
             result[members] = family.rate_std(subset(points, members), duration[members])
     return result
+
+
+def rough_stability(system: System, points: Points, flags: Flags) -> tuple[Flags, Array]:
+    """As System.linear_stability, with fewer digits of the growth rate where that saves time."""
+    rough = {f.flag: f.rough_stability for f in families_of(system).values() if f.rough_stability}
+    stable, growth = system.linear_stability(points, np.where(np.isin(flags, list(rough)), 0, flags))
+    for flag, decide in rough.items():
+        if (members := np.flatnonzero(flags == flag)).size:
+            stable[members], growth[members] = decide(subset(points, members))
+    return stable, growth
 
 
 def on_family(family: Family, points: Points) -> Array:

@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from . import arithmetic
 from .base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, TwoAxes, families_of, shape_of, subset
+from .gyrostat.system import Gyrostat
 from .jacobian import STEP
 from .vectors import cross, dot, length, principal, ratio, turned, unit
 
@@ -393,6 +394,33 @@ def _departure(start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple
 
 
 @np.errstate(all="ignore")
+def growth_about_vertical(system: System, points: Points) -> Array:
+    """Growth rate of the rotation about the vertical of a body that turns about its third axis, which is exactly on it, (points,).
+
+    No tilt can grow then. delta'' = a delta + b delta' for the angle delta about the axis, by the derivatives of the equations.
+    nan elsewhere, and of systems of which the theorem says nothing: rounding decides no label where the rate is 0.
+    """
+    growth = np.full(shape_of(points), np.nan)
+    if isinstance(polynomial_degree(system), str):
+        return growth
+    where = np.flatnonzero(np.abs(system.steady_rates(points)[0]) <= FAMILY_TOLERANCE)
+    if not where.size:
+        return growth
+    start = _Starts.of(system, subset(points, where))
+    third = principal(np.full(where.size, 2))
+    turn, spin = np.zeros((2, *start.state.shape))
+    for triple in start.vectors:
+        turn[triple] = cross(start.state[triple], third)
+    spin[start.rates] = third
+    a, b = (
+        np.imag(start.equations.rhs(start.state + 1j * STEP * change, start.constants)[start.rates[2]]) / STEP
+        for change in (turn, spin)
+    )
+    growth[where] = np.hypot(b / 2, np.sqrt(np.fmax(a, 0.0))) + b / 2
+    return growth
+
+
+@np.errstate(all="ignore")
 def lacks_theory(system: System, points: Points) -> Mask:
     """Whether families that a missing extension could give may decide on a start, (points,).
 
@@ -423,7 +451,10 @@ def condition_residual(system: System, points: Points) -> Array:
     # With a power of 2 as the complex step no bit is lost where the motion is linear in the state.
     stepped = np.imag(system.equations.frame_motion(state + 1j * _STEP * slope, constants)) / _STEP
     u, gamma = np.split(np.array(system.equations.frame_motion(state, constants)), 2)
-    square, sine = system.squared_rate(points), np.hypot(gamma[0], gamma[1])
+    square = (
+        system.squared_unit(points) if isinstance(system, Gyrostat) else system.frequency_bound(points) ** 2
+    )
+    sine = np.hypot(gamma[0], gamma[1])
     change = ratio(length(stepped[:3] - n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])), square)
     about_third = np.maximum(ratio(length(stepped[:3]), square), ratio(np.hypot(u[0], u[1]), np.sqrt(square)))
     change = np.where(sine <= FAMILY_TOLERANCE, np.minimum(change, about_third), change)

@@ -17,6 +17,7 @@ from ..scene.model import Settings
 from ..scene.tables import point_columns
 from ..systems.base import Array, Flags, Mask, Points, StressCase, System, families_of, subset
 from ..systems.gyrostat import Gyrostat
+from ..systems.gyrostat.system import log_growth
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
 from . import exact
@@ -118,10 +119,10 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> TrueLab
         runs = [exact.statistics(motion, T) for motion, T in zip(motions, duration, strict=True)]
         return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
-        theory = predict(system, points, settings.rate_tolerance, False, settings.cylinder, duration=duration)
+        theory = predict(system, points, settings.tolerances, False, duration=duration)
         residual, bound = condition_residual(system, points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
-        growth = system.log_growth(points, theory["family"], theory["growth_rate"], duration)
+        growth = log_growth(system, points, theory["family"], theory["growth_rate"], duration)
         limit = rounding_limit(residual, bound, settings.tolerances)
         despun, excess = (
             system.despun(points) if isinstance(system, Gyrostat) else (points, np.zeros(duration.shape))

@@ -51,7 +51,9 @@ def test_off_the_families_a_satellite_drifts_with_and_without_an_orbit():
         "theta_dot0": np.array([0.1, 0.1]),
     }
     motion = theory.steady_motions_of(system, start, np.full(2, 50.0), Tolerances(1e-5, 1e-5))
-    predicted = theory.predict(system, start, 1e-5, False, duration=np.full(2, 50.0), motion=motion)
+    predicted = theory.predict(
+        system, start, Tolerances(1e-5, 1e-5), False, duration=np.full(2, 50.0), motion=motion
+    )
     assert predicted["family"].tolist() == [0, 0]
     assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.DRIFTING]
 
@@ -61,7 +63,7 @@ def test_the_prediction_for_a_nudged_start_depends_on_stability():
     start = {name: np.array([p.default, p.default]) for name, p in system.parameters.items()}
     start["C"] = np.array([1.2, 0.5])  # cylindrical: stable, unstable
     for nudged, unstable in ((False, Label.PERMANENT_ROTATION), (True, Label.DRIFTING)):
-        predicted = theory.predict(system, start, 1e-5, nudged)["predicted"]
+        predicted = theory.predict(system, start, Tolerances(1e-5, 1e-5), nudged)["predicted"]
         assert predicted.tolist() == [Label.PERMANENT_ROTATION, unstable]
 
 

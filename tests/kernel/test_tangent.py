@@ -21,7 +21,7 @@ def indicators(name, points, duration, *, kernel=None, threads=1, step=None):
     durations = np.full(ensemble.size, duration)
     steps = chaos.TangentSteps.of(ensemble.frequency_bound, durations, step, 10**9)
     kernel = kernel or tangent_kernel(system)
-    separation = chaos.Separation(system, kernel, ensemble, steps, system.rate_unit(points))
+    separation = chaos.Separation(system, kernel, ensemble, steps, chaos.rate_unit(system, points))
     separation.integrate(threads=threads)
     return separation.megno, separation.lyapunov
 
@@ -78,7 +78,7 @@ def reference(name, points, i, duration):
     system = SYSTEMS[name]
     state = system.initial_state(points)[:, [i]]
     v = augmented.tangent_start(system.equations, state)[:, 0]
-    unit = system.rate_unit(points)[i]
+    unit = chaos.rate_unit(system, points)[i]
     v[:3] *= unit
     slope = VARIATION[name](points, i)
     times = np.linspace(0, duration, 20001)
@@ -176,7 +176,7 @@ def test_the_drawdown_is_the_largest_decrease():
 
 def test_runs_go_on_where_they_ended():
     points, system = random_satellites(np.random.default_rng(8), 20), SYSTEMS["satellite"]
-    ensemble, unit = Ensemble.of(system, points), system.rate_unit(points)
+    ensemble, unit = Ensemble.of(system, points), chaos.rate_unit(system, points)
     steps = chaos.TangentSteps.of(ensemble.frequency_bound, np.full(20, 15.0), None, 10**9)
     separation = chaos.Separation(system, tangent_kernel(system), ensemble, steps, unit)
     separation.integrate()

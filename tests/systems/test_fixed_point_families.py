@@ -20,6 +20,8 @@ from strategies import (
 from truth import cases, fixed_point_cases, jacobian_matrices, monodromy_matrix
 
 from atlas.flags import Label, Stability
+from atlas.measure.instrument import Tolerances
+from atlas.measure.rates import geometry
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, equations, families, initial
 from atlas.systems.gyrostat import secular
@@ -82,11 +84,12 @@ def test_every_case_has_its_stability():
 
 def test_every_case_has_its_label_and_geometry():
     from atlas.label import theory
-    from atlas.measure.instrument import Tolerances
 
     points, durations = fixed_point_cases(), np.array([case["T"] for case in cases("fixed_point")])
     motion = theory.steady_motions_of(FIXED_POINT, points, durations, Tolerances(1e-5, 1e-5))
-    predicted = theory.predict(FIXED_POINT, points, 1e-5, False, duration=durations, motion=motion)
+    predicted = theory.predict(
+        FIXED_POINT, points, Tolerances(1e-5, 1e-5), False, duration=durations, motion=motion
+    )
     predicted = predicted["predicted"]
     labels = [case["label"] for case in cases("fixed_point")]
     assert [Label(value).name.lower() for value in predicted] == labels
@@ -94,8 +97,8 @@ def test_every_case_has_its_label_and_geometry():
     measured = {"psi_dot_mean": n, "phi_dot_mean": m}
     steady = np.array([label != "drifting" for label in labels])
     upright = np.array([case["kind"] == "sleeping" for case in cases("fixed_point")])
-    names = list(FIXED_POINT.geometries)
-    flags = FIXED_POINT.geometry(measured, steady, upright, 1e-5, 1e-5)
+    names = ["none", *FIXED_POINT.geometries]
+    flags = geometry(FIXED_POINT, measured, steady, upright, Tolerances(1e-5, 1e-5))
     assert flags.dtype == np.int8
     assert [names[flag] for flag in flags] == [case["geometry"] for case in cases("fixed_point")]
 

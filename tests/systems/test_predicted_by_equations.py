@@ -12,7 +12,7 @@ from atlas import cli, systems
 from atlas.flags import Agreement, Label, Status
 from atlas.systems.base import Parameter
 from atlas.systems.check import REPLACED
-from atlas.systems.steady import polynomial_degree
+from atlas.systems.steady import growth_about_vertical, polynomial_degree
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
@@ -177,6 +177,14 @@ def test_check_says_nothing_where_the_equations_decide(tmp_path, capsys):
     scene.write_text('schema = 1\nsystem = "declared_top"\n[axes.tilt]\nvalues = [0.5, 0.9]\n')
     assert cli.main(["check", str(scene)]) == 0
     assert "predicted: " not in capsys.readouterr().out
+
+
+def test_rotations_about_the_vertical_grow_as_the_equations_say():
+    """0 about an axis of symmetry of the fields; nan of tilted bodies, and where the equations do not decide."""
+    points = random_points(3) | {"tilt": np.array([0.0, 0.0, 0.5])}
+    points = {name: np.broadcast_to(p.default, 3) for name, p in Top.parameters.items()} | points
+    np.testing.assert_array_equal(growth_about_vertical(systems.get("declared_top"), points), [0, 0, np.nan])
+    assert np.isnan(growth_about_vertical(systems.get("dragged_top"), points)).all()
 
 
 @pytest.mark.parametrize("name", REPLACED)

@@ -29,10 +29,9 @@ from atlas.systems.satellite.families import FAMILIES
 from atlas.systems.satellite.initial import (
     constants,
     frequency_bound,
-    growth_about_vertical,
     initial_state,
 )
-from atlas.systems.steady import Existence, condition_residual, steady_motions
+from atlas.systems.steady import Existence, condition_residual, growth_about_vertical, steady_motions
 from atlas.validation import exact
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -267,7 +266,7 @@ def test_pitch_of_a_body_on_the_normal():
     """C psi'' = 3 Omega^2 (A - B) psi - damping psi' with the first axis along the radius."""
     points = default_points("satellite", A=[1.2, 1.2, 1.0], B=[1.0, 1.0, 1.2], C=1.5, damping=[0.0, 0.4, 0.4])
     expected = [np.roots([1.5, damping, -0.6]).real.max() for damping in (0.0, 0.4)]
-    np.testing.assert_allclose(growth_about_vertical(points), [*expected, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(growth_about_vertical(SATELLITE, points), [*expected, 0.0], rtol=1e-12)
 
 
 def test_the_damped_diagram():

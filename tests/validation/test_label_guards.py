@@ -28,6 +28,7 @@ from atlas.scene.model import Settings, Tolerances
 from atlas.scene.tables import point_columns
 from atlas.systems import SYSTEMS
 from atlas.systems.base import families_of
+from atlas.systems.steady import growth_about_vertical
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -358,7 +359,7 @@ def test_the_pitch_about_the_normal_leaves_as_its_exact_motion_does(A, C, offset
     """B = 1: psi'' = g^2 sin psi cos psi of the unstable pitch, psi = offset cosh(g t) while it is small."""
     growth, offset = np.sqrt(3 * (A - 1) / C), 10.0**offset
     points, _ = point_columns(SATELLITE, {"A": A, "B": 1.0, "C": C, "psi0": offset, "theta0": theta0})
-    assert SATELLITE.growth_about_vertical(points)[0] == pytest.approx(growth)
+    assert growth_about_vertical(SATELLITE, points)[0] == pytest.approx(growth)
     result = evaluate(SATELLITE, points, points, np.array([log_growth / growth]), Settings(method="rk8"))
     t = np.linspace(0, log_growth / growth, 4001)
     spread = np.std(offset * growth * np.sinh(growth * t))
@@ -392,7 +393,7 @@ def test_whatever_counts_as_upright_is_predicted_to_rotate_about_the_vertical(
     upright = {"theta0": np.pi - tilt if upside_down else tilt, "n": n, "m": m}
     points, _ = point_columns(SYSTEMS[name], upright | ({"l3": 6.0} if name == "fixed_point" else {}))
     flag = SYSTEMS[name].identify_family(points)[0]
-    predicted = predict(SYSTEMS[name], points, 1e-5, nudged=False)
+    predicted = predict(SYSTEMS[name], points, Tolerances(1e-5, 1e-5), nudged=False)
     upright_flags = [family.flag for family in families_of(SYSTEMS[name]).values() if family.axes is None]
     if flag[0] in upright_flags:
         assert predicted["predicted"][0] == Label.PERMANENT_ROTATION

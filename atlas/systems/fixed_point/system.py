@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ..base import Array, Flags, Mask, Points, StressCase, identify, other_families, shape_of, shared
+from ..base import Array, Flags, Geometry, Points, StressCase, identify, other_families, shared
 from ..gyrostat import Body, Gyrostat
 from . import any_axis, equations, families, initial
 
@@ -44,14 +44,19 @@ class FixedPoint(Gyrostat):
     start_condition = initial.START_CONDITION
     warnings = staticmethod(initial.warnings)
 
-    squared_rate = staticmethod(families.squared_rate)
+    squared_unit = staticmethod(families.squared_rate)
     families = families.FAMILIES | any_axis.FAMILIES
     geometries = MappingProxyType(
         {
-            "none": "drifting or unresolved",
-            "sleeping": "the third axis stays on the vertical",
-            "conical": "the body turns about its third axis, which precesses about the vertical or is at rest",
-            "staude": "the body turns about the vertical alone (phi' = 0) or is at rest",
+            "sleeping": Geometry("the third axis stays on the vertical", lambda _, cylinder, *__: cylinder),
+            "conical": Geometry(
+                "the body turns about its third axis, which precesses about the vertical or is at rest",
+                lambda measured, _, rate, __: ~(np.abs(measured["phi_dot_mean"]) <= rate),
+            ),
+            "staude": Geometry(
+                "the body turns about the vertical alone (phi' = 0) or is at rest",
+                lambda measured, *_: np.isfinite(measured["phi_dot_mean"]),
+            ),
         }
     )
     body = staticmethod(initial.body)
@@ -66,10 +71,6 @@ class FixedPoint(Gyrostat):
         " conical, sleeping, staude and rest"
     )
 
-    def growth_about_vertical(self, points: Points) -> Array:
-        """0: the vertical is an axis of symmetry of the fields."""
-        return np.zeros(shape_of(points))
-
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
         """Family about the third axis and the vertical, else one about any axes."""
         return identify(points, families.ORDER, other_families(self))
@@ -78,17 +79,6 @@ class FixedPoint(Gyrostat):
     def oscillation_families(self, points: Points) -> Flags:
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]
-
-    def geometry(
-        self,
-        measured: Mapping[str, Array],
-        steady: Mask,
-        cylinder: Mask,
-        rate_tolerance: float,
-        angle_tolerance: float,
-    ) -> Flags:
-        no_spin = np.abs(measured["phi_dot_mean"]) <= rate_tolerance
-        return self.first_geometry({"none": ~steady, "sleeping": cylinder, "staude": no_spin}, "conical")
 
     def body_at_rest(self, points: Points) -> Body:
         """In a frame that turns at the rate n."""

@@ -72,6 +72,10 @@ class Gyrostat(System):
         """Families of the motions of which the frequencies and the stability by the energy are given."""
         return self.identify_family(points)[0]
 
+    def squared_unit(self, points: Points) -> Array:
+        """Square of the unit of rates in `condition_residual`, (points,): by default that of the frequency bound."""
+        return self.frequency_bound(points) ** 2
+
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
         """From the linear equations, or by the family where these have no steady frame."""
         stable, growth = super().linear_stability(points, flags)
@@ -94,40 +98,6 @@ class Gyrostat(System):
             part = (vector[moving] for vector in start)
             stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
         return stable, growth
-
-    def log_growth(self, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
-        """Growth over a run as System.log_growth.
-
-        A run that is shorter than the period of the linear system may meet its unstable phases alone: there it is the
-        growth from the start to the end of the run, where that is larger than changes of the amplitude.
-        """
-        result = growth_rate * duration
-        w, *_, gamma = self._triples(self.initial_state(points))
-        turn = self.body(points).turn
-        short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
-        where = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & short)
-        for first in range(0, where.size, _CHUNK):
-            chunk = where[first : first + _CHUNK]
-            part = subset(points, chunk)
-            body, start = self.body(part), self.start(part)
-            moving = _turning(Equilibria.of(body, *start), body, start)
-            if not moving.size:
-                continue
-            from . import floquet
-
-            members = chunk[moving]
-            w, alpha, gamma = (vector[moving] for vector in start)
-            phases = floquet.log_growth(body.subset(moving), w, alpha, gamma, duration[members])
-            result[members] = np.where(
-                phases > _AMPLITUDE_GROWTH, np.fmax(result[members], phases), result[members]
-            )
-        return result
-
-    def first_geometry(self, tests: Mapping[str, Mask], otherwise: str) -> Flags:
-        """The flag of the first test that holds, by the names of `geometries`, (points,)."""
-        flag = {name: i for i, name in enumerate(self.geometries)}
-        kinds = [flag[name] for name in tests]
-        return np.select(list(tests.values()), kinds, flag[otherwise]).astype(np.int8)
 
     def equilibria_of_bodies(
         self, points: Points, *arguments: Any, **options: Any
@@ -197,6 +167,38 @@ class Gyrostat(System):
             slower = self.frequency_bound(despun) < self.frequency_bound(points)
         despun = {name: np.where(slower, despun[name], points[name]) for name in points}
         return despun, np.where(slower, excess, 0.0)
+
+
+def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
+    """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
+
+    It is growth_rate x duration unless the linear system varies more slowly than the run lasts: the run of a gyrostat that is
+    shorter than the period of the linear system may meet its unstable phases alone. There it is the growth from the start to
+    the end of the run, where that is larger than changes of the amplitude.
+    """
+    result = growth_rate * duration
+    if not isinstance(system, Gyrostat):
+        return result
+    w, *_, gamma = system._triples(system.initial_state(points))
+    turn = system.body(points).turn
+    short = length(w - turn[:, None] * gamma) * duration < 2 * np.pi
+    where = np.flatnonzero((flags > 0) & ~unsteady(system, flags) & short)
+    for first in range(0, where.size, _CHUNK):
+        chunk = where[first : first + _CHUNK]
+        part = subset(points, chunk)
+        body, start = system.body(part), system.start(part)
+        moving = _turning(Equilibria.of(body, *start), body, start)
+        if not moving.size:
+            continue
+        from . import floquet
+
+        members = chunk[moving]
+        w, alpha, gamma = (vector[moving] for vector in start)
+        phases = floquet.log_growth(body.subset(moving), w, alpha, gamma, duration[members])
+        result[members] = np.where(
+            phases > _AMPLITUDE_GROWTH, np.fmax(result[members], phases), result[members]
+        )
+    return result
 
 
 def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:

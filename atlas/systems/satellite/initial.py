@@ -167,20 +167,6 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
     return zero_constants | quotients, equal_constants
 
 
-def growth_about_vertical(points: Points) -> Array:
-    """Growth rate of the pitch of a body whose third axis stays on the orbit's normal, see System; (points,).
-
-    C psi'' = -U'(psi) - damping psi' with U = (3 Omega^2 alpha.I alpha) / 2 + h1 mu.alpha; U' = 0 where the body turns.
-    """
-    alpha = directions(points)[0]
-    flatness = 3 * points["Omega"] ** 2 * (points["B"] - points["A"])
-    magnet = points["h1"] * (points["mu1"] * alpha[0] + points["mu2"] * alpha[1])
-    curvature = flatness * (alpha[0] ** 2 - alpha[1] ** 2) - magnet
-    undamped = np.sqrt(np.maximum(-curvature / points["C"], 0.0))
-    half = 0.5 * points["damping"] / points["C"]
-    return np.hypot(half, undamped) - half
-
-
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
     """sin theta, psi' = n and phi' = m of the steady motion that the start would belong to."""
     return np.sin(points["theta0"]), points["n"], points["m"]

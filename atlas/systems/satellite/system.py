@@ -8,9 +8,14 @@ from types import MappingProxyType
 import numpy as np
 
 from ...flags import SATELLITE_RESERVED_FAMILIES
-from ..base import Array, Flags, Mask, Points, StressCase, shape_of
+from ..base import Array, Geometry, Mask, Points, StressCase, shape_of
 from ..gyrostat import Gyrostat
 from . import any_axis, equations, families, initial
+
+
+def _rests(measured: Mapping[str, Array], rate: float) -> Mask:
+    """Where the third axis does not precess."""
+    return ~(np.abs(measured["psi_dot_mean"]) > rate)
 
 
 class Satellite(Gyrostat):
@@ -35,18 +40,34 @@ class Satellite(Gyrostat):
     initial_state = staticmethod(initial.initial_state)
     steady_rates = staticmethod(initial.steady_rates)
 
-    squared_rate = staticmethod(families.squared_rate)
-    growth_about_vertical = staticmethod(initial.growth_about_vertical)
+    squared_unit = staticmethod(families.squared_rate)
     families = families.FAMILIES | any_axis.FAMILIES
     reserved_families = SATELLITE_RESERVED_FAMILIES
     geometries = MappingProxyType(
         {
-            "none": "drifting or unresolved",
-            "cylindrical": "the third axis stays on the orbit normal",
-            "perp_radius": "the third axis is at rest in the orbital frame, perpendicular to the radius",
-            "perp_velocity": "the third axis is at rest in the orbital frame, perpendicular to the velocity",
-            "oblique": "the third axis is at rest in the orbital frame in another direction",
-            "general": "the third axis precesses in the orbital frame",
+            "cylindrical": Geometry(
+                "the third axis stays on the orbit normal", lambda _, cylinder, *__: cylinder
+            ),
+            "perp_radius": Geometry(
+                "the third axis is at rest in the orbital frame, perpendicular to the radius",
+                lambda measured, _, rate, angle: (
+                    _rests(measured, rate) & (np.abs(measured["axis_1"]) <= angle)
+                ),
+            ),
+            "perp_velocity": Geometry(
+                "the third axis is at rest in the orbital frame, perpendicular to the velocity",
+                lambda measured, _, rate, angle: (
+                    _rests(measured, rate) & (np.abs(measured["axis_2"]) <= angle)
+                ),
+            ),
+            "oblique": Geometry(
+                "the third axis is at rest in the orbital frame in another direction",
+                lambda measured, _, rate, __: _rests(measured, rate),
+            ),
+            "general": Geometry(
+                "the third axis precesses in the orbital frame",
+                lambda measured, _, rate, __: ~_rests(measured, rate),
+            ),
         }
     )
     body = staticmethod(initial.body)
@@ -76,30 +97,9 @@ class Satellite(Gyrostat):
             " for [outputs], describes motions about any axis"
         ]
 
-    def rate_unit(self, points: Points) -> Array:
-        """The orbital rate, or 1 without an orbit."""
-        return np.where(points["Omega"] != 0, np.abs(points["Omega"]), 1.0)
-
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]
-
-    def geometry(
-        self,
-        measured: Mapping[str, Array],
-        steady: Mask,
-        cylinder: Mask,
-        rate_tolerance: float,
-        angle_tolerance: float,
-    ) -> Flags:
-        tests = {
-            "none": ~steady,
-            "cylindrical": cylinder,
-            "general": np.abs(measured["psi_dot_mean"]) > rate_tolerance,
-            "perp_radius": np.abs(measured["axis_1"]) <= angle_tolerance,
-            "perp_velocity": np.abs(measured["axis_2"]) <= angle_tolerance,
-        }
-        return self.first_geometry(tests, "oblique")
 
     def stress_cases(self) -> Sequence[StressCase]:
         """Stiff and extreme satellites."""

@@ -212,7 +212,7 @@ def test_multipliers_are_those_of_the_compiled_tangent_vectors():
     ensemble, duration = Ensemble.of(SATELLITE, many), np.repeat(period, 6)
     steps = chaos.TangentSteps.of(ensemble.frequency_bound, duration, 0.01, 10**6)
     separation = chaos.Separation(
-        SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, SATELLITE.rate_unit(many)
+        SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, chaos.rate_unit(SATELLITE, many)
     )
     separation.vectors[:] = np.tile(np.eye(6), size) / separation.weights
     separation.integrate(threads=1)

@@ -84,6 +84,7 @@ def test_kept_lines_depend_on_the_code_of_extensions(own, without_extension, tmp
     assert is_traced()
 
 
+@pytest.mark.usefixtures("whole_kernels")
 def test_maps_draw_the_lines_of_an_extension_alone(own):
     ds = atlas.run(atlas.load_scene(SCENE), progress=False)
     assert list(dict.fromkeys(ds.atlas.boundary(variable="theta_max").kind.values)) == [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 from strategies import default_points
 
@@ -10,6 +11,8 @@ import atlas
 from atlas.flags import Label, SettledBy, Status
 from atlas.systems.fixed_point.equations import rhs
 from atlas.systems.fixed_point.initial import constants, initial_state
+
+pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 PENDULUM = {
     "A": 1.0,

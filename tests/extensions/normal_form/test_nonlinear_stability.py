@@ -361,6 +361,7 @@ def test_tops_with_one_degree_of_freedom_are_decided_by_the_energy():
 # As variables of scenes.
 
 
+@pytest.mark.usefixtures("whole_kernels")
 def test_scenes_and_points_write_verdicts_and_coefficients():
     names = ["nonlinear_stability", "birkhoff_determinant"]
     ds = atlas.label_points("satellite", {"A": 1.0, "B": 1.3, "C": 1.7}, duration=1.0, variables=names)

@@ -10,8 +10,10 @@ import ast
 import re
 import sys
 from collections.abc import Iterable
+from functools import cache
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -259,12 +261,19 @@ def flags(flag: type[Flag]) -> str:
     )
 
 
+@cache
+def figure_table() -> list[Any]:
+    """Integrations behind the figures of Amer et al. (2013), for two tables."""
+    from atlas.extensions.amer2013 import claims
+
+    return claims.figure_table()
+
+
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
-    from atlas.extensions.amer2013 import claims
     from atlas.extensions.amer2013.figures import amplitude_table
 
-    return table([tuple(map(with_formulas, row)) for row in amplitude_table(claims.figure_table())])
+    return table([tuple(map(with_formulas, row)) for row in amplitude_table(figure_table())])
 
 
 def periodic(system: System) -> str:
@@ -280,7 +289,7 @@ def claim_table(system: System) -> str:
     from atlas.extensions.amer2013 import claims
 
     rows = [("claim", "verdict", "measured")]
-    for claim in claims.claims(claims.figure_table()):
+    for claim in claims.claims(figure_table()):
         verdict = claim.verdict if claim.holds else f"**{claim.verdict}**"
         rows.append((with_formulas(claim.text), verdict, with_formulas(claim.measured)))
     return table(rows)

@@ -249,16 +249,16 @@ def test_a_scene_contains_stability_period_and_trace():
     ds = atlas.label_points(
         "fixed_point",
         {"A": 1.0, "B": 1.0, "C": np.array([1.2, 0.8, 1.2]), "Mg": np.array([1.2, 0.8, 1.2]) / 0.352, "z0": -1.0,
-         "l1": np.array([1.0, 1.0, 0.05]), "l2": np.array([1.0, 1.0, 0.05]), "l3": np.array([1.0, 1.0, 0.05]),
-         "m": np.array([10.0, 10.0, 0.5]), "theta0": np.arccos(0.352)},
+         "l1": np.array([1.0, 1.0, 0.005]), "l2": np.array([1.0, 1.0, 0.005]), "l3": np.array([1.0, 1.0, 0.005]),
+         "m": np.array([10.0, 10.0, 0.05]), "theta0": np.arccos(0.352)},
         duration=0.1, variables=["periodic_stability", "periodic_period", "periodic_trace"],
     )  # fmt: skip
-    expected = periodic.solutions(gyrostats([0.1, 0.1, 2.0], 0.1, [1.2, 0.8, 1.2], -1.0))
+    expected = periodic.solutions(gyrostats([0.1, 0.1, 20.0], 0.1, [1.2, 0.8, 1.2], -1.0))
     np.testing.assert_array_equal(ds.periodic_stability, expected.stability)
     assert list(ds.periodic_stability.values) == [
         PeriodicSolution.STABLE, PeriodicSolution.UNSTABLE, PeriodicSolution.NOT_REACHED,
     ]  # fmt: skip
-    np.testing.assert_allclose(ds.periodic_period, expected.period * np.array([0.1, 0.1, 2.0]), rtol=1e-9)
+    np.testing.assert_allclose(ds.periodic_period, expected.period * np.array([0.1, 0.1, 20.0]), rtol=1e-9)
     np.testing.assert_allclose(ds.periodic_trace, expected.trace, rtol=1e-7)
 
 

@@ -5,7 +5,8 @@
 
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,34 +20,38 @@ def matches(message: str, sentence: str) -> bool:
     return re.fullmatch(".*".join(map(re.escape, sentence.split("..."))), message) is not None
 
 
-def files() -> dict[Path, bytes]:
-    """The current folder: each file with its bytes, each folder with none."""
-    return {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")}
+@contextmanager
+def unchanged_folder() -> Iterator[None]:
+    """At the end the current folder has the files and folders of the beginning, and they have the same bytes."""
+
+    def content() -> dict[Path, bytes]:
+        return {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")}
+
+    before = content()
+    yield
+    assert content() == before
 
 
 def assert_refused(call: Callable[[], object], sentence: str) -> None:
-    """A call raises BadInput with this sentence, in one line, and leaves every file as it was."""
-    before = files()
+    """A call raises BadInput with this sentence, in one line."""
     with pytest.raises(BadInput) as error:
         call()
     message = str(error.value)
     assert matches(message, sentence), message
     assert message.isprintable()
-    assert files() == before
 
 
 def assert_refused_in_shell(command: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A command answers with this sentence, in one line, and exit code 2, and leaves every file as it was."""
-    before = files()
     capsys.readouterr()
-    try:
-        code = main(shlex.split(command))
-    except SystemExit as stop:  # raised by the parser of the options
-        code = stop.code
+    with unchanged_folder():
+        try:
+            code = main(shlex.split(command))
+        except SystemExit as stop:  # raised by the parser of the options
+            code = stop.code
     printed = capsys.readouterr()
     assert code == 2
     assert printed.out == ""
     (line,) = printed.err.splitlines()
     assert matches(line, sentence if sentence.startswith("atlas ") else f"atlas: {sentence}"), line
     assert line.isprintable()
-    assert files() == before

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from refusals import assert_refused, assert_refused_in_shell
+from refusals import assert_refused, assert_refused_in_shell, unchanged_folder
 from scenes import GIVEN, SAMPLE, SAMPLED, SMALL
 
 import atlas
@@ -330,6 +330,12 @@ SEVERAL_PLACES = "arrays of different points: cannot ..."
 
 # A call, and the sentence. `ds` is the atlas of the small scene, `points` that of two points of `label_points`.
 CALLS = [
+    (lambda ds, points: atlas.open_atlas("truncated.nc"), "truncated.nc: not a NetCDF file that can be read (...)"),
+    (lambda ds, points: atlas.open_atlas("old.nc"), "old.nc: not a NetCDF file that can be read (...)"),
+    (lambda ds, points: atlas.open_atlas("empty.nc"), "empty.nc: not a NetCDF file that can be read (...)"),
+    (lambda ds, points: atlas.open_atlas("points.nc"), "points.nc: not an atlas: the attribute atlas_system is missing"),
+    (lambda ds, points: atlas.open_atlas("none.nc"), "none.nc: there is no such file"),
+    (lambda ds, points: atlas.open_atlas("."), "...: not a run folder: there is no manifest.json in it"),
     (lambda ds, points: ds.atlas.select(), "select: name at least one flag, such as label='drifting'"),
     (lambda ds, points: ds.atlas.select(label="drift"), "label = 'drift': did you mean 'drifting'? allowed: not_computed, regular_precession, ..."),
     (lambda ds, points: ds.atlas.select(theta_dot_rms="drifting"), "theta_dot_rms: not a flag variable of this atlas; allowed: ..."),
@@ -375,6 +381,13 @@ CALLS = [
             (xr.Dataset({"m": 1.0}, coords={"c": [1.0, 1.2]}), "c: no parameter varies along it; did you mean 'C'? allowed: ..."),
             ({"C": ON_X.assign_coords(label=("x", [0, 1]))}, "points: the column label has the name of a variable of the result; rename it"),
             ({"C": xr.DataArray(np.ones((2, 2)), dims=("C", "m"), coords={"C": [1.0, 1.2]})}, "C: an index of the points has the name of this parameter and other values"),
+            ({"mass": 1.0}, "mass: not a parameter of the satellite; allowed: ..."),
+            ({"A": -1.0}, "A = -1: allowed: A > 0 (principal moment of inertia about the first body axis)"),
+            ({"A": np.nan}, "A = nan: must be a finite number"),
+            ({"A": "one"}, f"A = 'one': {NO_NUMBER}"),
+            ({"A": [[1.0]]}, "A: an array of 2 dimensions; give a DataArray, whose dimensions have names (its shape: (1, 1))"),
+            ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, "points: columns of different lengths (A: 2, B: 3)"),
+            ({"theta0": []}, "points: there are none"),
             ({"C": [0.8, 1.2], "name": ["a", "b", "c"]}, "points: columns of different lengths (C: 2, name: 3)"),
             ([{"C": 1.0}, {"m": 1.0}], "points: number 1 and number 0 differ in C, m"),
             ([], "points: there are none"),
@@ -382,6 +395,16 @@ CALLS = [
             (Path("none.csv"), "none.csv: there is no such file"),
             (Path("folder.csv"), "folder.csv: this is a folder"),
             (Path("plane.nc"), "plane.nc: ...x, y..."),
+        )
+    ),
+    *(
+        (lambda ds, points, options=options: atlas.label_points("satellite", {"m": [1.0, 2.0]}, **options), sentence)
+        for options, sentence in (
+            ({"duration": -1.0}, "duration = -1: must be a finite number above 0"),
+            ({"duration": [1.0, 2.0, 3.0]}, "points: columns of different lengths (m: 2, duration: 3)"),
+            ({"method": "euler"}, "method = 'euler': allowed: rk4, rk8"),
+            ({"step": 0.0}, "step = 0.0: must be a finite number above 0"),
+            ({"colour": 1}, "colour: unknown option of label_points; allowed: duration, step, ..."),
         )
     ),
     (lambda ds, points: atlas.label_points("satellite", {"C": 1.2}, tolerence=1e-5), "tolerence: unknown option of label_points; did you mean 'tolerance'? allowed: duration, step, ..."),
@@ -436,6 +459,9 @@ def folder(tmp_path_factory):
     for name in ("old.nc", "old.png", "figure.png", "satellite.png"):
         (path / name).write_text("kept")
     atlas.run(load_scene(SMALL), path / "atlas.nc", progress=False).close()
+    content = (path / "atlas.nc").read_bytes()
+    (path / "truncated.nc").write_bytes(content[: len(content) // 2])
+    (path / "empty.nc").write_bytes(b"")
     return path
 
 
@@ -489,7 +515,8 @@ def test_a_mistake_in_the_file_of_a_scene(content, sentence, place, tmp_path, mo
 def test_a_mistake_in_a_file_of_points(name, content, sentence, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(content, encoding="latin-1")
-    assert_refused(lambda: atlas.label_points("satellite", name), sentence)
+    with unchanged_folder():
+        assert_refused(lambda: atlas.label_points("satellite", name), sentence)
     assert_refused_in_shell(f"points satellite {name} -o out.nc", sentence, capsys)
 
 
@@ -502,4 +529,5 @@ def test_a_mistake_in_a_command(command, sentence, folder, monkeypatch, capsys):
 @pytest.mark.parametrize(("call", "sentence"), CALLS, ids=starts(CALLS))
 def test_a_mistake_in_a_call(call, sentence, folder, datasets, monkeypatch):
     monkeypatch.chdir(folder)
-    assert_refused(lambda: call(*datasets), sentence)
+    with unchanged_folder():
+        assert_refused(lambda: call(*datasets), sentence)

@@ -1,4 +1,4 @@
-"""Run folders: tiles, manifests, other processes and kills; faults by place and moment are in test_fault_table.py, at length in test_faults.py."""
+"""Run folders: tiles, manifests, other processes, kills; other faults are in test_fault_table.py, longer ones in test_faults.py."""
 
 import errno
 import json

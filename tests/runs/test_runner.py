@@ -357,44 +357,6 @@ def test_after_a_kill_at_any_step_the_same_command_finishes(small_scene, tmp_pat
             assert_same_bytes(whole, ds)
 
 
-def test_a_file_that_is_not_an_atlas_is_refused_in_one_line(small_atlas, tmp_path):
-    path, _ = small_atlas
-    whole = path.read_bytes()
-    (tmp_path / "truncated.nc").write_bytes(whole[: len(whole) // 2])
-    (tmp_path / "text.nc").write_text("hello")
-    (tmp_path / "empty.nc").write_bytes(b"")
-    xr.Dataset({"a": 1}).to_netcdf(tmp_path / "other.nc")
-    for name in ("truncated.nc", "text.nc", "empty.nc", "other.nc", "none.nc", "."):
-        with pytest.raises(BadInput) as error:
-            atlas.open_atlas(tmp_path / name)
-        assert "\n" not in str(error.value)
-        assert len(str(error.value)) < 400
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "named"),
-    [
-        ({"mass": 1.0}, {}, "mass"),
-        ({"A": -1.0}, {}, "A"),
-        ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, {}, "different lengths"),
-        ({"A": [[1.0]]}, {}, "shape"),
-        ({"A": "one"}, {}, "A"),
-        ({"A": np.nan}, {}, "A"),
-        ({"theta0": []}, {}, "there are none"),
-        ({}, {"duration": -1.0}, "duration"),
-        ({"m": [1.0, 2.0]}, {"duration": [1.0, 2.0, 3.0]}, "duration"),
-        ({}, {"method": "euler"}, "euler"),
-        ({}, {"step": 0.0}, "step"),
-        ({}, {"colour": 1}, "colour"),
-    ],
-)
-def test_label_points_refuses_in_one_line(points, options, named):
-    with pytest.raises(BadInput) as error:
-        atlas.label_points("satellite", points, **options)
-    assert named in str(error.value)
-    assert "\n" not in str(error.value)
-
-
 def test_label_points_takes_scalars_arrays_and_datasets():
     # The same terms vanish as in the small scene, so that these points share its kernel.
     table = xr.Dataset({"theta0": ("point", [0.3, 0.6]), "m": 0.2, "k3": 0.1})

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import sympy as sp
+from refusals import assert_refused
 from scipy.integrate import solve_ivp
 from strategies import default_points, random_fixed_points
 from truth import jacobian_matrices
@@ -261,21 +262,29 @@ def test_paper_units_give_weight_and_gradient():
 
 
 @pytest.mark.parametrize(
-    ("given_values", "message"),
+    ("given_values", "sentence"),
     [
-        ({"M": 1.0}, "lambda, R missing"),
-        ({"M": 1.0, "lambda": 1.0, "R": 2.0, "Mg": 1.0}, "Mg = 1 beside M, lambda and R"),
-        ({"M": 1.0, "lambda": 1.0, "R": 2.0, "N": 0.5}, "N = 0.5 beside"),
-        ({"p0": 1.0, "gamma10": 1.0}, "q0, r0, gamma20, gamma30 missing"),
+        ({"M": 1.0}, "lambda, R missing: M, lambda, R must be given together or not at all"),
+        (
+            {"M": 1.0, "lambda": 1.0, "R": 2.0, "Mg": 1.0},
+            "Mg = 1 beside M, lambda and R (1 of 1 points): give one or the other",
+        ),
+        (
+            {"M": 1.0, "lambda": 1.0, "R": 2.0, "N": 0.5},
+            "N = 0.5 beside M, lambda and R (1 of 1 points): give one or the other",
+        ),
+        (
+            {"p0": 1.0, "gamma10": 1.0},
+            "q0, r0, gamma20, gamma30 missing: p0, q0, r0, gamma10, gamma20, gamma30 must be given together or not at all",
+        ),
         (
             {"p0": 0, "q0": 0, "r0": 0, "gamma10": 0, "gamma20": 0.6, "gamma30": 0.8, "theta0": 0.1},
-            "theta0 = 0.1 beside p0 .. gamma30",
+            "theta0 = 0.1 beside p0 .. gamma30 (1 of 1 points): give one or the other",
         ),
     ],
 )
-def test_bad_input_is_named(given_values, message):
-    with pytest.raises(BadInput, match=message):
-        initial.check(default_points("fixed_point", **given_values))
+def test_bad_input_is_named(given_values, sentence):
+    assert_refused(lambda: initial.check(default_points("fixed_point", **given_values)), sentence)
 
 
 def test_what_no_body_and_no_start_can_be_is_named():

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import sympy as sp
+from refusals import assert_refused
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
@@ -250,39 +251,37 @@ def test_written_file_is_the_text_and_is_replaced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "options", "message"),
+    ("arguments", "options", "sentence"),
     [
-        ((OSCILLATOR + Y, [X], [U], [M, K]), {}, "contains y, which is neither coordinate, velocity nor parameter"),
-        ((OSCILLATOR, [X, Y], [U], [M, K]), {}, "2 coordinates and 1 velocities"),
-        ((OSCILLATOR, [X, Y], [U, V], [M, K]), {}, "the velocity v does not occur"),
-        (((U + V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "mass matrix.* is singular"),
-        ((OSCILLATOR - sp.Abs(X), [X], [U], [M, K]), {}, r"contains 'Abs\(x\)'; allowed"),
-        ((OSCILLATOR - sp.I * X, [X], [U], [M, K]), {}, "contains 'I'; allowed"),
-        ((sp.Function("f")(X) + U**2, [X], [U], []), {}, "plain symbols"),
-        ((OSCILLATOR, ["x"], [U], [M, K]), {}, "coordinates: 'x' is not a symbol"),
-        (("m*u**2", [X], [U], [M, K]), {}, "lagrangian = 'm\\*u\\*\\*2': must be an expression"),
+        ((OSCILLATOR + Y, [X], [U], [M, K]), {}, "lagrangian contains y, which is neither coordinate, velocity nor parameter"),
+        ((OSCILLATOR, [X, Y], [U], [M, K]), {}, "2 coordinates and 1 velocities: each coordinate needs one velocity"),
+        ((OSCILLATOR, [X, Y], [U, V], [M, K]), {}, "the velocity v does not occur in the Lagrangian"),
+        (((U + V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "the mass matrix, ..., is singular: the equations cannot be solved for the accelerations"),
+        ((OSCILLATOR - sp.Abs(X), [X], [U], [M, K]), {}, "lagrangian contains 'Abs(x)'; allowed: symbols, real numbers, ..."),
+        ((OSCILLATOR - sp.I * X, [X], [U], [M, K]), {}, "lagrangian contains 'I'; allowed: symbols, real numbers, ..."),
+        ((sp.Function("f")(X) + U**2, [X], [U], []), {}, "lagrangian contains 'f(x)'; allowed: ...; write coordinates and velocities as plain symbols, not as functions of the time"),
+        ((OSCILLATOR, ["x"], [U], [M, K]), {}, "coordinates: 'x' is not a symbol; make one by sympy.Symbol('name')"),
+        (("m*u**2", [X], [U], [M, K]), {}, "lagrangian = 'm*u**2': must be an expression of SymPy"),
         ((OSCILLATOR, [X], [U], [M, K, X]), {}, "the name x is given twice"),
-        ((U**2, [X], [U], [sp.Symbol("lambda")]), {}, "'lambda' cannot be a name"),
+        ((U**2, [X], [U], [sp.Symbol("lambda")]), {}, "'lambda' cannot be a name of the equations"),
         ((OSCILLATOR, [X], [U], [M, K]), {"forces": {Y: U}}, "forces: y is not one of the coordinates"),
-        ((OSCILLATOR, [X], [U], [M, K]), {"omit": [X]}, "x is not cyclic"),
-        ((M * U**2, [X], [U], [M]), {"omit": [X], "functions": {"height": X}}, "the function height depends on x"),
-        ((OSCILLATOR, [X], [U], [M, K]), {"functions": {"rhs": X}}, "'rhs' cannot be a name"),
-        *(((OSCILLATOR, [X], [U], [M, K]), {"functions": {name: X}}, f"'{name}' cannot be a name")
+        ((OSCILLATOR, [X], [U], [M, K]), {"omit": [X]}, "omit: x is not cyclic: the Lagrangian or a force depends on it"),
+        ((M * U**2, [X], [U], [M]), {"omit": [X], "functions": {"height": X}}, "omit: the function height depends on x"),
+        ((OSCILLATOR, [X], [U], [M, K]), {"functions": {"rhs": X}}, "'rhs' cannot be a name of the equations"),
+        *(((OSCILLATOR, [X], [U], [M, K]), {"functions": {name: X}}, f"'{name}' cannot be a name of the equations")
           for name in ("STATE", "CONSTANTS", "INTEGRALS", "LOSSES", "ONES")),
-        ((U**2 + sp.Function("sin")(X), [X], [U], []), {}, r"contains 'sin\(x\)'; allowed"),
-        ((U**2 + sp.Function("sin")(X, U), [X], [U], []), {}, r"contains 'sin\(x, u\)'; allowed"),
-        ((U**2, X, [U], []), {}, "coordinates = x: must be a sequence"),
-        ((U**2, [X], [U], []), {"omit": X}, "omit = x: must be a sequence"),
-        ((U**2, [X], [U], []), {"forces": [X]}, "forces = .x.: must be a mapping"),
-        ((0.3 * (U + 0.1 * V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "is singular"),
-        ((U * V + U * THETA_DOT + X * V * THETA_DOT - Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "positive definite"),
-        (((U + V) ** 2 + U * THETA_DOT - X * Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "positive definite"),
+        ((U**2 + sp.Function("sin")(X), [X], [U], []), {}, "lagrangian contains 'sin(x)'; allowed: ...; write coordinates and velocities as plain symbols, not as functions of the time"),
+        ((U**2 + sp.Function("sin")(X, U), [X], [U], []), {}, "lagrangian contains 'sin(x, u)'; allowed: ...; write coordinates and velocities as plain symbols, not as functions of the time"),
+        ((U**2, X, [U], []), {}, "coordinates = x: must be a sequence of symbols"),
+        ((U**2, [X], [U], []), {"omit": X}, "omit = x: must be a sequence of symbols"),
+        ((U**2, [X], [U], []), {"forces": [X]}, "forces = [x]: must be a mapping"),
+        ((0.3 * (U + 0.1 * V) ** 2 - X * Y, [X, Y], [U, V], []), {}, "the mass matrix, ..., is singular: the equations cannot be solved for the accelerations"),
+        ((U * V + U * THETA_DOT + X * V * THETA_DOT - Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "the mass matrix has a principal minor that is 0: it must be positive definite where it couples more than two velocities"),
+        (((U + V) ** 2 + U * THETA_DOT - X * Y, [X, Y, THETA], [U, V, THETA_DOT], []), {}, "the mass matrix has a principal minor that is 0: it must be positive definite where it couples more than two velocities"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(arguments, options, message):
-    with pytest.raises(atlas.BadInput, match=message) as error:
-        from_lagrangian(*arguments, **options)
-    assert "\n" not in str(error.value)
+def test_bad_input_is_one_line(arguments, options, sentence):
+    assert_refused(lambda: from_lagrangian(*arguments, **options), f"from_lagrangian: {sentence}")
 
 
 def test_regular_mass_matrices_are_not_called_singular():

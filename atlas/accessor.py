@@ -75,11 +75,13 @@ class Atlas(Questions):
 
         return atlas_map(self._ds, variable, **options)
 
-    def select(self, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
+    def select(self, *, degrees: bool = False, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
         """The points with the flags named.
 
         Parameters
         ----------
+        degrees : bool, optional
+            Return angles in degrees, for tables; what computes from such a dataset refuses it.
         **flags : str, int or sequence of them
             Flag variable -> one name or number, or several, such as label="drifting", label=3,
             agreement=["theory_only", "differ"]; of several variables all must hold.
@@ -92,13 +94,15 @@ class Atlas(Questions):
         """
         from .analysis.select import select
 
-        return select(self._ds, flags)
+        return select(self._ds, flags, degrees)
 
-    def nearest(self, **coords: float) -> xr.Dataset:
+    def nearest(self, *, degrees: bool = False, **coords: float) -> xr.Dataset:
         """The point nearest to values of some axes (or, among single points, of any parameters).
 
         Parameters
         ----------
+        degrees : bool, optional
+            Take and return angles in degrees.
         **coords : float
             Axis or parameter -> value. Along an axis the point is the one in whose cell of the map the value lies. Among
             single points each distance is divided by the range of the parameter over the points.
@@ -108,9 +112,10 @@ class Atlas(Questions):
         Dataset
             The point; along axes without a value, all of their points.
         """
+        from .analysis.degrees import in_degrees
         from .analysis.select import nearest
 
-        return nearest(self._ds, coords)
+        return in_degrees(nearest(self._ds, coords, degrees), degrees)
 
     def fractions(self, variable: str = "label", along: str | None = None) -> xr.DataArray:
         """Fraction of the points with each flag of a variable, over all or along one axis.
@@ -161,6 +166,7 @@ class Atlas(Questions):
         x: str | None = None,
         y: str | None = None,
         select: Mapping[str, float] | None = None,
+        degrees: bool = False,
     ) -> xr.Dataset:
         """Lines on the plane of two axes: the borders that theory predicts, or the border of a measured region.
 
@@ -176,6 +182,8 @@ class Atlas(Questions):
             Axes, as in `map`.
         select : mapping of str to float, optional
             Axis -> value, for the other axes.
+        degrees : bool, optional
+            Take and return angles in degrees.
 
         Returns
         -------
@@ -189,9 +197,9 @@ class Atlas(Questions):
         """
         from .analysis.boundary import boundary
 
-        return boundary(self._ds, label, variable, x, y, select or {})
+        return boundary(self._ds, label, variable, x, y, select or {}, degrees)
 
-    def trajectory(self, *, samples: int = 1001, **coords: float) -> xr.Dataset:
+    def trajectory(self, *, samples: int = 1001, degrees: bool = False, **coords: float) -> xr.Dataset:
         """Motion of the point nearest to values of the axes, integrated again as the atlas was.
 
         Start, nudge, duration, method and step come from the atlas' own scene, among single points from
@@ -201,6 +209,8 @@ class Atlas(Questions):
         ----------
         samples : int, optional
             Number of times, evenly spaced from 0 to the duration; at least 2.
+        degrees : bool, optional
+            Take and return angles in degrees.
         **coords : float
             As in `nearest`; of an atlas with a scene, every axis.
 
@@ -209,11 +219,12 @@ class Atlas(Questions):
         Dataset
             Over time, see `atlas.trajectory`.
         """
+        from .analysis.degrees import in_degrees
         from .analysis.select import nearest_trajectory
 
-        return nearest_trajectory(self._ds, coords, samples)
+        return in_degrees(nearest_trajectory(self._ds, coords, samples, degrees), degrees)
 
-    def compare(self, other: xr.Dataset | None = None, worst: int = 5) -> str:
+    def compare(self, other: xr.Dataset | None = None, worst: int = 5, *, degrees: bool | None = None) -> str:
         """Comparison with theory, or with another atlas on the same grid, in plain text, as `atlas compare` prints it.
 
         Parameters
@@ -222,6 +233,8 @@ class Atlas(Questions):
             An atlas with the system and the grid of this one, such as one with another tolerance or damping.
         worst : int, optional
             Number of disagreements, or of changes of each label, to list, at least 0.
+        degrees : bool, optional
+            Print the angles of points in degrees; default those of axes with display_units = "deg".
 
         Returns
         -------
@@ -234,10 +247,10 @@ class Atlas(Questions):
         if other is None:
             from .analysis.compare import report
 
-            return report(self._ds, worst)
+            return report(self._ds, worst, degrees)
         from .analysis import differences
 
-        return differences.report(self._ds, other, worst)
+        return differences.report(self._ds, other, worst, degrees)
 
     def differences(self, other: xr.Dataset) -> xr.Dataset:
         """Changes of flags and differences of numbers to another atlas on the same grid, for maps.
@@ -326,7 +339,13 @@ class Atlas(Questions):
         return animate(self._ds, path, seconds)
 
     def frequencies(
-        self, lines: int = 3, *, samples: int = 8193, trajectory: xr.Dataset | None = None, **coords: float
+        self,
+        lines: int = 3,
+        *,
+        samples: int = 8193,
+        trajectory: xr.Dataset | None = None,
+        degrees: bool = False,
+        **coords: float,
     ) -> xr.Dataset:
         """Strongest lines in the spectra of one motion, refined beyond the resolution of a Fourier transform.
 
@@ -338,6 +357,8 @@ class Atlas(Questions):
             Instants of the motion; where a line is too fast for them, more are taken.
         trajectory : Dataset, optional
             A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines.
+        degrees : bool, optional
+            Take the angles of the point in degrees; the result is in rad.
         **coords : float
             The point, as for `nearest`.
 
@@ -359,7 +380,7 @@ class Atlas(Questions):
         whole_number("lines", lines, 1, MAX_LINES)
         if trajectory is None:
             return frequencies_of_point(
-                lambda count: self.trajectory(samples=count, **coords), lines, samples
+                lambda count: self.trajectory(samples=count, degrees=degrees, **coords), lines, samples
             )
         if "time" not in getattr(trajectory, "dims", ()):
             raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")

@@ -18,6 +18,7 @@ from ..scene.model import Scene
 from ..systems.base import Array, Mask, derived_variables
 from ..systems.gyrostat.variables import FREQUENCIES
 from ..variables import variables
+from .degrees import in_degrees
 from .metadata import axes_of, flag_values, is_logarithmic, resolved_scene, scene_of, system_of
 from .plane import IN_SPACE, Plane, Theory
 from .select import plane_of
@@ -31,10 +32,11 @@ def boundary(
     x: str | None,
     y: str | None,
     select: Mapping[str, float],
+    degrees: bool = False,
 ) -> xr.Dataset:
     """Borders of theory, or of the region where a variable has one flag; see `Atlas.boundary`."""
     system_of(ds)
-    plane, dims, panel_dims = plane_of(ds, x, y, select)
+    plane, dims, panel_dims = plane_of(ds, x, y, select, degrees=degrees)
     if panel_dims or (label is not None and len(dims) != 2):
         raise BadInput(
             f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
@@ -64,7 +66,7 @@ def boundary(
     lengths = [len(line) for _, line in numbered]
     numbers = np.repeat(np.arange(len(numbered)), lengths)
     kinds = np.repeat(np.array([kind for kind, _ in numbered], str), lengths)
-    return xr.Dataset(
+    result = xr.Dataset(
         {
             **{dim: ("vertex", vertices[:, i], plane[dim].attrs) for i, dim in enumerate(dims)},
             "line": ("vertex", numbers, {"long_name": "number of the line to which the vertex belongs"}),
@@ -72,6 +74,7 @@ def boundary(
         },
         attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
     )
+    return in_degrees(result, degrees)
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:

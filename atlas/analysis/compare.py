@@ -18,6 +18,7 @@ from ..scene.checks import whole_number
 from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..systems.base import Flags, families_of, on_family, unsteady
 from ..validation import half_step
+from .degrees import DEGREE, in_degrees
 from .metadata import (
     chunks,
     flag_names,
@@ -45,7 +46,7 @@ RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
 
 
-def report(ds: xr.Dataset, worst: int = 5) -> str:
+def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
     whole, ds = ds, _compared(ds)
@@ -62,7 +63,7 @@ def report(ds: xr.Dataset, worst: int = 5) -> str:
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds, axes)
     lines += _plane_lines(ds)
-    lines += _worst_lines(ds, result.ravel(), worst)
+    lines += _worst_lines(in_degrees(ds, degrees), result.ravel(), worst)
     if problem := scene_problem(whole):
         lines.append(problem)
     return "\n".join(lines)
@@ -188,7 +189,8 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
         if not is_numeric_axis(ds, dim):
             texts.append(f"{printable(dim)} {k}")
             names = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
-        texts += [f"{printable(name)} = {float(ds[name][k]):.9g}" for name in names]
+        ends = {name: " deg" if ds[name].attrs.get("units") == DEGREE else "" for name in names}
+        texts += [f"{printable(name)} = {float(ds[name][k]):.9g}{end}" for name, end in ends.items()]
     return ", ".join(texts)
 
 

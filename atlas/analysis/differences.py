@@ -17,6 +17,7 @@ from ..measure.instrument import Variable
 from ..scene.checks import choice, whole_number
 from ..variables import main_instrument
 from .compare import confusion, place
+from .degrees import factor, in_degrees
 from .metadata import flag_names, flags_of, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
 
 OVER_BOUND = (
@@ -25,10 +26,11 @@ OVER_BOUND = (
 )  # variables whose error is relative to the bound of the fastest frequency
 
 
-def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
+def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     """How the second atlas differs from the first, as text; see `Atlas.compare`."""
     whole_number("worst", worst, 0)
     flags, numbers = _common_variables(first, second)
+    shown = in_degrees(first.coords.to_dataset(), degrees)
     lines = [f"{w}: {attribute_text(ds.attrs, 'title')}" for w, ds in (("first", first), ("second", second))]
     scenes = [scene_of(ds) for ds in (first, second)]
     texts = [[] if scene is None else scene.toml().split("\n") for scene in scenes]
@@ -46,7 +48,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
         if name.startswith("label"):
             lines += [f"  {row}" for row in confusion("first \\ second", a, b, names)]
             for i in map(tuple, places[:worst]):
-                where = place(first, dict(zip(dims, i, strict=True)))
+                where = place(shown, dict(zip(dims, i, strict=True)))
                 lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
@@ -57,9 +59,10 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5) -> str:
             continue
         estimate = _estimate(first, second, name)
         ratio = (difference / (1.0 if estimate is None else estimate)).fillna(0.0)  # nan is 0 over 0
-        where = place(first, {str(dim): int(index) for dim, index in ratio.argmax(ratio.dims).items()})
+        where = place(shown, {str(dim): int(index) for dim, index in ratio.argmax(ratio.dims).items()})
         over = "-" if estimate is None else f"{float(ratio.max()):.3g}"
-        rows.append([name, f"{float(difference.max()):.3g}", over, where])
+        largest = float(difference.max()) * factor(first[name].attrs, degrees)
+        rows.append([name, f"{largest:.3g}", over, where])
     lines += text_table(rows).split("\n") if len(rows) > 1 else []
     lines += [f"the same at every point: {', '.join(unchanged)}"] if unchanged else []
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)

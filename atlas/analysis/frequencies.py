@@ -20,6 +20,7 @@ from scipy.signal.windows import hann
 from ..errors import BadInput
 from ..label.trajectory import MAX_SAMPLES
 from ..systems.base import Array
+from .degrees import in_rad
 from .metadata import system_of
 
 Signal = NDArray[np.complex128]
@@ -34,6 +35,7 @@ PASSES = 2
 
 def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
     """Strongest lines of each signal of a motion, see `Atlas.frequencies`; BadInput for too few samples."""
+    trajectory = in_rad(trajectory)
     ds, (name, fastest) = _lines(trajectory, lines)
     if fastest:
         raise BadInput(

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, allowed_text, option, shown
+from .degrees import factor, in_degrees
 from .metadata import (
     CHANGED,
     axes_of,
@@ -31,7 +32,9 @@ MAX_PANELS = 12
 MAX_CELLS = 2000
 
 
-def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]]) -> xr.Dataset:
+def select(
+    ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]], degrees: bool = False
+) -> xr.Dataset:
     """The points with the flags named, in memory, along the dimension "point"; see `Atlas.select`."""
     flag_numbers = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
     if not flag_numbers:
@@ -52,12 +55,10 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
         if mask.any():
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
-            selected.append(chunk.isel(pointwise).load())
-    if (
-        not selected
-    ):  # by way of one point in memory: old versions of xarray cannot read zero points from a file
+            selected.append(in_degrees(chunk.isel(pointwise).load(), degrees))
+    if not selected:  # names and types of a point: old versions of xarray cannot read no points from a file
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
-        return ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing)
+        return in_degrees(ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing), degrees)
     if len(selected) == 1:
         return selected[0]
     return xr.concat(
@@ -65,17 +66,17 @@ def select(ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]])
     )
 
 
-def nearest(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
-    """The part of an atlas nearest to values of axes, or of parameters of points; see `Atlas.nearest`."""
+def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
+    """The part of an atlas nearest to values of axes, or of parameters of points; see `Atlas.nearest`; it stays in rad."""
     if "point" not in ds.dims or not values:
-        return nearest_on_axes(ds, values)
+        return nearest_on_axes(ds, values, degrees)
     check_not_empty(ds)
     distance = np.zeros(ds.sizes["point"])
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
             raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
-        column, value = ds[name].values, _number(name, value)
+        column, value = ds[name].values * factor(ds[name].attrs, degrees), _number(name, value)
         finite = column[np.isfinite(column)]
         if not finite.size:
             raise BadInput(f"{name}: is not given at any of these points")
@@ -94,8 +95,8 @@ def _number(name: str, value: object) -> float:
     return float(array)
 
 
-def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
-    """The part nearest to values of axes; BadInput for other names and values outside the cells of maps."""
+def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
+    """The part nearest to values of axes, angles maybe in degrees; BadInput for other names and values outside the cells of maps."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
@@ -104,7 +105,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float]) -> xr.Dataset:
             problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
             raise BadInput(f"{name}: {problem}; {allowed_text(name, axes)}")
         value = _number(name, value)
-        axis = ds[name].values
+        axis = ds[name].values * factor(ds[name].attrs, degrees)
         if axis.size > 1:
             log = is_logarithmic(scene, name, axis)
             edges = cell_edges(np.sort(axis), log)
@@ -147,10 +148,15 @@ def plane_of(
     select: Mapping[str, float],
     row: str | None = None,
     col: str | None = None,
+    *,
+    degrees: bool = False,
 ) -> tuple[xr.Dataset, list[str], list[str]]:
-    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels; see `Atlas.map`."""
+    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels; see `Atlas.map`.
+
+    With `degrees` angles of `select` are in degrees; the plane is in rad.
+    """
     check_not_empty(ds)
-    plane = nearest_on_axes(ds, select).squeeze()
+    plane = nearest_on_axes(ds, select, degrees).squeeze()
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
     check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
     if not axes or set(map(str, plane.dims)) - set(axes):
@@ -175,12 +181,14 @@ def plane_of(
     return in_order(plane, stride), dims, panel_dims
 
 
-def nearest_trajectory(ds: xr.Dataset, coordinates: Mapping[str, float], samples: int) -> xr.Dataset:
-    """Motion of the point of an atlas nearest to some values, integrated as the atlas was."""
+def nearest_trajectory(
+    ds: xr.Dataset, coordinates: Mapping[str, float], samples: int, degrees: bool = False
+) -> xr.Dataset:
+    """Motion, in rad, of the point of an atlas nearest to some values, integrated as the atlas was."""
     from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 
     system = system_of(ds)
-    point = nearest(ds, coordinates).squeeze()
+    point = nearest(ds, coordinates, degrees).squeeze()
     scene = resolved_scene(ds, point)
     if scene is not None:
         axes = {dim: axis for dim, axis in axes_of(scene).items() if not point[dim].ndim}

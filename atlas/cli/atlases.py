@@ -18,6 +18,7 @@ from ..scene.model import DEFAULTS, Duration
 from ..scene.text import open_text
 from .options import (
     ATLAS,
+    DEGREES,
     FILES,
     QUIET,
     STANDARD_INPUT,
@@ -140,7 +141,7 @@ def file_of_scene(options: argparse.Namespace, what: str) -> Path:
     return netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
 
 
-def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
+def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **options: Any) -> None:
     """Write a dataset, or its figure by a method of the accessor."""
     from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
 
@@ -151,7 +152,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str) -> None:
     else:
         from ..plotting import style
 
-        style.save(getattr(ds.atlas, figure)(*arguments), out)
+        style.save(getattr(ds.atlas, figure)(*arguments, **options), out)
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
@@ -175,6 +176,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     ATLAS,
     argument("other", metavar="OTHER", nargs="?", help="another atlas on the same grid, instead of theory"),
     option_with_default("--worst", "N", 5, "disagreements, or changes of each label, to list", lowest=0),
+    DEGREES,
     *out_options(
         "FILE", "of two atlases: .png, .pdf or .svg for a map of changed labels, .nc for all differences"
     ),
@@ -191,9 +193,9 @@ def print_comparison(options: argparse.Namespace) -> None:
     out = options.out and netcdf.writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
     with ExitStack() as stack:
         ds, *other = (stack.enter_context(atlas.open_atlas(name)) for name in inputs)
-        say(*ds.atlas.compare(*other, worst=options.worst).split("\n"))
+        say(*ds.atlas.compare(*other, worst=options.worst, degrees=options.degrees).split("\n"))
         if out:
-            write_or_draw(ds.atlas.differences(*other), out, "map")
+            write_or_draw(ds.atlas.differences(*other), out, "map", degrees=options.degrees)
             say(f"wrote {out}")
 
 

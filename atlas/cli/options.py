@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..extension import available_text
 from ..files import FIGURES, check_name, without_suffix
+from ..scene.checks import quantity
 from ..scene.text import read_text
 
 if TYPE_CHECKING:
@@ -149,6 +149,7 @@ SCENE = argument("scene", metavar="SCENE", help="scene file (TOML), - for standa
 ATLAS = argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
 RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
 THREADS = argument("--threads", type=int, metavar="N", lowest=1, help="processors to use (default: all)")
+DEGREES = argument("--degrees", default=None, action="store_true", help="angles in degrees")
 QUIET = argument("--quiet", action="store_true", help="print no progress")
 VERBOSE = argument("--verbose", action="store_true", help="print errors, checks and times of the run too")
 
@@ -206,12 +207,10 @@ def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
 
 def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
     """AXIS=VALUE options as numbers by axis."""
-    form, values = "AXIS=VALUE with a finite number", {}
+    form, values = 'AXIS=VALUE with a finite number, or arithmetic such as "60 * deg"', {}
     for name, text in assignments(option, texts, form).items():
         try:
-            values[name] = float(text)
-        except ValueError:
-            values[name] = math.nan
-        if not math.isfinite(values[name]):
-            raise BadInput(f"{option} {name}={text}: must be {form}")
+            values[name] = quantity(name, text)
+        except BadInput:
+            raise BadInput(f"{option} {name}={text}: must be {form}") from None
     return values

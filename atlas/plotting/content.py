@@ -15,6 +15,7 @@ from matplotlib.transforms import Bbox
 
 from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
+from ..analysis.degrees import in_degrees, lines_in_degrees
 from ..analysis.metadata import axes_of, flag_names, is_averaged
 from ..analysis.plane import Plane, family_curves
 from ..errors import BadInput, attribute_text
@@ -45,6 +46,12 @@ class Panel:
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
+
+    def in_degrees(self, degrees: bool | None) -> Panel:
+        """The panel as it is shown, see `analysis.degrees`."""
+        axes = [self.array[dim] for dim in self.array.dims[::-1]]
+        borders, families = (lines_in_degrees(each, axes, degrees) for each in (self.borders, self.families))
+        return replace(self, array=in_degrees(self.array, degrees), borders=borders, families=families)
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:

@@ -22,6 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 
 from .. import extension
+from ..analysis.degrees import factor, in_degrees
 from ..analysis.metadata import (
     axes_of,
     is_logarithmic,
@@ -70,14 +71,18 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
     """Draw a variable over its axes, see `atlas_map`."""
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
     select = options.select or {}
-    plane, dims, panel_dims = plane_of(ds, options.x, options.y, select, options.row, options.col)
+    in_input = options.degrees is True  # a scene asks for degrees in figures only
+    plane, dims, panel_dims = plane_of(
+        ds, options.x, options.y, select, options.row, options.col, degrees=in_input
+    )
     options.check_for(ds[name], dims)
     counts = tuple(plane.sizes[dim] for dim in panel_dims)
     if panel_dims and options.ax is not None:
         raise BadInput(
             f"ax: {' x '.join(panel_dims)} has {prod(counts)} values here, and a panel for each; choose one by select"
         )
-    array = plane[name].transpose(*panel_dims, *dims[::-1]).load()
+    shown = in_degrees(plane[[name]], options.degrees)
+    array = shown[name].transpose(*panel_dims, *dims[::-1]).load()
     scene = scene_of(ds)
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
@@ -87,6 +92,8 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
         scene = None
     parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
     panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
+    panels = [panel.in_degrees(options.degrees) for panel in panels]
+    edges = [edge * factor(plane[dim].attrs, options.degrees) for edge, dim in zip(edges, dims, strict=True)]
     if name == "regularity":
         options = replace(options, labels={**cells.regularity_texts(scene), **(options.labels or {})})
     flags = options.flag_colours(array)
@@ -104,15 +111,16 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
     entries, notes = map_legend(panels, {} if drawing.is_curve else flags, options, drawing.families, samples)
     notes += remarks(ds, filled=not drawing.flags)
     if options.caption:
-        notes.append(caption(nearest_on_axes(ds, select)))
+        notes.append(caption(nearest_on_axes(ds, select, in_input)))
     columns = 1 if options.row else min(prod(counts), 2 if options.size_mm[0] < 130 else 4)
     columns = counts[-1] if options.row and options.col else columns
     sheet = Sheet(options, len(panels), columns, drawing.curve_height(options.size_mm[0] / columns))
     figure, axes = sheet.figure(entries, notes)
     for i, (part, panel, ax) in enumerate(zip(parts, panels, axes, strict=True)):
         image = drawing.draw(ax, part, panel, inner=columns > 1)
-        name_panel(ax, part, panel_dims, top=i < columns, end=(i + 1) % columns == 0)
-    sheet.label_axes(axes, [options.text(dim, axis_label(ds, dim)) for dim in dims], entries)
+        place = in_degrees(part[panel_dims], options.degrees)
+        name_panel(ax, place, panel_dims, top=i < columns, end=(i + 1) % columns == 0)
+    sheet.label_axes(axes, [options.text(dim, axis_label(shown, dim)) for dim in dims], entries)
     if image is not None and drawing.exponents is not None:
         label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
         cells.add_color_bar(figure, axes, image, drawing.exponents, label)
@@ -193,7 +201,7 @@ def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions, samples: Sample
     axes = scatter_axes(ds, options.x, options.y)
     options.check_for(ds[name], axes)
     captions = [caption(ds)] if options.caption else []
-    ds = ds[[name, *axes]].load()
+    ds = in_degrees(ds[[name, *axes]].load(), options.degrees)
     array = ds[name]
     flags = options.flag_colours(array)
     missing = np.zeros(array.shape, bool) if flags else ~np.isfinite(array.values)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..errors import BadInput, allowed_text, shown, similar_text
-from ..scene.checks import choice
+from ..scene.checks import boolean, choice
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,6 +67,9 @@ class MapOptions:
         Resolution at which `savefig` writes the figure.
     caption : bool, optional
         Print under the map what it shows and how it was computed.
+    degrees : bool, optional
+        Show angles, and take those of `select`, in degrees. Default: show those axes in degrees for which the scene has
+        display_units = "deg".
     """
 
     x: str | None = option(None, "horizontal axis (default: the first)", metavar="AXIS")
@@ -91,6 +94,7 @@ class MapOptions:
     size: tuple[float, float] | None = option(None, "size in mm, such as 120x90", metavar="WIDTHxHEIGHT")
     dpi: float = option(300, "resolution (default: 600)", default=None, type=float, metavar="N")
     caption: bool = option(False, "print a caption for the figure")
+    degrees: bool | None = option(None, "angles in degrees", action="store_true")
 
     def __post_init__(self) -> None:
         from matplotlib import colormaps
@@ -98,6 +102,8 @@ class MapOptions:
         from matplotlib.colors import Colormap, is_color_like
 
         choice("width", self.width, WIDTHS)
+        if self.degrees is not None:
+            boolean("degrees", self.degrees)
         if self.ax is not None and not isinstance(self.ax, Axes):
             raise BadInput(f"ax = {shown(self.ax)}: must be Axes of Matplotlib")
         if not _is_number(self.dpi, MIN_DPI, MAX_DPI):

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.mathtext import MathTextParser
 
+from ..analysis.degrees import DEGREE
 from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import FIGURES, atomic_write, writable
@@ -224,6 +225,8 @@ def unit_text(unit: str) -> str:
     """A unit in UDUNITS spelling for print, with raised exponents; empty for pure numbers."""
     if unit in ("", "1"):
         return ""
+    if unit == DEGREE:
+        return "deg"
     unit = re.sub(r"(?<=[A-Za-z])(-?\d+)", r"$^{\1}$", unit)
     return drawable(re.sub(r"\bOmega\b", r"$\\Omega$", unit))
 

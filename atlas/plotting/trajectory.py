@@ -172,14 +172,17 @@ def _draw_over_time(
 
 def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     """Draw theta, the other angles and the rates in three panels."""
-    angles = {name: (tr[name].values + np.pi) % (2 * np.pi) - np.pi for name in ("psi", "phi")}
+    unit = unit_text(attribute_text(tr["theta"].attrs, "units"))
+    half = np.pi if unit == "rad" else 180.0
+    angles = {name: (tr[name].values + half) % (2 * half) - half for name in ("psi", "phi")}
     for angle in angles.values():
-        angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line is drawn across a jump
+        angle[1:][np.abs(np.diff(angle)) > half] = np.nan  # no line is drawn across a jump
     rates = {name: tr[name].values for name in RATES}
-    panels = {r"$\theta$ (rad)": {"theta": tr["theta"].values}, r"$\psi$, $\varphi$ (rad)": angles}
+    panels = {rf"$\theta$ ({unit})": {"theta": tr["theta"].values}, rf"$\psi$, $\varphi$ ({unit})": angles}
     _, angle_ax, rate_ax = _draw_over_time(figure, tr, panels | {"rates (rad s$^{-1}$)": rates})
-    angle_ax.set_ylim(-np.pi, np.pi)
-    angle_ax.set_yticks([-np.pi, 0, np.pi], [r"$-\pi$", "0", r"$\pi$"])
+    angle_ax.set_ylim(-half, half)
+    texts = [r"$-\pi$", "0", r"$\pi$"] if unit == "rad" else [r"$-180$", "0", "180"]
+    angle_ax.set_yticks([-half, 0, half], texts)
     magnitude = np.abs(list(rates.values()))
     quantile = float(np.nanquantile(magnitude, 0.9))
     if np.nanmax(magnitude) > CLIP_ABOVE * quantile > 0:

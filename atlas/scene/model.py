@@ -96,6 +96,9 @@ class Axis:
     offset_from_family: bool = False  # the values are distances from the solution of the family's formula
     long_name: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
     units: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
+    display_units: str = (
+        ""  # "deg" for angles in rad that figures show in degrees; attribute of the coordinate
+    )
     table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
 
     @property

@@ -296,6 +296,9 @@ OF_BOTH: checks.Keys = {
     ),
     "long_name": checked(checks.text, "", description="name of the axis in the atlas and in figures"),
     "units": checked(checks.text, "", description="unit of the axis in the atlas"),
+    "display_units": checked(
+        checks.one_of(("rad", "deg")), "", description="units of an angle in rad on maps and pages"
+    ),
 }
 
 
@@ -343,9 +346,13 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
         if name in system.parameters and not offset:
             checks.check_range(system.parameters[name], f"axes.{name}", values.min(), values.max())
         values.flags.writeable = False
-        axes[name] = Axis(
-            name, values, offset, table.get("long_name", ""), table.get("units", ""), tables[name]
-        )
+        own = system.parameters[name].unit if name in system.parameters else "1"
+        if "display_units" in table and (unit := table.get("units") or own) != "rad":
+            raise BadInput(
+                f"axes.{name}.display_units = {table['display_units']!r}: only of angles with units = 'rad'; {name} has {unit!r}"
+            )
+        texts = {key: table.get(key, "") for key in ("long_name", "units", "display_units")}
+        axes[name] = Axis(name, values, offset, **texts, table=tables[name])
     return axes
 
 

@@ -48,7 +48,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
         variables[name] = dimensions, values, variable_attributes(system, name, scene.outputs)
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
-        attributes |= {k: v for k in ("long_name", "units") if (v := getattr(axis, k))}
+        attributes |= {k: v for k in ("long_name", "units", "display_units") if (v := getattr(axis, k))}
         coordinates[name] = name, np.asarray(axis.values), attributes
     for name, parameter in scene.system.parameters.items():
         attributes = parameter_attributes(scene.system, name, False)

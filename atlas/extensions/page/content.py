@@ -8,6 +8,7 @@ import shlex
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from matplotlib import rcParams
 from matplotlib.colors import to_hex
 
 from ...analysis.boundary import EXISTENCE, STABILITY, theory_lines
+from ...analysis.degrees import DEGREE, RAD, factor, in_degrees, lines_in_degrees
 from ...analysis.metadata import (
     axes_of,
     check_not_empty,
@@ -90,7 +92,7 @@ def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: s
 
 def axes_table(layout: Layout) -> list[dict[str, Any]]:
     """Axes of the atlas; of single points the coordinates that differ among them, axes of the map first."""
-    ds, system, names = layout.ds, layout.system, layout.dims
+    ds, system, names = layout.shown, layout.system, layout.dims
     if layout.points:
         columns = {name: ds[name].values for name in numeric_coordinates(ds, POINT)}
         names = layout.axes + [
@@ -133,7 +135,7 @@ def _defined_name(symbol: list[Run]) -> list[Run]:
 def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
     """Variables of the atlas over its points, in the order of the file, each with its values, colours and texts."""
     variables = []
-    for name, array in layout.ds.data_vars.items():
+    for name, array in layout.shown.data_vars.items():
         usable = (
             array.dims
             and set(array.dims) <= set(layout.dims)
@@ -164,7 +166,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
 
 def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     """Values of a variable with their colours, of flags with their sentences."""
-    array = layout.ds[name]
+    array = layout.shown[name]
     values, flags = motion.over_points(_filled(layout, name), layout.sizes), flag_names(array)
     if not flags:
         added = store.add(float_array(values))
@@ -195,13 +197,14 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
 
 def _filled(layout: Layout, name: str) -> xr.DataArray:
     """Values; where a refined atlas did not integrate, of the nearest point, as on maps."""
-    array = layout.ds[name]
+    array = layout.shown[name]
     if "computed" not in layout.ds or flag_names(array) or layout.points:
         return array
     values = np.array(array.transpose(*layout.dims).values)
     axes = [dim for dim in layout.dims if dim in layout.axes]
     for where, part in layout.slices():
-        values[where] = panel_of(part, name, layout.axes, layout.scene, False).array.transpose(*axes).values
+        panel = panel_of(part, name, layout.axes, layout.scene, False).in_degrees(layout.degrees)
+        values[where] = panel.array.transpose(*axes).values
     return xr.DataArray(values, dims=layout.dims)
 
 
@@ -233,13 +236,15 @@ def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
 
 def _lines(layout: Layout, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
     """Lines of theory of one panel: text, maps on which they are drawn, vertices."""
-    limits = (STABILITY, EXISTENCE)
+    limits, axes = (STABILITY, EXISTENCE), [part[dim] for dim in layout.axes]
+    panel = panel.in_degrees(layout.degrees)
     lines = [
         _line(kind, ["frame", "limits"] if kind in limits else ["frame"], vertices)
         for kind, vertices in panel.borders.items()
     ]
     if panel.borders and layout.scene is not None and "label_inertial" in layout.ds:
         inertial = theory_lines(layout.scene, part, layout.axes, "label_inertial")
+        inertial = lines_in_degrees(inertial, axes, layout.degrees)
         lines += [_line(kind, ["inertial"], vertices) for kind, vertices in inertial.items()]
     everywhere = ["frame", "inertial", "limits"]
     return lines + [_line(name, everywhere, each, "exact") for name, each in panel.families.items()]
@@ -270,13 +275,14 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
         raise BadInput(layout.problem)
     system, add = layout.system, store.add
     starts = motion.motions(layout.ds, system, layout.scene, layout.dims)
+    angle = factor({"units": RAD}, layout.degrees)
     parameters = [
         {
             "name": name,
             "symbol": text_runs(parameter.symbol or name),
             "text": parameter.meaning,
-            "unit": text_runs(unit_text(parameter.unit)),
-            "values": add(starts.parameters[name]),
+            "unit": text_runs(unit_text(DEGREE if angle != 1 and parameter.unit == RAD else parameter.unit)),
+            "values": add(starts.parameters[name] * (angle if parameter.unit == RAD else 1.0)),
         }
         for name, parameter in system.parameters.items()
         if not np.isnan(starts.parameters[name]).all()
@@ -290,6 +296,7 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
         observables.append({"name": observable.name, "label": text_runs(label), "state": state})
     return {
         "parameters": parameters,
+        "angle": {"factor": angle, "unit": RAD if angle == 1 else unit_text(DEGREE)},
         "states": states,
         "state": [add(row) for row in starts.state],
         "constants": [add(row) for row in starts.constants],
@@ -419,6 +426,12 @@ class Layout:
     panel_dims: list[str]  # the other dimensions
     points: bool  # whether these are single points without axes
     notes: list[str]  # sentences about what is left out
+    degrees: bool | None  # whether angles are shown in degrees, see `analysis.degrees`
+
+    @cached_property
+    def shown(self) -> xr.Dataset:
+        """The points as a reader sees them."""
+        return in_degrees(self.ds, self.degrees)
 
     @property
     def system(self) -> System:
@@ -457,7 +470,7 @@ class Layout:
         return whole
 
 
-def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
+def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
     """Layout of a page: every k-th value of the longest axes, at most max_points; BadInput without axes."""
     check_not_empty(ds)
     single = POINT in ds.dims
@@ -487,4 +500,4 @@ def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS) -> Layout:
     counts = f"{math.prod(part.sizes[dim] for dim in dims)} of {math.prod(size.values())} points"
     notes = [f"This page shows every {' and '.join(left_out)}: {counts}."] if left_out else []
     notes += [f"No theory in this page: {problem}"] if problem else []
-    return Layout(ds, part, scene, problem, dims, axes, panel_dims, single, notes)
+    return Layout(ds, part, scene, problem, dims, axes, panel_dims, single, notes, degrees)

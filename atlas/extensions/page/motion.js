@@ -133,7 +133,8 @@ function drawMotion(motion) {
   const side = element("div", { class: "stack" });
   plots.append(stack, side);
   const unit = [{ t: " (rad s" }, { t: "−1", s: 1 }, { t: ")" }];
-  drawSeries(stack, motion.time, motion.theta, [{ t: "θ", i: true }, { t: " (rad)" }]);
+  const { angle } = data.motion;
+  drawSeries(stack, motion.time, motion.theta.map((each) => each * angle.factor), [{ t: "θ", i: true }, { t: ` (${angle.unit})` }]);
   drawSeries(stack, motion.time, motion.psiDot, [{ t: "ψ̇", i: true }, ...unit], true);
   addSphere(side, motion.path);
   addEnlarged(side, motion.path);

@@ -73,8 +73,13 @@ class Page:
         )
 
 
-def page(ds: xr.Dataset) -> Page:
+def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
     """One HTML file with maps of all variables, the values of each point, and its motion, integrated in the page.
+
+    Parameters
+    ----------
+    degrees : bool, optional
+        Show angles in degrees. Default: those axes for which the scene has display_units = "deg".
 
     Returns
     -------
@@ -82,10 +87,12 @@ def page(ds: xr.Dataset) -> Page:
         Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
         Of atlases of more than `atlas.extensions.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
     """
-    return atlas_page(ds)
+    return atlas_page(ds, degrees=degrees)
 
 
-def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) -> Page:
+def atlas_page(
+    ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS, degrees: bool | None = None
+) -> Page:
     """Make the page of an atlas, whose name in the commands of the page is `file`."""
     system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
@@ -100,7 +107,7 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
         fault["fault"] = f"The equations of this system cannot be translated for this page: {error}"
     count = max_points
     while True:
-        layout = page_layout(ds, count)
+        layout = page_layout(ds, count, degrees)
         store = Store(layout.shape)
         try:
             motions = fault or motion_table(layout, store)
@@ -115,9 +122,9 @@ def atlas_page(ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS) 
 
 def _fallback(layout: Layout) -> str:
     """A picture of the map for readers without scripts, as a data address."""
-    middle = {dim: float(layout.ds[dim][layout.ds.sizes[dim] // 2]) for dim in layout.panel_dims}
+    middle = layout.ds.isel({dim: layout.ds.sizes[dim] // 2 for dim in layout.panel_dims})
     buffer = io.BytesIO()
-    figure = atlas_map(layout.ds, map_variable(layout.whole), select=middle or None, width="page")
+    figure = atlas_map(middle, map_variable(layout.whole), width="page", degrees=layout.degrees)
     with rc_context(STYLE):
         figure.savefig(buffer, format="png", dpi=FALLBACK_DPI)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

@@ -1,0 +1,64 @@
+"""Angles in degrees, as readers give and see them; all else is in rad. Nothing but this module converts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+import xarray as xr
+
+Data = TypeVar("Data", xr.Dataset, xr.DataArray)
+RAD, DEGREE = "rad", "degree"  # values of the attribute units
+
+
+def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
+    """What turns a variable with these attributes into what is shown: of an angle in rad 180 / pi, else 1.
+
+    `degrees` may be None: where the scene asks for degrees.
+    """
+    if degrees is None:
+        degrees = attributes.get("display_units") == "deg"
+    return math.degrees(1.0) if degrees and attributes.get("units") == RAD else 1.0
+
+
+def in_degrees(data: Data, degrees: bool | None = True) -> Data:
+    """The same with its angles in degrees; `degrees` as for `factor`."""
+    return _scaled(
+        data, {n: f for n, v in _variables(data).items() if (f := factor(v.attrs, degrees)) != 1}, DEGREE
+    )
+
+
+def in_rad(data: Data) -> Data:
+    """The same with its angles in rad."""
+    units = {name: variable.attrs.get("units") for name, variable in _variables(data).items()}
+    return _scaled(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
+
+
+def _variables(data: Data) -> Mapping[str, xr.DataArray]:
+    """Coordinates, and the variables or the array itself under the name ""."""
+    if isinstance(data, xr.DataArray):
+        return {**{str(name): each for name, each in data.coords.items()}, "": data}
+    return {str(name): data[name] for name in data.variables}
+
+
+def _scaled(data: Data, factors: Mapping[str, float], units: str) -> Data:
+    """Data with some of its variables multiplied, in other units."""
+    variables, new = _variables(data), dict[str, xr.Variable]()
+    for name, number in factors.items():
+        old = variables[name].variable
+        new[name] = xr.Variable(old.dims, old.data * number, old.attrs | {"units": units})
+    if isinstance(data, xr.DataArray):
+        data = data.copy(data=new[""].data).assign_attrs(units=units) if "" in new else data
+        return data.assign_coords({name: each for name, each in new.items() if name})
+    coordinates = {name: each for name, each in new.items() if name in data.coords}
+    return data.assign_coords(coordinates).assign({n: v for n, v in new.items() if n not in coordinates})
+
+
+def lines_in_degrees(
+    lines: Mapping[str, list[np.ndarray]], axes: list[xr.DataArray], degrees: bool | None
+) -> dict[str, list[np.ndarray]]:
+    """Lines over some axes with their angles in degrees."""
+    factors = [factor(axis.attrs, degrees) for axis in axes]
+    return {kind: [line * factors for line in group] for kind, group in lines.items()}

@@ -37,6 +37,8 @@ SCENES = [
     ("tolerance = 1e-5", "tolernce = 1", "integration.tolernce: unknown key; did you mean 'tolerance'? allowed: ..."),
     ("Omega = 1.0", "omega = 1.0", "fixed.omega: not a parameter of the satellite, and no tie uses it; did you mean 'Omega'? allowed: ..."),
     ('"satellite"', '"satelite"', "system = 'satelite': there is no such system; did you mean 'satellite'? allowed: satellite, fixed_point", 'system = "satelite"'),
+    ("perp_velocity", "conical", "family.name = 'conical': unknown family; perp_radius, by the paper's words...", 'name = "conical"'),
+    ("perp_velocity", "Hyperboloidal", "family.name = 'Hyperboloidal': unknown family; perp_velocity or asym...", 'name = "Hyperboloidal"'),
     ("perp_velocity", "perp_velocty", "family.name = 'perp_velocty': unknown family; did you mean 'perp_velocity'? allowed: ...", 'name = "perp_velocty"'),
     ("[labels]", "[lables]", "lables: unknown key; did you mean 'labels'? allowed: ...", "[lables]"),
     ("[labels]", '[outputs]\nvariables = ["lable"]\n[labels]', "outputs.variables: 'lable' is unknown; did you mean 'label'? allowed: ..."),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput
-from ..extension import available_text
-from ..systems.base import PublishedEquation, System, families_of
+from ..errors import BadInput, allowed_text
+from ..systems.base import PublishedEquation, System, families_of, unknown_family
 from .published import published_equations
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
@@ -20,7 +20,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     every = families_of(system)
     if name is not None and name not in every:
-        raise BadInput(f"family {name}: unknown; {available_text(name, every)}")
+        raise BadInput(f"family {name}: unknown; {unknown_family(system, name, every)}")
     rows = []
     for family in every.values():
         if name not in (None, family.name):
@@ -49,8 +49,18 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     return rows
 
 
-def published(system: System, family: str | None = None, errata: bool = False) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true, or on its errata."""
+def published(
+    system: System, family: str | None = None, errata: bool = False, number: str | None = None
+) -> list[dict[str, Any]]:
+    """Rows on the published equations of the system's paper, as printed and as true, on its errata, or on those of a number."""
+    every = published_equations(system)
+    if number is not None:
+        every = [row for row in every if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]
+        if not every:
+            numbers = dict.fromkeys(
+                n for row in published_equations(system) for n in re.findall(r"\((\d+)", row.number)
+            )
+            raise BadInput(f"--errata {number}: no equation of this number; {allowed_text(None, numbers)}")
     return [
         {
             "equation": row.number,
@@ -62,7 +72,7 @@ def published(system: System, family: str | None = None, errata: bool = False) -
             **_max_residuals([row]),
             "effect": row.effect,
         }
-        for row in published_equations(system)
+        for row in every
         if family in (None, row.family) and not (errata and row.verdict == "true")
     ]
 

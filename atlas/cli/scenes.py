@@ -14,6 +14,7 @@ from pathlib import Path
 
 import atlas
 
+from .. import systems
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
@@ -230,14 +231,19 @@ def print_schema(options: argparse.Namespace) -> None:
 @command(
     "new",
     argument("name", metavar="NAME", nargs="?", help="which example (default: list them)"),
+    argument("--list", action="store_true", help="list the examples"),
     argument("-o", "--out", metavar="SCENE", help="name of the copy (default: NAME.toml)"),
 )
 def copy_example(options: argparse.Namespace) -> None:
     """Copy an example scene, to run it or to change it."""
     scenes = examples()
-    if options.name is None:
-        rows = [(name, tomllib.loads(scene.read_text("utf-8"))["title"]) for name, scene in scenes.items()]
-        say(*text_table([("example", "what it shows"), *rows]).split("\n"))
+    if options.name is None or options.list:
+        rows = [("example", "what it shows", "words of the paper")]
+        for name, scene in scenes.items():
+            table = tomllib.loads(scene.read_text("utf-8"))
+            family = families_of(systems.get(table["system"])).get(table.get("family", {}).get("name"))
+            rows.append((name, table["title"], "" if family is None else family.paper_wording))
+        say(*text_table(rows).split("\n"))
         say(f"{called_as()} new NAME copies one of them")
         return
     name = options.name.removesuffix(".toml")

@@ -35,7 +35,13 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # co
     "conditions",
     argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"),
     argument("--family", metavar="NAME", help="one family in detail"),
-    argument("--errata", action="store_true", help="only the paper's equations that are wrong"),
+    argument(
+        "--errata",
+        nargs="?",
+        const=True,
+        metavar="N",
+        help="only the paper's equations that are wrong; with a number this equation, right or wrong",
+    ),
     [
         argument("--csv", action="store_true", help="comma-separated values, one row for each"),
         argument("--json", action="store_true", help="JSON, with every printed equation"),
@@ -45,16 +51,22 @@ def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
     from ..analysis import catalogue
 
-    system = systems.get(options.system)
+    if options.errata in systems.names():  # conditions --errata SYSTEM
+        options.system, options.errata = options.errata, True
+    system, number = systems.get(options.system), None
+    if isinstance(options.errata, str):
+        number, options.errata = options.errata, True
     families = catalogue.families(system, options.family)
+    only_wrong = bool(options.errata) and number is None
+    published = partial(catalogue.published, system, options.family, only_wrong, number)
     if options.json:
         content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
         if not options.errata:
             content["families"] = families
-        content["printed"] = catalogue.published(system, options.family, options.errata)
+        content["printed"] = published()
         say(*json.dumps(content, indent=1).split("\n"))
         return
-    rows = catalogue.published(system, options.family, errata=True) if options.errata else families
+    rows = published() if options.errata else families
     if options.csv:
         writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
         writer.writeheader()
@@ -71,7 +83,8 @@ def print_conditions(options: argparse.Namespace) -> None:
                 say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
             if row["effect"]:
                 say(f"  {row['effect']}")
-        say(f"{len(rows)} equations differ; {system.reference}")
+        wrong = sum(row["verdict"] != "true" for row in rows)
+        say(f"{wrong} equations differ; {system.reference}" if number is None else system.reference)
     elif options.family is not None:
         for key, value in _with_residuals(rows[0]).items():
             lines = value if isinstance(value, list) else textwrap.wrap(value, 100)
@@ -80,7 +93,7 @@ def print_conditions(options: argparse.Namespace) -> None:
         say(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
     else:
         of_families = {"family": "family", "equations": "equations", "solves_for": "solves for"} | RESIDUALS
-        _print_table(families, of_families | {"motion": "motion"})
+        _print_table(families, of_families | {"motion": "motion", "paper_wording": "words of the paper"})
         say("", f"{system.reference}:")
         of_equations = {"equation": "equation", "family": "family"} | RESIDUALS
         _print_table(catalogue.published(system), of_equations | {"verdict": "verdict"})

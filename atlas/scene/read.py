@@ -16,7 +16,7 @@ import tomli_w
 
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
-from ..systems.base import Array, System, families_of
+from ..systems.base import Array, System, families_of, unknown_family
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .checks import checked
@@ -377,7 +377,7 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
     name = checks.text("family.name", table["name"])
     if name not in families:
         why = "of a missing extension" if name in system.reserved_families else "unknown family"
-        raise BadInput(f"family.name = {shown(name)}: {why}; {extension.available_text(name, families)}")
+        raise BadInput(f"family.name = {shown(name)}: {why}; {unknown_family(system, name, families)}")
     family = families[name]
     solve = table.get("solve", [])
     if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):

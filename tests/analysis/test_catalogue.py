@@ -121,6 +121,23 @@ def test_command_line_tables(capsys):
         "phi0",
     ):
         assert expected in detail
+    assert "conical permanent rotation (orbital)" in output()
+    one = output("--errata", "19")
+    assert one.startswith("(19)1  asymmetric_tilt: misprint")
+    assert not {"(18)", "(20)"} & {line.split()[0] for line in one.splitlines()}
+    assert output("--errata", "17").startswith("(17)1  perp_radius: true")  # right or wrong
+    assert output("fixed_point", "--errata", "9").startswith("(9): misprint")
+    assert output("--errata", "fixed_point") == output("fixed_point", "--errata")
+    for arguments, message in (
+        (["--errata", "99"], "--errata 99: no equation of this number; allowed: 1, 2, 3"),
+        (["--errata", "("], "--errata (: no equation of this number"),
+        (
+            ["--family", "conical"],
+            "family conical: unknown; perp_radius, by the paper's words 'conical permanent",
+        ),
+    ):
+        assert main(["conditions", *arguments]) == 2
+        assert message in capsys.readouterr().err
     errata = output("--errata")
     assert all(f"{number}" in errata for number in WRONG)
     assert "(15)  " not in errata

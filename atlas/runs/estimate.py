@@ -23,6 +23,7 @@ from ..store.progress import clock
 from ..store.tile import encode
 from ..store.tiling import tile_types
 from ..systems.base import derived_values, derived_variables
+from .memory import LONG
 from .plan import ScenePlan
 from .refine import expected_points
 
@@ -43,14 +44,22 @@ class _Measurement:
     stored_bytes_per_point: float  # of measured variables and parameters
 
 
-def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
-    """Text about the expected cost of running a scene into a file, folder or store; BadInput as `run`."""
-    plan = ScenePlan.of(scene)
-    tiles, exists = plan.tiling, plan.sample.exists
-    processors = workers or threads or blocks.available_threads()
+@dataclass(frozen=True)
+class _Cost:
+    """Expected cost of a scene."""
+
+    points: float  # to integrate
+    tile: _Measurement
+    seconds: float
+    theory_seconds: float  # of these
+
+
+def _cost(plan: ScenePlan, processors: int) -> _Cost:
+    """The expected cost of a scene on so many processors, from a tile of it."""
+    scene, exists = plan.scene, plan.sample.exists
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
-    cost = _measure(plan, processors)
+    tile = _measure(plan, processors)
     # The derived variables of one point, from as many points as take a few tenths of a second.
     has_derived = not derived_variables(scene.system).keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
@@ -63,8 +72,29 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         derived_seconds = time.perf_counter() - started
     derived_seconds /= max(count, 1)
     # A refined atlas has predictions at every point.
-    theory_seconds = existing * cost.theory_seconds + points * derived_seconds
-    seconds = points * plan.mean_work * cost.seconds_per_step + theory_seconds
+    theory_seconds = existing * tile.theory_seconds + points * derived_seconds
+    seconds = points * plan.mean_work * tile.seconds_per_step + theory_seconds
+    return _Cost(points, tile, seconds, theory_seconds)
+
+
+def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
+    """A sentence about the expected time of this share of a scene, empty if it is below LONG."""
+    seconds = share * _cost(plan, processors).seconds
+    if seconds < LONG:
+        return ""
+    return (
+        f"this run takes about {seconds / 3600:.3g} h on {processors} {unit} for {share * plan.scene.size:.3g} points;"
+        f" atlas run SCENE --dry-run shows size, memory and error"
+    )
+
+
+def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
+    """Text about the expected cost of running a scene into a file, folder or store; BadInput as `run`."""
+    plan = ScenePlan.of(scene)
+    tiles, exists = plan.tiling, plan.sample.exists
+    processors = workers or threads or blocks.available_threads()
+    expected = _cost(plan, processors)
+    points, cost, seconds = expected.points, expected.tile, expected.seconds
     hours = {scene.settings.method: seconds * processors / 3600}
     hours |= {name: ratio * hours[scene.settings.method] for name, ratio in plan.relative_costs().items()}
     in_flight = 1 if workers else plan.tiles_in_flight(processors)
@@ -83,7 +113,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         "processor time: " + ", ".join(f"{each:.3g} h by {name}" for name, each in hours.items()),
         f"time: about {clock(seconds)} on {processors} {'processes' if workers else 'threads'}"
         f" ({plan.mean_steps:.4g} steps a point, {1e9 * cost.seconds_per_step * processors:.3g} ns a step and"
-        f" processor), of which theory {clock(theory_seconds)}",
+        f" processor), of which theory {clock(expected.theory_seconds)}",
         *plan.method_lines(),
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ..errors import BadInput
+from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -34,6 +37,10 @@ from .plan import ScenePlan
 if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
+
+LONG = 2 * 3600.0  # expected seconds of a run that announces itself
+# Seconds of a point and of a step on a slow processor with costly equations: only runs that might be LONG are measured.
+SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes a number of finished points
 
@@ -64,8 +71,16 @@ class Execution:
             from .reuse import Earlier
 
             earlier = [Earlier.of(each, scene) for each in paths]
+        shard = options["shard"] or (1, 1)
+        processors = options["workers"] or options["threads"] or blocks.available_threads()
+        if scene.size * (SLOW_POINT + SLOW_STEP * plan.mean_work) > LONG * processors * shard[1]:
+            from . import estimate
+
+            unit = "processor" if options["scheduler"] else "processes" if options["workers"] else "threads"
+            text = estimate.long_run(plan, 1 if options["scheduler"] else processors, 1 / shard[1], unit)
+            dataset.log_warnings([text] if text else [])
         dataset.log_warnings(plan.warnings)
-        return cls(plan, earlier, **{**options, "shard": options["shard"] or (1, 1)})
+        return cls(plan, earlier, **{**options, "shard": shard})
 
     @property
     def time_is_up(self) -> bool:
@@ -84,6 +99,19 @@ class Execution:
         from . import cluster
 
         return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
+
+
+def check_memory(scene: Scene) -> None:
+    """Raise BadInput for an atlas that is larger than the memory of this machine."""
+    needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+    present = math.inf
+    with suppress(AttributeError, ValueError, OSError):  # not every system tells
+        present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > present:
+        raise BadInput(
+            f"{scene.size:.3g} points: the atlas has {needed / 1e9:.3g} GB, this machine {present / 1e9:.3g} GB of memory; name a"
+            " file or folder by out, or ask for fewer points"
+        )
 
 
 def run_in_memory(execution: Execution) -> xr.Dataset:

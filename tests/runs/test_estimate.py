@@ -1,12 +1,15 @@
 """The dry run: what it integrates to measure is little, whatever the scene."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import atlas
+from atlas import BadInput, load_scene
 from atlas.kernel import blocks
-from atlas.runs import estimate
+from atlas.runs import estimate, memory
 from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
@@ -110,3 +113,35 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
     assert "of which theory" in dry_run(scene, threads=1)
     assert sizes[0] == 6
     assert max(sizes) <= scene.size
+
+
+def test_a_long_run_says_so_first(monkeypatch, caplog, small_scene):
+    monkeypatch.setattr(memory, "LONG", 1e-6)
+    monkeypatch.setattr(estimate, "LONG", 1e-6)
+    scene = load_scene(small_scene.replace("from = 0.2\nto = 1.4", "from = 0.2\nto = 9.0"))
+    atlas.run(scene, threads=1, progress=False)
+    first, *others = [record.getMessage() for record in caplog.records]
+    assert re.fullmatch(
+        r"this run takes about \S+ h on 1 threads for 63 points; atlas run SCENE --dry-run shows .*", first
+    )
+    assert others  # the warnings about the angles
+    caplog.clear()
+    monkeypatch.setattr(estimate, "LONG", 7200.0)
+    atlas.run(scene, threads=1, progress=False)
+    assert "this run takes" not in caplog.text
+
+
+def test_a_short_run_measures_nothing(monkeypatch, small_scene):
+    monkeypatch.setattr(estimate, "long_run", None)
+    atlas.run(load_scene(small_scene), threads=1, progress=False)
+
+
+def test_a_count_that_is_a_typo_costs_seconds(monkeypatch, caplog, tmp_path, small_scene):
+    text = small_scene.replace("count = 9", "count = 100_000").replace("count = 7", "count = 100_000")
+    with pytest.raises(
+        BadInput, match=r"^1e\+10 points: the atlas has \S+ GB, this machine \S+ GB of memory; name a file"
+    ):
+        atlas.run(load_scene(text), progress=False)
+    options = {"threads": 2, "shard": (1, 10), "scheduler": None, "workers": None}
+    memory.Execution.of(load_scene(text), (), options)
+    assert re.match(r"this run takes about \S+ h on 2 threads for 1e\+09 points", caplog.messages[0])

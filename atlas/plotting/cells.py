@@ -204,7 +204,7 @@ PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# A border of more than MAX_HALOED lines is THIN and has no halo: as wide as others it would cover the cells between its lines.
+# One of KINDS with more than MAX_HALOED lines is THIN and has no halo: as wide as others it would cover the cells between them.
 MAX_HALOED = 40
 THIN = {"linestyle": "-", "linewidth": 0.5}
 
@@ -244,10 +244,10 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
             draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
         lines = panel.borders.get(kind, [])
-        if len(lines) <= MAX_HALOED:
-            _draw_lines(ax, lines, border_style(kind), halo=HALO)
-        else:
+        if kind in KINDS and len(lines) > MAX_HALOED:
             _draw_lines(ax, lines, border_style(kind) | THIN, halo=0.0)
+        else:
+            _draw_lines(ax, lines, border_style(kind), halo=HALO)
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)), halo=HALO)
 

@@ -67,17 +67,12 @@ def paper_figure(number: int) -> PaperFigure:
     return PaperFigure(number, list(fast_spin.PAPER_BODIES)[body], quantity, kind > 2, half == 1, rotors)
 
 
-def rk4(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
-    """States (state, times, ...) by the classical Runge-Kutta method, one step between successive times."""
-    path = [y0]
-    for h in np.diff(tau):
-        y = path[-1]
-        k1 = rate(y)
-        k2 = rate(y + 0.5 * h * k1)
-        k3 = rate(y + 0.5 * h * k2)
-        k4 = rate(y + h * k3)
-        path.append(y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-    return np.stack(path, 1)
+def _motion(rate: Callable[[Array], Array], y0: Array, tau: Array) -> Array:
+    """States (state, times, ...) at the times, from y0 (state, ...) at the first of them."""
+    solution = fast_spin.dop853(
+        lambda _, y: rate(y.reshape(y0.shape)).ravel(), (tau[0], tau[-1]), y0.ravel(), t_eval=tau
+    )
+    return np.moveaxis(solution.y.reshape(*y0.shape, tau.size), -1, 1)
 
 
 @cache
@@ -86,7 +81,7 @@ def _exact(body: str, rotors: tuple[float, ...], tau: tuple[float, ...]) -> tupl
     spin = fast_spin.paper_body(body, np.array(rotors))
     y0 = fast_spin.paper_start(spin)
     starts = np.stack([y0, periodic.solutions(spin.of_shape(y0.shape[1:])).start], 1)
-    path = rk4(lambda y: fast_spin.rhs(spin, y), starts, np.array(tau))
+    path = _motion(lambda y: fast_spin.rhs(spin, y), starts, np.array(tau))
     return spin, y0, np.moveaxis(fast_spin.to_quasilinear(spin, path), 2, 0)
 
 
@@ -96,8 +91,8 @@ def curves(figure: PaperFigure, tau: Array) -> dict[str, Array]:
     x0, exact = fast_spin.to_quasilinear(spin, y0), dict(zip(("(1)", "periodic"), paths, strict=True))
     if figure.numerical:
         return {
-            "(15), printed": rk4(lambda x: published.quasilinear(spin, x, x0), x0, tau),
-            "(15), true": rk4(lambda x: fast_spin.quasilinear(spin, x), x0, tau),
+            "(15), printed": _motion(lambda x: published.quasilinear(spin, x, x0), x0, tau),
+            "(15), true": _motion(lambda x: fast_spin.quasilinear(spin, x), x0, tau),
             **exact,
         }
     times, h, p0 = tau[:, None], 1e-3, x0[0]

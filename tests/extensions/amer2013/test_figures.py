@@ -33,15 +33,6 @@ def test_every_figure_has_the_quantity_of_its_caption(number):
     assert f"A = B {figure.body[2:]}" in figure.caption
 
 
-def test_rk4_has_order_four():
-    def error(intervals):
-        tau = np.linspace(0, 10, intervals + 1)
-        path = amer2013.rk4(lambda y: np.array([y[1], -y[0]]), np.array([1.0, 0.0]), tau)
-        return np.abs(path - [np.cos(tau), -np.sin(tau)]).max()
-
-    assert error(100) / error(200) == pytest.approx(16, rel=0.1)
-
-
 @pytest.mark.parametrize("number", [2, 7, 12, 17])
 def test_curves_are_those_of_the_equations(number):
     """The true curves against the full equations by DOP853; the printed ones are far from them."""

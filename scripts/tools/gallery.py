@@ -251,8 +251,8 @@ PICTURES = (
     ),
     Picture(
         "plane_rotation_rotor",
-        "The same body rotating in the plane of the orbit, over the rate at which its first axis passes the radius. Between the"
-        " thin lines it cannot pass the velocity, and librates." + HYPERBOLIC,
+        "The same body rotating in the plane of the orbit, over the rate at which its first axis passes the radius. In the"
+        " white strip it cannot pass the velocity, and librates." + HYPERBOLIC,
     ),
     Picture(
         "chaos_unstable",

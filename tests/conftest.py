@@ -99,11 +99,11 @@ def whole_kernels():
 
 @pytest.fixture(scope="module")
 def short_timings():
-    """Time the kernels of work-precision studies on a thirtieth of the steps."""
+    """Time the kernels of work-precision studies on a hundredth of the steps."""
     from atlas.validation import work_precision
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 30)
+        patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 100)
         yield
 
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, printable, text_table
+from ..errors import BadInput, attribute_text, printable, text_table
 from ..flags import Agreement, Label, Regularity, Stability
 from ..label.theory import agreement
 from ..runs.plan import ScenePlan
@@ -189,7 +189,7 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
         if not is_numeric_axis(ds, dim):
             texts.append(f"{printable(dim)} {k}")
             names = [name for name in numeric_coordinates(ds, dim) if (ds[name] != ds[name][0]).any()]
-        ends = {name: " deg" if ds[name].attrs.get("units") == DEGREE else "" for name in names}
+        ends = {name: " deg" if attribute_text(ds[name].attrs, "units") == DEGREE else "" for name in names}
         texts += [f"{printable(name)} = {float(ds[name][k]):.9g}{end}" for name, end in ends.items()]
     return ", ".join(texts)
 

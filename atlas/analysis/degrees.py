@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
+from ..errors import attribute_text
+
 Data = TypeVar("Data", xr.Dataset, xr.DataArray)
 RAD, DEGREE = "rad", "degree"  # values of the attribute units
 
@@ -19,8 +21,8 @@ def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
     `degrees` may be None: where the scene asks for degrees.
     """
     if degrees is None:
-        degrees = attributes.get("display_units") == "deg"
-    return math.degrees(1.0) if degrees and attributes.get("units") == RAD else 1.0
+        degrees = attribute_text(attributes, "display_units") == "deg"
+    return math.degrees(1.0) if degrees and attribute_text(attributes, "units") == RAD else 1.0
 
 
 def in_degrees(data: Data, degrees: bool | None = True) -> Data:
@@ -32,7 +34,7 @@ def in_degrees(data: Data, degrees: bool | None = True) -> Data:
 
 def in_rad(data: Data) -> Data:
     """The same with its angles in rad."""
-    units = {name: variable.attrs.get("units") for name, variable in _variables(data).items()}
+    units = {name: attribute_text(variable.attrs, "units") for name, variable in _variables(data).items()}
     return _scaled(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
 
 

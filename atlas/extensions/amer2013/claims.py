@@ -126,7 +126,7 @@ class PeriodicRow(NamedTuple):
     period: Array  # less 2 pi
     trace: Array  # sum of the multipliers rho and 1/rho
     defect: Array  # |w - w(0)| after a period of the full equations, over |mu / Omega|; w = p1 + i q1
-    stability: str  # of the exact one, name of PeriodicSolution
+    stability: str  # stability of the exact solution, a name of PeriodicSolution
     stable_printed: bool  # omega'^2 > 0: (20) is an ellipse
 
 
@@ -248,7 +248,7 @@ def _deviations(rows: Sequence[Row]) -> Judgement:
 
 
 def _periodic(rows: Sequence[Row]) -> Judgement:
-    """How far the motions from the starts of (33) are from returning, and the exact periodic solution."""
+    """Distances from the start after a period of motions that start at (33), and the exact periodic solution."""
     printed, *corrected = np.max([row.defect for row in periodic_table() if row.rotor], axis=0)
     first, exact = ("< 1e-9" if defect < 1e-9 else f"{defect:.2g}" for defect in corrected)
     return _verdict(printed < 1e-2), {"printed": printed, "first": first, "exact": exact}

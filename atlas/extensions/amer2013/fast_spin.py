@@ -126,7 +126,7 @@ def rhs(spin: FastSpin, y: Array) -> Array:
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
-    """The three constants behind (2), (3): energy, area and |gamma|^2, shape (3, ...)."""
+    """The first integrals from which (2), (3) follow: energy, area and |gamma|^2, shape (3, ...)."""
     p, q, r, g1, g2, g3 = y
     y1, y2, y3 = spin.y
     transverse = g1**2 + g2**2
@@ -136,15 +136,15 @@ def integrals(spin: FastSpin, y: Array) -> Array:
     return np.array([energy, area, transverse + g3**2])
 
 
-def reduced(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, of y; of dy/dtau their derivatives."""
+def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
+    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, of the state y; given dy/dtau, p2' and gamma2'."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
 
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
     """(p2, p2', gamma2, gamma2') of y."""
-    (p2, gamma2), (p2_dot, gamma2_dot) = reduced(spin, y), reduced(spin, rhs(spin, y))
+    (p2, gamma2), (p2_dot, gamma2_dot) = p2_gamma2(spin, y), p2_gamma2(spin, rhs(spin, y))
     return np.array([p2, p2_dot, gamma2, gamma2_dot])
 
 
@@ -347,7 +347,7 @@ def errors(
 
 
 def radians(points: Points, duration: Array) -> Array:
-    """Bound of the fastest frequency times duration, (points,): what integrating a run costs."""
+    """Bound of the fastest frequency times duration, (points,), to which the cost of a run is proportional."""
     with np.errstate(all="ignore"):
         return np.asarray(initial.frequency_bound(points) * duration)
 

@@ -23,13 +23,13 @@ from ...kernel.tableaux import RK8
 from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
-STEPS = 24  # of the method rk8 in a period along the path of solutions
+STEPS = 24  # steps of rk8 in a period, along the path of solutions
 FINE = 48  # steps in a period at the end of the path: errors of rounding, in units of r0 for p and q
 # Largest correction of each unknown; a larger one may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # of the path, in shares of the field; a path with smaller ones has met a fold
-DEFECT = 1e-5  # of a periodic solution before the last correction
-MARGIN = 1e-7  # of |trace| about 2, within which rounding decides on stability
+LEAST_STEP = 0.005  # shortest step of the path, as a share of the field; where it fails the path has a fold
+DEFECT = 1e-5  # largest defect before the last correction of a periodic solution
+MARGIN = 1e-7  # distance of |trace| from 2 below which rounding decides on stability
 
 
 class Periodic(NamedTuple):
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and their defect before the last one; about its square is left."""
+    """Unknowns after corrections by Newton's method, and the defect before the last correction; the final defect is about its square."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])

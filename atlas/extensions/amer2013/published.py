@@ -168,7 +168,7 @@ def _coupling(
 def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
     """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
-    exact = fast_spin.reduced(spin, true_acceleration(spin, y))[index // 2]
+    exact = fast_spin.p2_gamma2(spin, true_acceleration(spin, y))[index // 2]
     term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
     return (right_side(spin, fast_spin.to_quasilinear(spin, y))[index] - exact) / term
 
@@ -196,7 +196,7 @@ def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: 
 
 
 def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
-    """chi less what A1 (q1 l1 - p1 l2) q1 / (C r0) of (7) leaves on the forced motion w = mu / Omega."""
+    """chi less the value of A1 (q1 l1 - p1 l2) q1 / (C r0), a term of (7), on the forced motion w = mu / Omega."""
     y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
     return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
 

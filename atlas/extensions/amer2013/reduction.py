@@ -94,7 +94,7 @@ def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
 
 
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
-    """A random start with r1 = g1'' = 1, and a random state with the same energy and area, (2) with (3)."""
+    """A random start with r1 = g1'' = 1, and a random state of equal energy and area, which satisfies (2) with (3)."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
     for _ in range(60):  # a contraction by a factor of order eps
@@ -144,7 +144,7 @@ def _states(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _motion(rng: np.random.Generator, entry: Entry) -> Values:
-    """A random state with random S1, S2, which are what (2) makes of r1 and g1'', its rates and accelerations."""
+    """A random state with its rates and accelerations; S1 and S2, which replace r1 and g1'' in (2), are random too."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     p, q, g1, g2, S1, S2 = rng.normal(size=6)
     r = np.sqrt(1 + spin.eps**2 * S1)
@@ -180,7 +180,7 @@ def _series(rng: np.random.Generator, entry: Entry) -> Values:
     acceleration = 0.5 * (
         fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate)
     )  # exact: (1) is quadratic
-    exact = zip(("dd_p", "dd_g"), fast_spin.reduced(spin, acceleration), strict=True)
+    exact = zip(("dd_p", "dd_g"), fast_spin.p2_gamma2(spin, acceleration), strict=True)
     return names(spin) | variables(x0, x) | dict(exact)
 
 

@@ -26,7 +26,7 @@ _ON_PAPER = np.array([[-0.45, -0.35], [0.9, -0.1], [0.0, 0.9]])
 
 
 class Attitude(Polygon):
-    """Sample of a colour with the axes of a body, alpha, beta and gamma being the rows of a frame."""
+    """Sample of a colour with the axes of a body; alpha, beta and gamma are the rows of a frame."""
 
     def __init__(self, frame: Array, colour: str):
         super().__init__(np.full((1, 2), np.nan), facecolor=colour, edgecolor="0.4", linewidth=0.4)

@@ -16,8 +16,8 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
-ROUNDING = 1e-14  # of the energy, relative
-LEVELS = 6  # minima of a body, those of the least potentials, of which the time of settling is measured
+ROUNDING = 1e-14  # relative error of the energy
+LEVELS = 6  # minima of a body for which the time of settling is measured: those of least potential
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
 _ORDER = (

@@ -27,7 +27,8 @@ SETTLED = 1e-3
 _FLAT = 1e-6  # eigenvalue of the Hessian, relative to the largest of the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
 _SADDLE = 1e-6  # angle from an equilibrium that is no minimum at which a descent ends there, rad
-_STEPS, _MAX_STEPS = 16, 4096  # of a descent between two searches of the nearest equilibrium, and at most
+# Steps of a descent: between two searches of the nearest equilibrium, and at most.
+_STEPS, _MAX_STEPS = 16, 4096
 _BLOCK = 4096  # attitudes that are compared together
 
 
@@ -37,7 +38,7 @@ class Wells:
 
     body: Body
     rate: Array  # unit of rates, (bodies,)
-    single: bool  # whether the frame has one direction, gamma, so that attitudes are known but for a turn about it
+    single: bool  # whether the frame has one direction, gamma, about which attitudes may turn
     frames: Array  # alpha, beta, gamma in body axes, 0 where there is none, (bodies, places, 3, 3)
     axis: Array  # in the body, of a circle of equilibria, else nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
@@ -45,9 +46,9 @@ class Wells:
     index: Array  # Morse index
     minimum: Mask
     downhill: Array  # axis of the turn by which W falls most, (bodies, places, 3)
-    settled: Array  # of a minimum: energy below which attitude and rates stay within SETTLED
+    settled: Array  # energy of a minimum below which attitude and rates stay within SETTLED
     listed: Mask  # whether every equilibrium is known, and its index is certain, (bodies,)
-    rim: Array  # of the wells, computed where needed, else nan
+    rim: Array  # energies of the rims of the wells, nan until computed
 
     def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
         """Places of the equilibria nearest to attitudes (points, 3, 3) of these bodies, and the angles to them, rad."""

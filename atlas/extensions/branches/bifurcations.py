@@ -38,9 +38,9 @@ _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ra
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # step of Newton's method that no other follows
 _CONVERGED = 1e-9  # last step of Newton's method, in units of the range
-_SETTLED = 1e-6  # the same with its rotation: from beside a pitchfork steps only halve
+_SETTLED = 1e-6  # last step with the rotation: beside a pitchfork each step only halves the error
 _BLOCK = 512  # intervals whose solutions are matched at once
-_SAME = 1e-3  # distance of points that are one, and a hundred times that of values
+_SAME = 1e-3  # largest distance of coincident points
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 _FIRST_ARC, _MAX_ARC, _MIN_ARC, _MAX_ARCS = 0.01, 0.04, 1e-5, 2000  # steps along curves, in rad and ranges
@@ -55,7 +55,7 @@ class Singular(NamedTuple):
     frames: Array
     null: Array  # eigenvector, (N, 3)
     number: Places  # of the eigenvalue, ascending
-    slopes: Array  # of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
+    slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
     step: Array  # the last one, (N, 3 + parameters)
 
     @property
@@ -68,7 +68,7 @@ class Singular(NamedTuple):
         """Whether a change of the parameters lets solutions merge and vanish."""
         by_parameters = self.slopes[:, :3, 3:]
         along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
-        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # of a parameter that changes nothing
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # derivative by a parameter that changes nothing
         size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
         return np.asarray((along > _TRANSVERSAL * size).any(1))
 

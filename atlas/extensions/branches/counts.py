@@ -18,7 +18,7 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
     if not isinstance(system, Satellite):
         return {}
 
-    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+    def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """Points that differ in their start alone share one search."""
         from ...systems.gyrostat.equilibria import numbers
 
@@ -38,6 +38,6 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
     )
     comment = "nan where some are not isolated or not certain; depends on body, rotor and fields alone"
     return {
-        name: DerivedVariable.of_group(together, name, "1", text, comment)
+        name: DerivedVariable.of_group(group, name, "1", text, comment)
         for name, text in zip(COUNTS, texts, strict=True)
     }

@@ -26,7 +26,7 @@ _LINES = {
     StabilityKind.UNKNOWN: ("0.6", 0.9, True),
     StabilityKind.MARGINAL: (COLOURS["marginal"], 0.7, False),
     StabilityKind.LINEARLY_STABLE: (COLOURS["linearly_stable"], 0.7, False),
-    StabilityKind.GYROSCOPIC: ("#5aa7d0", 0.7, False),  # that of maps is too pale for a line
+    StabilityKind.GYROSCOPIC: ("#5aa7d0", 0.7, False),  # the colour of maps is too pale for a line
     StabilityKind.ENERGY_STABLE: (COLOURS["energy_stable"], 1.7, False),
 }
 LINES: dict[StabilityKind, Style] = {

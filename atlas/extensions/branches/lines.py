@@ -19,12 +19,12 @@ from ...systems.gyrostat import Gyrostat
 from .bifurcations import BodyFamily, curves, on_segments
 
 CHANGE = "change of the number"
-COUNT_TRISECTIONS = 4  # of the distance between two neighbouring points of the atlas
+COUNT_TRISECTIONS = 4  # share of the distance between two neighbouring points of the atlas
 # Counts that change only where equilibria merge.
 MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
 MANY_COUNTS = 300  # vertices, which take more than a second
 SLICES, SLICE_VALUES = 7, 9  # along each axis, on which curves begin
-MAX_SEARCHES = 8  # of further points on curves
+MAX_SEARCHES = 8  # searches for points on further curves
 MAX_SEGMENTS = 64  # changes of a count between neighbours in each search
 TOGETHER = 4  # curves that are followed at once
 SAME_CURVE = 1e-3  # distance over the extent of the axes: further than the chords of a curve are from it

@@ -48,12 +48,13 @@ if TYPE_CHECKING:
 
     from ...systems.gyrostat import Gyrostat
 
-_ZERO = 1e-9  # of what a verdict needs to differ from 0, relative to its terms
+_ZERO = 1e-9  # smallest value, relative to its terms, that counts as different from 0 in a verdict
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
 _CHUNK = 256  # points, whose arrays stay in the cache
 # zeta_1, zeta_2 and their conjugates, as which the coordinates z = w_1 zeta_1 + w_2 zeta_2 + conjugates are written
-_MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)  # of c20, c11, c02, the resonance 3:1
+# Monomials in them of the coefficients c20, c11 and c02, and of the resonance 3:1.
+_MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
 class NormalForm(NamedTuple):
@@ -154,7 +155,7 @@ def stability(rest: Equilibria) -> tuple[Flags, Array]:
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
     values = np.full((4, count.size), np.nan)
-    # Of a body that is symmetric about the vertical, and of a free one, the motion has one degree of freedom less.
+    # A body symmetric about the vertical, or a free body, has one degree of freedom less.
     symmetric = np.any([rest.body.symmetric_about(i) for i in range(3)], axis=0)
     about_axis = (rest.cyclic[..., 1] != 0).any(1)
     members = (count == 1) & (about_axis | ~symmetric) & ~rest.free & (rest.body.damping == 0)

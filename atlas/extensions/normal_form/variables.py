@@ -26,7 +26,7 @@ def normal_form(system: System) -> dict[str, DerivedVariable]:
     if not isinstance(system, Gyrostat):
         return {}
 
-    def together(_: Any, points: Points, __: Any, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+    def group(_: Any, points: Points, __: Any, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         from .nonlinear import of_points
 
         with np.errstate(all="ignore"):
@@ -45,4 +45,4 @@ def normal_form(system: System) -> dict[str, DerivedVariable]:
         ("birkhoff_c02", "kg-1 m-2", f"coefficient of the squared action of the smaller frequency {form}", _FORM),
         ("birkhoff_determinant", "kg-1 m-2 s-2", f"determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2 {form}", _FORM),
     )  # fmt: skip
-    return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
+    return {row[0]: DerivedVariable.of_group(group, *row, flags=flags.get(row[0])) for row in rows}

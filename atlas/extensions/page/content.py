@@ -324,7 +324,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
         column = store.add(
             motion.over_points(xr.DataArray(ds[dim].variable.astype(np.float64)), layout.sizes)
         )
-        if layout.scene is not None or column["over"]:  # else the same at all points
+        if layout.scene is not None or column["over"]:  # one value for all points where false
             coordinates.append({"name": name, "dim": dim, "values": column})
     return {
         "shell": f"atlas trajectory {shlex.quote(file)} --at",
@@ -420,12 +420,12 @@ class Layout:
     whole: xr.Dataset  # the atlas
     ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
     scene: Scene | None  # scene of the atlas, from which theory and motions follow
-    problem: str  # why an atlas that names a scene has none here; else empty
+    problem: str  # reason why an atlas that names a scene has no motions
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
     panel_dims: list[str]  # the other dimensions
     points: bool  # whether these are single points without axes
-    notes: list[str]  # sentences about what is left out
+    notes: list[str]  # sentences about omitted parts
     degrees: bool | None  # whether angles are shown in degrees, see `analysis.degrees`
 
     @cached_property

@@ -32,14 +32,14 @@ def motions(points: Points) -> PlaneMotions:
 
 
 def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
-    """Out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
+    """Stability out of the plane, by Floquet multipliers; unknown where the period is too long, near the separatrix. In the plane
     neighbouring motions have other periods, and their distance grows like t.
     """
     return motions(points).stability(rough)
 
 
 def _excess(p: Points) -> Array:
-    """Kinetic energy less what lifts the body over the barrier, over the sum of both; any shape."""
+    """Kinetic energy less the energy of the barrier, over the sum of both; any shape."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2

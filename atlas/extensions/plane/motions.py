@@ -37,10 +37,10 @@ class _Steps(NamedTuple):
 
     shortest: float  # over the norm of the system
     counts: tuple[int, ...]  # relative
-    most: int  # of the longest steps
+    most: int  # number of the longest steps, at most
 
     def weights(self) -> Array:
-        """Of the sums by each of the numbers, and by all but the first, (2, counts)."""
+        """Weights of the sums by each number of steps, in the extrapolation from all and from all but the first, (2, counts)."""
         size, result = len(self.counts), np.zeros((2, len(self.counts)))
         for k, weights in enumerate(result):
             errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
@@ -82,7 +82,7 @@ class PlaneMotions(NamedTuple):
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
-        """From the start, (points, 3)."""
+        """The motions from starts, (points, 3)."""
         moment, unit = (
             np.exp2(np.round(np.log2(each))) for each in (body.inertia.max(-1), np.abs(body.turn) + length(w))
         )
@@ -113,7 +113,7 @@ class PlaneMotions(NamedTuple):
         return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
-        """Of a libration, or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
+        """Period of a libration or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
@@ -143,7 +143,7 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turned, swung), self.frequency * self.unit * rate
 
     def rate_std(self, duration: Array) -> Array:
-        """Standard deviation of x' over runs, in time units; infinite ones are of whole periods."""
+        """Standard deviation of x' over runs, in time units; infinite runs are whole periods."""
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
@@ -159,16 +159,16 @@ class PlaneMotions(NamedTuple):
         Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
-        stable, exponent = self._decided(_ROUGH)
+        stable, exponent = self._verdict(_ROUGH)
         # Near borders verdicts, and everywhere growth rates, are those of the sums that `multipliers` gives.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
-        flags, exponents = self.subset(finer)._decided(_FINE)
+        flags, exponents = self.subset(finer)._verdict(_FINE)
         in_time = ~np.isnan(exponents) | (stable[finer] == Stability.UNKNOWN)
         stable[finer[in_time]], exponent[finer[in_time]] = flags[in_time], exponents[in_time]
         return stable, exponent / self.period()
 
-    def _decided(self, steps: _Steps) -> tuple[Flags, Array]:
+    def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
         """Stability, and the growth over the period as a logarithm: 0 where errors decide, nan where unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
         one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
@@ -235,7 +235,7 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """The same by equal steps, LANES times in all; matrices: space for those of `of_steps`, 0 elsewhere."""
+        """`multiplier_sums` by equal steps, LANES times in all; matrices: space for the matrices of `of_steps`, 0 elsewhere."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])

@@ -20,7 +20,7 @@ def variables(system: System) -> dict[str, DerivedVariable]:
         return {}
     names = ("plane_period", "plane_trace", "plane_second")
 
-    def together(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
+    def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         from .motions import PlaneMotions
 
         with np.errstate(all="ignore"):  # parameters may overflow
@@ -41,4 +41,4 @@ def variables(system: System) -> dict[str, DerivedVariable]:
         (names[1], "1", "sum of the multipliers out of the plane, t", equation),
         (names[2], "1", "sum of the products of two multipliers out of the plane, s", equation),
     )
-    return {row[0]: DerivedVariable.of_group(together, *row) for row in rows}
+    return {row[0]: DerivedVariable.of_group(group, *row) for row in rows}

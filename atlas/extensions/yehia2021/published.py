@@ -72,7 +72,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Amount by which a true motion breaks the printed limits; of the true reading the residual of the motion."""
+    """Amount by which a true motion breaks the printed limits; for the true reading, the residual of the motion."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)
@@ -192,7 +192,7 @@ def _at_state(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _lagrangian_error(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """(4) less (2) with (3), by the vectors of (1), at a random state."""
+    """Difference of (4) from (2) with (3), by the vectors of (1), at a random state."""
     p = _at_state(rng)
     alpha, gamma = directions(p)
     inertia, k, mu = body_vectors(p)
@@ -251,7 +251,7 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; as true 1 less this share."""
+    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 less this share."""
     rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
     return float(share if reading == "printed" else 1 - share)

@@ -142,8 +142,6 @@ def test_options_take_several_values_or_are_repeated():
     for words in (["-o", "a.nc", "b.csv"], ["-o", "a.nc", "--out", "b.csv"], ["--out=a.nc", "b.csv"]):
         assert values("accuracy", *words, "s.toml") == values("accuracy", "s.toml", *words)
         assert values("accuracy", *words, "s.toml")["out"] == ["a.nc", "b.csv"]
-    assert values("figures", "--only", "1", "2", "--only", "3")["only"] == [1, 2, 3]
-    assert values("figures", "--format", "png", "--format", "svg", "pdf")["format"] == ["png", "svg", "pdf"]
     assert values("trajectory", "--at", "a=1", "--", "b=2")["scene"] == "b=2"
 
 

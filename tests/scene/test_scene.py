@@ -125,7 +125,7 @@ def test_durations(small_scene, duration, expected):
 
 def test_every_config_is_a_scene():
     configs = example_scenes()
-    assert len(configs) >= 35
+    assert len(configs) >= 30
     for path in configs:
         text = path.read_text()
         assert text.startswith("# What it shows:"), path

@@ -7,7 +7,7 @@ from matplotlib.colors import to_rgb
 from refusals import assert_refused_in_shell
 from scipy.interpolate import make_interp_spline
 
-from atlas.cli import main
+from atlas.cli import main, parser
 from atlas.errors import BadInput
 from atlas.extensions.amer2013 import claims, fast_spin
 from atlas.extensions.amer2013 import figures as amer2013
@@ -184,6 +184,14 @@ def test_a_mistake_in_the_command(command, sentence, tmp_path, monkeypatch, caps
     for name in ("figures/figure_04.svg", "figure_01.png", "taken"):
         (tmp_path / name).write_text("kept")
     assert_refused_in_shell(command, sentence, capsys)
+
+
+def test_options_take_several_values_or_are_repeated():
+    def values(*arguments):
+        return vars(parser().parse_args(["figures", *arguments]))
+
+    assert values("--only", "1", "2", "--only", "3")["only"] == [1, 2, 3]
+    assert values("--format", "png", "--format", "svg", "pdf")["format"] == ["png", "svg", "pdf"]
 
 
 def test_the_paper_has_no_other_figures():

@@ -20,6 +20,7 @@ from .plotting.options import takes_map_options
 from .scene.checks import typed, whole_number
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -116,6 +117,24 @@ class Atlas(Questions):
         from .analysis.select import nearest
 
         return in_degrees(nearest(self._ds, coords, degrees), degrees)
+
+    def to_dataframe(self, *, degrees: bool = False) -> pd.DataFrame:
+        """Table of pandas with a row for each point, in memory.
+
+        Parameters
+        ----------
+        degrees : bool, optional
+            Angles in degrees.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Its index is the axes, of single points "point". Its columns are the variables and parameters; flags are
+            categories by name.
+        """
+        from .analysis.select import to_dataframe
+
+        return to_dataframe(self._ds, degrees)
 
     def fractions(self, variable: str = "label", along: str | None = None) -> xr.DataArray:
         """Fraction of the points with each flag of a variable, over all or along one axis.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -16,8 +17,12 @@ from .metadata import (
     axis_values,
     check_not_empty,
     chunks,
+    flag_names,
     flag_values,
+    flags_of,
+    has_flags,
     in_order,
+    is_averaged,
     is_logarithmic,
     is_numeric_axis,
     numeric_coordinates,
@@ -26,6 +31,9 @@ from .metadata import (
     settings_of,
     system_of,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_PANELS = 12
 # Most values of an axis on a map, as many as a printer has dots; of a longer axis every k-th value is taken.
@@ -64,6 +72,20 @@ def select(
     return xr.concat(
         selected, "point", data_vars="minimal", coords="minimal", compat="override", combine_attrs="override"
     )
+
+
+def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
+    """The points as a table of pandas with flags as categories; see `Atlas.to_dataframe`."""
+    from pandas import Categorical
+
+    ds = in_degrees(ds if ds.dims else ds.expand_dims("point"), degrees)
+    frame = ds.to_dataframe()
+    for name, array in ds.items():
+        if array.dtype.kind != "b" and has_flags(array) and not is_averaged(array):
+            names = flag_names(array)
+            flags_of(ds, str(name), len(names))
+            frame[name] = Categorical.from_codes(frame[name].to_numpy(), names)
+    return frame
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:

@@ -56,7 +56,8 @@ def label_points(
     points : mapping, list of mappings, Dataset, DataFrame or path
         Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; parameters that are
         left out take their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point",
-        and so do the variables of a Dataset of one dimension that is no parameter. A path names a .csv or .nc file.
+        and so do the variables of a Dataset of one dimension that is no parameter. The index of a DataFrame is the coordinate
+        of "point" in the result, or a parameter if it has its name. A path names a .csv or .nc file.
     duration : float, array_like, DataArray or str
         In time units, or a text as in a scene, such as "20 orbits" or "50 turns".
     step : float, optional

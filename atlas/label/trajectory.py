@@ -66,8 +66,8 @@ def trajectory(
     ----------
     system : str
         Name of a system, such as "satellite" or "fixed_point".
-    point : mapping of str to float
-        Parameters; those that are left out take their defaults.
+    point : mapping of str to float, or Series
+        Parameters; those that are left out take their defaults. A row of the DataFrame that `label_points` takes is one.
     duration : float
         In time units.
     samples : int

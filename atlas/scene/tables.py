@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import BadInput, allowed_text, one_line, shown
 from ..systems.base import Array, Parameter, System
+from ..variables import POINT
 from .checks import check_range
 from .text import open_text
 
@@ -32,10 +33,11 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name po
 
 
 def table(source: Any, names: Collection[str]) -> dict[str, Any]:
-    """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings or a DataFrame.
+    """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or one of its rows.
 
     Columns of a Dataset are DataArrays: its data variables, and its coordinates among `names`; other coordinates stay with the
-    arrays. A single dimension that is not among `names` becomes "point" and loses the coordinate that numbers it.
+    arrays. A single dimension that is not among `names` becomes "point" and loses the coordinate that numbers it. The index of
+    a DataFrame, unless it numbers the rows, is the column "point", or the parameter whose name it has.
     """
     import xarray as xr
 
@@ -55,8 +57,24 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return source
     if isinstance(source, Mapping):
         return {str(name): values for name, values in source.items()}
+    labels: Any = getattr(source, "index", None)
+    of_pandas = hasattr(labels, "nlevels")
     if hasattr(source, "columns") and hasattr(source, "__getitem__"):
-        return {str(name): np.asarray(source[name]) for name in source.columns}
+        values: dict[str, Any] = {str(name): np.asarray(source[name]) for name in source.columns}
+        if not of_pandas:
+            return values
+        if labels.nlevels > 1:
+            raise BadInput(
+                f"points: an index of {labels.nlevels} levels; reset_index() makes columns of them"
+            )
+        if labels.name in names:
+            return {str(labels.name): np.asarray(labels)} | values
+        numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
+        return values if numbers_rows else {POINT: np.asarray(labels)} | values
+    if of_pandas and hasattr(source, "to_dict"):  # a row, without what names it
+        row = {str(name): value for name, value in source.to_dict().items()}
+        naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - {*names}
+        return {name: value for name, value in row.items() if name not in naming}
     if isinstance(source, Sequence) and all(isinstance(point, Mapping) for point in source):
         if not source:
             raise BadInput("points: there are none")
@@ -68,7 +86,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return {str(name): [row[name] for row in source] for name in source[0]}
     raise BadInput(
         f"points: {type(source).__name__} cannot be read; allowed: a mapping of columns, a list of mappings,"
-        " a Dataset, a DataFrame, the name of a .csv or .nc file"
+        " a Dataset, a DataFrame or a row of it, the name of a .csv or .nc file"
     )
 
 

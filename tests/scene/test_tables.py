@@ -90,7 +90,8 @@ def test_columns_that_name_points_are_kept(tmp_path, monkeypatch, capsys):
         assert ds["index"].values.tolist() == [3, 1, 4]
         assert set(ds.data_vars).isdisjoint(frame.columns)
     xr.testing.assert_identical(
-        ds.drop_vars("index").drop_attrs(), atlas.label_points("satellite", frame, duration=5.0).drop_attrs()
+        ds.drop_vars("index").assign_coords(point=[3, 1, 4]).drop_attrs(),
+        atlas.label_points("satellite", frame, duration=5.0).drop_attrs(),
     )
     for name in ("out.csv", "out.nc"):
         assert main(["points", "satellite", "in.csv", "-o", name, "--duration", "5", "--quiet"]) == 0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from .errors import MAX_MESSAGE, BadInput, attribute_text, shown, text_table
+from .errors import BadInput, shown, text_table
 from .extension import load, parts
 from .faces import Questions
 from .plotting.options import takes_map_options
@@ -474,16 +474,6 @@ class Atlas(Questions):
         str
             Three lines.
         """
-        from .analysis.metadata import system_of
+        from .analysis.trust import cite
 
-        system, attributes = system_of(self._ds), self._ds.attrs
-
-        def text(name: str) -> str:
-            return attribute_text(attributes, name, "unknown", MAX_MESSAGE)
-
-        return (
-            f"Precession Atlas {text('atlas_version')}, kernel {text('atlas_kernel_hash')}"
-            f" ({text('atlas_versions')}; {text('atlas_cpu')}, {text('atlas_platform')}).\n"
-            f"Equations of the {system.title}: {text('references')}.\n"
-            f"Atlas {text('title')!r}: {text('history')}."
-        )
+        return cite(self._ds)

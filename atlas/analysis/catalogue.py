@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import BadInput, allowed_text
-from ..systems.base import PublishedEquation, System, families_of, unknown_family
+from ..systems.base import PublishedEquation, System, families_of
+from ..systems.wording import unknown_family
 from .published import published_equations
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
@@ -20,7 +21,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
     """Rows on the families of exact steady motions, with the largest residuals of published equations."""
     every = families_of(system)
     if name is not None and name not in every:
-        raise BadInput(f"family {name}: unknown; {unknown_family(system, name, every)}")
+        raise BadInput(f"family {name}: unknown; {unknown_family(name, every)}")
     rows = []
     for family in every.values():
         if name not in (None, family.name):

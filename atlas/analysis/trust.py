@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, shown
+from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
 from ..systems.base import Array
 from ..validation.half_step import upper_bound
-from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes
+from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes, system_of
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
@@ -168,3 +168,18 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
             counts[..., flag][tuple(box[dim] for dim in dims_along)] += (values == flag).sum(others)
     coords = {dim: ds[dim] for dim in dims_along if dim in ds.coords}
     return xr.DataArray(counts, {**coords, variable: names}, (*dims_along, variable))
+
+
+def cite(ds: xr.Dataset) -> str:
+    """Text that names the program, the equations and the computation; see `Atlas.cite`."""
+    system, attributes = system_of(ds), ds.attrs
+
+    def text(name: str) -> str:
+        return attribute_text(attributes, name, "unknown", MAX_MESSAGE)
+
+    return (
+        f"Precession Atlas {text('atlas_version')}, kernel {text('atlas_kernel_hash')}"
+        f" ({text('atlas_versions')}; {text('atlas_cpu')}, {text('atlas_platform')}).\n"
+        f"Equations of the {system.title}: {text('references')}.\n"
+        f"Atlas {text('title')!r}: {text('history')}."
+    )

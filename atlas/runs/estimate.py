@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import resource
 import shutil
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -120,6 +122,19 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",
     ]
     return "\n".join([*lines, *plan.step_warnings()])
+
+
+def check_memory(scene: Scene) -> None:
+    """Raise BadInput for an atlas that is larger than the memory of this machine."""
+    needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+    present = math.inf
+    with suppress(AttributeError, ValueError, OSError):  # not every system tells
+        present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > present:
+        raise BadInput(
+            f"{scene.size:.3g} points: the atlas has {needed / 1e9:.3g} GB, this machine {present / 1e9:.3g} GB of memory; name a"
+            " file or folder by out, or ask for fewer points"
+        )
 
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:

@@ -14,7 +14,7 @@ from ..errors import BadInput, shown
 from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
-from .memory import Execution, check_memory, run_in_memory
+from .memory import MANY_POINTS, Execution, run_in_memory
 
 
 @typed
@@ -105,7 +105,10 @@ def run(
     options = dict(threads=threads, shard=shard, scheduler=scheduler, workers=workers, stop_after=stop_after)
     options |= {"progress": progress, "began": began}
     if out is None:
-        check_memory(scene)
+        if scene.size > MANY_POINTS:
+            from .estimate import check_memory
+
+            check_memory(scene)
         return run_in_memory(Execution.of(scene, reuse, options))
     from .folder import run_kept  # not imported by a run in memory
 

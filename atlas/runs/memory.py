@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +18,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced
 from ..label.pipeline import evaluate
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
 
+MANY_POINTS = 10**6  # of which an atlas may not fit into memory
 LONG = 2 * 3600.0  # expected seconds of a run that announces itself
 # Seconds of a point and of a step on a slow processor with costly equations: only runs that might be LONG are measured.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
@@ -99,19 +98,6 @@ class Execution:
         from . import cluster
 
         return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
-
-
-def check_memory(scene: Scene) -> None:
-    """Raise BadInput for an atlas that is larger than the memory of this machine."""
-    needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-    present = math.inf
-    with suppress(AttributeError, ValueError, OSError):  # not every system tells
-        present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if needed > present:
-        raise BadInput(
-            f"{scene.size:.3g} points: the atlas has {needed / 1e9:.3g} GB, this machine {present / 1e9:.3g} GB of memory; name a"
-            " file or folder by out, or ask for fewer points"
-        )
 
 
 def run_in_memory(execution: Execution) -> xr.Dataset:

@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
-from ..systems.base import Array, System, families_of, unknown_family
+from ..systems.base import Array, System, families_of
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
 from .checks import checked
@@ -87,10 +86,9 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     if isinstance(source, Scene):
         return source
     if isinstance(source, Mapping):
-        try:
-            return parse_scene(tomli_w.dumps(_plain(source)), folder=Path())
-        except RecursionError:
-            raise BadInput("scene: nested too deeply") from None
+        from .dictionary import text_of
+
+        return parse_scene(text_of(source), folder=Path())
     if not isinstance(source, str | Path):
         raise BadInput(
             f"scene: found {shown(source)}; must be the path of a scene file, the text of one, a dictionary of its keys,"
@@ -110,24 +108,6 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
             " computed from"
         )
     return parse_scene(read_text(path), path.stem, path.parent, str(path))
-
-
-def _plain(value: Any, key: str = "") -> Any:
-    """A value of a scene in the types of TOML, by way of which it is read; BadInput if it has none."""
-    if isinstance(value, Mapping):
-        for name in value:
-            if not isinstance(name, str):
-                raise BadInput(f"{key or 'scene'}: the key {shown(name)} must be a text")
-        return {name: _plain(value[name], f"{key}.{name}" if key else name) for name in value}
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(each, key) for each in value]
-    if isinstance(value, Path):
-        return str(value)
-    if isinstance(value, str | bool | int | float):
-        return value
-    raise BadInput(f"{key} = {shown(value)}: must be a text, a number, true or false, a list or a mapping")
 
 
 def parse_scene(
@@ -376,8 +356,10 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
         raise BadInput(f"family.name is missing; {allowed_text(None, families)}")
     name = checks.text("family.name", table["name"])
     if name not in families:
+        from ..systems.wording import unknown_family
+
         why = "of a missing extension" if name in system.reserved_families else "unknown family"
-        raise BadInput(f"family.name = {shown(name)}: {why}; {unknown_family(system, name, families)}")
+        raise BadInput(f"family.name = {shown(name)}: {why}; {unknown_family(name, families)}")
     family = families[name]
     solve = table.get("solve", [])
     if not isinstance(solve, list) or not all(isinstance(parameter, str) for parameter in solve):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -534,16 +533,6 @@ def within_range(system: System, points: Points) -> Mask:
     too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
     too_small = [points[name] < 1 / MAX_MAGNITUDE for name in positive]
     return ~np.any([*too_large, *too_small], axis=0)
-
-
-def unknown_family(system: System, name: str, families: Mapping[str, Family]) -> str:
-    """End of a message about an unknown family: its name here, if the paper calls a family so, else the allowed names."""
-    words = re.escape(name.lower())
-    called = [f for f in families.values() if name and re.search(rf"\b{words}\b", f.paper_wording.lower())]
-    if 0 < len(called) <= 2:
-        wording = called[0].paper_wording
-        return f"{' or '.join(family.name for family in called)}, by the paper's words {wording!r}"
-    return extension.available_text(name, families)
 
 
 @cache

@@ -1,0 +1,38 @@
+"""Scenes as dictionaries: the text that they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from ..errors import BadInput, shown
+
+
+def text_of(table: Mapping[str, Any]) -> str:
+    """The TOML text of a scene that is nested mappings, so that it is read and checked like a file."""
+    try:
+        return tomli_w.dumps(_plain(table))
+    except RecursionError:
+        raise BadInput("scene: nested too deeply") from None
+
+
+def _plain(value: Any, key: str = "") -> Any:
+    """A value of a scene in the types of TOML, by way of which it is read; BadInput if it has none."""
+    if isinstance(value, Mapping):
+        for name in value:
+            if not isinstance(name, str):
+                raise BadInput(f"{key or 'scene'}: the key {shown(name)} must be a text")
+        return {name: _plain(value[name], f"{key}.{name}" if key else name) for name in value}
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each, key) for each in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, str | bool | int | float):
+        return value
+    raise BadInput(f"{key} = {shown(value)}: must be a text, a number, true or false, a list or a mapping")

@@ -51,6 +51,7 @@ OTHERS = {
     "make_faces": "tests/extensions/test_records.py",
     "draw_page": "tests/extensions/page/test_in_browser.py",
     "mutants": "below",
+    "without_extension": "below",
 }
 PEERS = {
     "SciPy DOP853": "scipy",
@@ -193,6 +194,12 @@ def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):
         (row,) = (row for row in table if row.startswith(f"atlas/sizes.py:{place} "))
         assert row.endswith(f"| {end}")
     assert (tmp_path / "atlas" / "sizes.py").read_text() == source
+
+
+def test_the_core_is_tested_without_the_folder_of_an_extension(monkeypatch, capfd):
+    """One short test of it, which fails where the records of other extensions are not read."""
+    start("without_extension", ["basins", "tests/test_extensions.py", "-k", "reserved", "-q"], monkeypatch)
+    assert "1 passed" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize("name", PEERS)

@@ -44,9 +44,9 @@ def copy_without(names: set[str], folder: Path) -> None:
         )
 
 
-def main(arguments: list[str]) -> int:
+def main() -> int:
     """Exit status of pytest in the copy."""
-    names = set()
+    arguments, names = sys.argv[1:], set()
     while arguments and arguments[0] in EXTENSIONS:
         names.add(arguments.pop(0))
     if not names:
@@ -64,4 +64,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

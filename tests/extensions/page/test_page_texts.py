@@ -30,7 +30,7 @@ def test_pages_hold_clean_texts(ds, monkeypatch):
 
 def test_attributes_and_variables_of_a_wrong_type_are_refused(ds):
     damaged = ds.assign_attrs(atlas_scene="", atlas_method="\x1b")
-    with pytest.raises(BadInput, match=r"attribute atlas_method = '\\x1b'"):
+    with pytest.raises(BadInput, match=r"attribute atlas_method = '\\\\x1b'"):
         damaged.atlas.page()
     with pytest.raises(BadInput, match="label: values of type <U"):
         ds.assign(label=ds.label.astype(str)).atlas.page()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .runs.execution import run as run
     from .scene.examples import example as example
     from .scene.read import load_scene as load_scene
+    from .store.joined import concat as concat
     from .systems import register as register
 
 # Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
@@ -37,6 +38,7 @@ _MODULES = {
     "label_points": "label.points",
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
+    "concat": "store.joined",
     "equilibria": "analysis.equilibria",
     "register": "systems",
     "BadInput": "errors",

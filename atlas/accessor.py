@@ -41,8 +41,14 @@ class Atlas(Questions):
 
     def __init__(self, ds: xr.Dataset) -> None:
         self._ds = ds
+        if "atlas_parts" in ds.attrs:
+            from .store.joined import part_of
+
+            self._ds = ds = part_of(ds)
         dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
-        if len(dims) == len(ds.dims) == 1 and "point" not in (*dims, *ds.variables):
+        if len(dims) == len(ds.dims) == 1 and {"point", "atlas_parts"}.isdisjoint(
+            [*dims, *ds.variables, *ds.attrs]
+        ):
             self._ds = ds.rename({dims[0]: "point"})  # a list of points under another name
 
     def __repr__(self) -> str:

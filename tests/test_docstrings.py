@@ -17,6 +17,7 @@ from atlas.systems.base import System
 ROOT = Path(__file__).parent.parent
 CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]["checks"])
 FUNCTIONS = (
+    "concat",
     "equilibria",
     "label_points",
     "load_scene",

@@ -31,6 +31,10 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
     whole_number("worst", worst, 0)
     flags, numbers = _common_variables(first, second)
     shown = in_degrees(first.coords.to_dataset(), degrees)
+    if "atlas_parts" in second.attrs:
+        from ..store.joined import part_of
+
+        second = part_of(second)
     lines = [f"{w}: {attribute_text(ds.attrs, 'title')}" for w, ds in (("first", first), ("second", second))]
     scenes = [scene_of(ds) for ds in (first, second)]
     texts = [[] if scene is None else scene.toml().split("\n") for scene in scenes]

@@ -54,6 +54,10 @@ def number_attribute(ds: xr.Dataset, name: str) -> float:
 
 def scene_of(ds: xr.Dataset) -> Scene | None:
     """The scene of an atlas, None for points that come from no scene."""
+    if "atlas_parts" in ds.attrs:
+        from ..store.joined import part_of
+
+        ds = part_of(ds, needed=True)
     text = ds.attrs.get("atlas_scene", "")
     if not isinstance(text, str):
         raise BadInput("not an atlas: the attribute atlas_scene is no text")
@@ -134,7 +138,7 @@ def _close(here: np.ndarray, own: Array) -> Mask:
 
 def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
     """Why an atlas cannot be computed again by the scene that it names; empty if it can or names none."""
-    if "atlas_scene" in ds.attrs:
+    if not ds.attrs.keys().isdisjoint({"atlas_scene", "atlas_parts"}):
         try:
             resolved_scene(ds, ds if part is None else part)
         except BadInput as error:

@@ -97,6 +97,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
+            scene_of(ds)  # BadInput of joined atlases
             raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values * factor(ds[name].attrs, degrees), _number(name, value)
         finite = column[np.isfinite(column)]
@@ -182,6 +183,7 @@ def plane_of(
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
     check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
     if not axes or set(map(str, plane.dims)) - set(axes):
+        scene_of(ds)  # BadInput of joined atlases
         raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
     by_length = sorted((d for d in axes if d not in (x, y, row, col)), key=lambda d: -plane.sizes[d])
     n_free = (x is None) + (y is None)

@@ -11,7 +11,16 @@ import xarray as xr
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
 from ..systems.base import Array
 from ..validation.half_step import upper_bound
-from .metadata import check_not_empty, chunks, flag_names, flag_variable, in_order, neighbour_axes, system_of
+from .metadata import (
+    check_not_empty,
+    chunks,
+    flag_names,
+    flag_variable,
+    in_order,
+    neighbour_axes,
+    scene_of,
+    system_of,
+)
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
 MIN_VALUES = 5
@@ -173,6 +182,7 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
 def cite(ds: xr.Dataset) -> str:
     """Text that names the program, the equations and the computation; see `Atlas.cite`."""
     system, attributes = system_of(ds), ds.attrs
+    scene_of(ds)  # BadInput of joined atlases
 
     def text(name: str) -> str:
         return attribute_text(attributes, name, "unknown", MAX_MESSAGE)

@@ -97,4 +97,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     if missing:
         ds.close()
         raise BadInput(f"{path}: not an atlas: the attribute {missing[0]} is missing")
+    if "atlas_parts" in ds.attrs:
+        from ..store.joined import part_of
+
+        return part_of(ds)
     return ds

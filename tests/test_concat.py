@@ -11,6 +11,7 @@ import xarray as xr
 import atlas
 from atlas import BadInput
 from atlas.analysis.metadata import scene_of, scene_problem
+from atlas.cli import main
 from atlas.plotting.style import caption
 from atlas.store.joined import part_of
 
@@ -172,12 +173,28 @@ def test_points_without_a_scene_are_joined_too():
     )
     joined = atlas.concat({"a": a, "b": b}, "spin")
     for name, alone in (("a", a), ("b", b)):
-        point = joined.sel(spin=name).atlas
-        xr.testing.assert_identical(
-            point.trajectory(theta0=0.9, samples=3), alone.atlas.trajectory(theta0=0.9, samples=3)
-        )
+        motions = [
+            ds.atlas.trajectory(theta0=0.9, samples=3).drop_attrs(deep=False)
+            for ds in (joined.sel(spin=name), alone)
+        ]
+        xr.testing.assert_identical(*motions)
     with pytest.raises(BadInput, match="spin: joined atlases"):
         joined.atlas.trajectory(theta0=0.9)
+
+
+def test_a_part_in_a_file_is_mapped_by_the_shell(joined, tmp_path, capsys):
+    joined.to_netcdf(tmp_path / "joined.nc")
+    joined.sel(kind="r").to_netcdf(tmp_path / "part.nc")
+    radius().to_netcdf(tmp_path / "alone.nc")
+    assert main(["map", str(tmp_path / "joined.nc")]) == 2
+    assert ".sel(kind=NAME)" in capsys.readouterr().err
+    texts = []
+    for name in ("part", "alone"):
+        figure = tmp_path / f"{name}.png"
+        assert main(["map", str(tmp_path / f"{name}.nc"), "-o", str(figure), "--caption"]) == 0
+        texts.append((capsys.readouterr().out.split("wrote")[0], figure.read_bytes()))
+    assert texts[0] == texts[1]
+    assert "perp_radius" in texts[0][0]
 
 
 def flags_changed(ds: xr.Dataset) -> xr.Dataset:

@@ -82,10 +82,8 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
     for key in COMMON:
         if (values := [each.attrs.get(key) for each in (first, ds)])[0] != values[1]:
             return f"{key} is {' and '.join(map(shown, values))}"
-    for key in map(
-        str, [*first.sizes.keys() ^ ds.sizes.keys(), *first.variables.keys() ^ ds.variables.keys()]
-    ):
-        return f"only one of them has {key}"
+    if names := (first.sizes.keys() ^ ds.sizes.keys()) | (first.variables.keys() ^ ds.variables.keys()):
+        return f"only one of them has {', '.join(sorted(map(str, names)))}"
     for dim in first.dims:
         if not first[dim].variable.equals(ds[dim].variable):
             return f"{dim} has other values"

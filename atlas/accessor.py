@@ -46,9 +46,8 @@ class Atlas(Questions):
 
             self._ds = ds = part_of(ds)
         dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
-        if len(dims) == len(ds.dims) == 1 and {"point", "atlas_parts"}.isdisjoint(
-            [*dims, *ds.variables, *ds.attrs]
-        ):
+        names = {*dims, *ds.variables, *ds.attrs}
+        if len(dims) == len(ds.dims) == 1 and names.isdisjoint({"point", "atlas_parts"}):
             self._ds = ds.rename({dims[0]: "point"})  # a list of points under another name
 
     def __repr__(self) -> str:

@@ -45,9 +45,7 @@ MAX_CHECKED_FORMULAS = 100
 
 def max_points_per_tile() -> int:
     """Most points of a tile, and of a chunk of a file: the environment variable ATLAS_TILE_POINTS, or MAX_POINTS_PER_TILE."""
-    text = os.environ.get("ATLAS_TILE_POINTS", "")
-    if not text:
-        return MAX_POINTS_PER_TILE
+    text = os.environ.get("ATLAS_TILE_POINTS") or str(MAX_POINTS_PER_TILE)
     if text.isascii() and text.isdecimal() and 1 <= int(text[:6]) <= MAX_POINTS_PER_TILE and len(text) <= 6:
         return int(text)
     raise BadInput(

@@ -1,18 +1,16 @@
 """Scenes as dictionaries: the same scenes, checks and words as from files."""
 
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import CONFIGS, example_scenes
 
 import atlas
 from atlas import BadInput, load_scene
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 
-
-@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", example_scenes(), ids=lambda path: path.stem)
 def test_a_dictionary_is_the_scene_of_its_file(path, monkeypatch):
     monkeypatch.chdir(CONFIGS)  # of points files
     assert load_scene(tomllib.loads(path.read_text())).toml() == load_scene(path).toml()

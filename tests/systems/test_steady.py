@@ -64,6 +64,21 @@ def test_exact_starts_are_steady_in_all_units(name, kind):
         )
 
 
+@pytest.mark.parametrize("kind", ["grioli", "balanced_field"])
+def test_growth_of_periodic_motions_has_no_unit(kind):
+    """Once in units of 4e-5 the steps of a period were counted by the rates in these, and runs never began."""
+    system, rng = systems.get("fixed_point"), np.random.default_rng(7)
+    points = STARTS["fixed_point"][kind](rng, 40)
+    family, _ = system.identify_family(points)
+    stable, growth = system.linear_stability(points, family)
+    for time, mass in ((1e8, 3e-8), (7e-9, 2e7)):
+        scaled = in_units(points, time, mass)
+        np.testing.assert_array_equal(system.identify_family(scaled)[0], family)
+        scaled_stable, scaled_growth = system.linear_stability(scaled, family)
+        np.testing.assert_array_equal(scaled_stable, stable)
+        np.testing.assert_allclose(scaled_growth * time, growth, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "draw"), [("satellite", random_satellites), ("fixed_point", random_fixed_points)]
 )

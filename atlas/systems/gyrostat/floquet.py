@@ -185,14 +185,22 @@ def growth_of_periodic_motion(
     mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
     are not, because those at 1 are defective. Stable where mu is on the unit circle and not real.
 
-    matrix: (indices of points, times (samples, points)) -> matrices of the linear system, (samples, points, 6, 6), a mean and two
-    harmonics over the period: time units; nan where there is no motion, of which the stability is unknown and the growth nan.
+    matrix: (indices of points, times (samples, points)) -> matrices of the linear system, of three rates and the vertical,
+    (samples, points, 6, 6), a mean and two harmonics over the period: time units; nan where there is no motion, of which the
+    stability is unknown and the growth nan.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
     if not where.size:
         return stable, growth
     samples = matrix(where, period[where] * np.arange(5)[:, None] / 5)
+    # In units of time in which rates and the vertical change each other as much, to a power of 2, which keeps the bits.
+    square = (samples**2).reshape(5, -1, 2, 3, 2, 3).sum((0, 3, 5))
+    rates, vertical = square[:, 0, 1], square[:, 1, 0]
+    quotient = np.divide(rates, vertical, out=np.ones_like(rates), where=rates * vertical > 0)
+    unit = 2.0 ** np.round(np.log2(quotient) / 4)[:, None, None]
+    samples[..., :3, 3:] /= unit
+    samples[..., 3:, :3] *= unit
     harmonics, quarters = np.fft.rfft(samples, axis=0) / 5, np.array([1, 1j, -1, -1j])[:, None]
     norms = np.sqrt((_matrix_at(harmonics, np.repeat(quarters, where.size, axis=1)) ** 2).sum((-2, -1)))
     steps = np.maximum(_STEPS_PER_NORM * norms.max(0) * period[where], _MIN_STEPS_CLOSED)

@@ -38,6 +38,7 @@ from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import derivatives
 from ..systems.steady import (
     FAR,
+    ROUNDING,
     Existence,
     SteadyMotion,
     condition_residual,
@@ -379,11 +380,15 @@ def predict_any_axis(
         # Beside a stable motion about the third axis a nudge may lead to one about other axes.
         beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
         decided = ((motion.answer == Existence.EXACT) & beside) | ~within_range(system, base)
+        # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
+        s, m, fixed, n = motion.axes
+        across, error = np.abs(n) * length(cross(s, fixed)), ROUNDING * (np.abs(n) + np.abs(m)) ** 2
+        rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
         result = {}
         for own, frame_rate in _frame_rates(system, base).items():
             circle = _circle(system, base, motion.axes, frame_rate, times)
             label = circle_label(circle, theory[own], tolerances)
-            label[np.isnan(circle["spin"])] = Label.NOT_COMPUTED
+            label[np.isnan(circle["spin"]) | rounded] = Label.NOT_COMPUTED
             label = np.where(elsewhere, _after_nudge(label, theory["stable"], pushed), theory[own])
             close = (
                 ~decided

@@ -431,3 +431,19 @@ def test_no_prediction_about_any_axes_contradicts_a_label():
     predicted = ds.predicted_any_axis.values[decided]
     np.testing.assert_array_equal(predicted, ds.label_any_axis.values[decided])
     assert (np.bincount(predicted)[1:] > 9).all()
+
+
+def test_spin_rates_that_rounding_hides_have_no_prediction():
+    """A spin of 2e6 and a weight: across the axis of a rate of 8 the torque changes the spin rate by 0.03."""
+    point = {
+        "A": 1.0, "B": 1.0, "C": 1.375, "Mg": 0.438, "z0": -0.578, "N": -0.801, "l3": 0.232, "theta0": 0.765,
+        "phi0": 0.421, "theta_dot0": -4e-4, "n": 11.923, "m": -2474527.943,
+    }  # fmt: skip
+    for tolerance in (1e-6, 1e-5, 1e-3):
+        ds = atlas.label_points(
+            "fixed_point", point, duration=1e-3, rate_tolerance=tolerance, cylinder_tolerance=tolerance,
+            method="rk8", variables=["label_any_axis", "predicted_any_axis", "status"],
+        )  # fmt: skip
+        assert (ds.status == Status.OK).all()
+        assert (ds.label_any_axis == Label.DRIFTING).all()
+        assert (ds.predicted_any_axis == Label.NOT_COMPUTED).all()

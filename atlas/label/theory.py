@@ -126,6 +126,15 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
         else:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
+        if motion is not None and not nudged:
+            # A distance that rounding of the equations hides, and that grows beyond the tolerances, decides nothing.
+            near = np.flatnonzero((start_residual > ROUNDING_RESIDUAL) & (growth > 0))
+            bound = system.frequency_bound(subset(points, near))
+            near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances)]
+            near = near[motion.answer[near] == Existence.EXACT]
+            motion.answer[near] = Existence.NEAR
+            for name in _frame_rates(system, base):
+                variables[name][near] = Label.NOT_COMPUTED
     growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
     return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, growth)
 

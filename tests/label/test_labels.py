@@ -10,7 +10,7 @@ from strategies import select
 from truth import cases, fixed_point_cases, satellite_cases
 
 import atlas
-from atlas.flags import Label, Status
+from atlas.flags import Agreement, Label, Status
 from atlas.kernel.statistics import STATISTICS
 from atlas.kernel.stepsize import StepSizes
 from atlas.kernel.tableaux import METHODS
@@ -301,3 +301,21 @@ def test_a_run_that_ends_early_has_a_label_beyond_all_expected_errors(tolerance,
     error = rates.Rates().errors(run, np.zeros(1))["theta_dot_rms"]
     assert (error > 0).all()
     assert (rate - error >= tolerance * (1 - 1e-9)).all()
+
+
+def test_a_distance_that_rounding_hides_and_that_grows_decides_nothing():
+    """An unstable precession that is exact to the rounding of its equations, pushed by 7e-13 rad per time unit."""
+    start = {
+        "A": 6.860088846939467e-05, "B": 6.860088846939467e-05, "C": 0.00010628256889798502, "Mg": 5.388572049520962e-05,
+        "z0": -0.6194765340543725, "N": -2.0987943034901937, "l3": 2.3463619553077605e-05, "theta0": 1.356320175605972,
+        "phi0": 1.2673138015218413, "theta_dot0": 7.024387897735427e-13, "n": -0.8512325047018677, "m": -0.3394487572443839,
+    }  # fmt: skip
+    names = ["label", "predicted", "label_any_axis", "predicted_any_axis", "agreement"]
+    ds = atlas.label_points(
+        "fixed_point", start, duration=[5.0, 50.0], rate_tolerance=1e-5, method="rk8", variables=names
+    )
+    precession, drifting, unknown = Label.REGULAR_PRECESSION, Label.DRIFTING, Label.NOT_COMPUTED
+    for axes in ("", "_any_axis"):
+        assert list(ds[f"label{axes}"].values) == [precession, drifting]
+        assert list(ds[f"predicted{axes}"].values) == [precession, unknown]
+    assert list(ds.agreement.values) == [Agreement.AGREE, Agreement.NOT_COMPARED]

@@ -154,7 +154,7 @@ def is_private(name: str) -> bool:
     return name.startswith("_") and not name.startswith("__") and name not in PUBLIC
 
 
-def found(folder: Path) -> dict[str, dict[str, list[str]]]:
+def names_used(folder: Path) -> dict[str, dict[str, list[str]]]:
     """Modules of the replaced and the private names below `atlas`; "?" is preceded by the module in which it stands."""
     places: dict[str, dict[str, list[str]]] = {"replaced": defaultdict(list), "private": defaultdict(list)}
     for path in sorted(folder.rglob("*.py")):
@@ -171,5 +171,5 @@ def test_every_name_that_is_replaced_or_private_has_a_reason():
     for kind, reasons in (("replaced", REPLACED), ("private", PRIVATE)):
         listed = sorted(name for names in reasons.values() for name in names.split())
         assert listed == sorted(set(listed))
-        used = found(TESTS)[kind].keys()
+        used = names_used(TESTS)[kind].keys()
         assert (set(listed) - used, used - set(listed)) == (set(), set())

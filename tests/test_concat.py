@@ -103,8 +103,8 @@ def test_a_part_is_the_atlas_with_all_its_attributes(joined):
         part = part_of(joined.sel(kind=name))
         xr.testing.assert_identical(part, alone.assign_attrs(part.attrs))
         assert {k: str(v) for k, v in part.attrs.items()} == {k: str(v) for k, v in alone.attrs.items()}
-        again = atlas.concat({"again": joined.sel(kind=name)}, "kind").sel(kind="again")
-        xr.testing.assert_identical(part_of(again), part)
+        rejoined = atlas.concat({"again": joined.sel(kind=name)}, "kind").sel(kind="again")
+        xr.testing.assert_identical(part_of(rejoined), part)
 
 
 def test_the_whole_answers_what_needs_no_scene(joined):

@@ -23,23 +23,13 @@ from atlas.runs.run import RunFolder
 from atlas.store import place
 from atlas.store.tile import DamagedTile
 
+pytestmark = pytest.mark.usefixtures("small_tiles")
+
 
 @pytest.fixture(scope="module")
 def scene(scene_text):
     few = ["label", "predicted", "status", "theta_dot_rms", "theta_max", "step"]
     return load_scene(scene_text({"outputs.variables": few}))
-
-
-@pytest.fixture(scope="module")
-def whole(scene):
-    """The atlas of the scene, computed in memory."""
-    return atlas.run(scene, progress=False)
-
-
-@pytest.fixture(autouse=True)
-def small_tiles(monkeypatch):
-    """Tiles of one row: 9 for the scene."""
-    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
 
 
 @dataclass(frozen=True)

@@ -43,18 +43,6 @@ def scene(small_scene):
     return load_scene(small_scene)
 
 
-@pytest.fixture(scope="module")
-def whole(scene):
-    """The atlas of the scene, computed in memory."""
-    return atlas.run(scene, progress=False)
-
-
-@pytest.fixture
-def small_tiles(monkeypatch):
-    """Tiles of at most 7 points: 9 for the scene."""
-    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
-
-
 def empty_run_folder(scene, path) -> RunFolder:
     """A run folder without tiles; its manifest fixes the tiling for every process that continues it."""
     return RunFolder.prepare(ScenePlan.of(scene), Path(path))

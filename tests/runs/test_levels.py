@@ -28,12 +28,6 @@ def scene(scene_text):
     return load_scene(scene_text(CHANGES))
 
 
-@pytest.fixture(scope="module")
-def whole(scene):
-    """The atlas of the scene, computed in memory."""
-    return atlas.run(scene, progress=False)
-
-
 @pytest.fixture
 def small_tiles(monkeypatch):
     """Tiles of at most 25 points: a row of the finest grid, and 3 tiles of the first level."""

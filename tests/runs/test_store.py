@@ -21,6 +21,8 @@ from atlas.store import tile
 
 pytest.importorskip("zarr")
 obstore = pytest.importorskip("obstore")
+pytestmark = pytest.mark.usefixtures("small_tiles")
+
 FEW = {"outputs.variables": ["label", "predicted", "status", "theta_max"]}
 
 
@@ -36,18 +38,6 @@ def place(request, tmp_path):
 @pytest.fixture(scope="module")
 def scene(scene_text):
     return load_scene(scene_text(FEW | {"axes.sigma.count": 5}))
-
-
-@pytest.fixture(scope="module")
-def whole(scene):
-    """The atlas of the scene, computed in memory."""
-    return atlas.run(scene, progress=False)
-
-
-@pytest.fixture(autouse=True)
-def small_tiles(monkeypatch):
-    """Tiles of one row: 5 for the scene."""
-    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
 
 
 def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):

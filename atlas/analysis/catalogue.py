@@ -54,13 +54,11 @@ def published(
     system: System, family: str | None = None, errata: bool = False, number: str | None = None
 ) -> list[dict[str, Any]]:
     """Rows on the published equations of the system's paper, as printed and as true, on its errata, or on those of a number."""
-    every = published_equations(system)
+    every = equations = published_equations(system)
     if number is not None:
-        every = [row for row in every if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]
+        every = [row for row in equations if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]
         if not every:
-            numbers = dict.fromkeys(
-                n for row in published_equations(system) for n in re.findall(r"\((\d+)", row.number)
-            )
+            numbers = dict.fromkeys(n for row in equations for n in re.findall(r"\((\d+)", row.number))
             raise BadInput(f"--errata {number}: no equation of this number; {allowed_text(None, numbers)}")
     return [
         {

@@ -128,10 +128,10 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
         if motion is not None and not nudged:
             # A distance that rounding of the equations hides, and that grows beyond the tolerances, decides nothing.
-            near = np.flatnonzero((start_residual > ROUNDING_RESIDUAL) & (growth > 0))
+            is_exact = motion.answer == Existence.EXACT
+            near = np.flatnonzero(is_exact & (start_residual > ROUNDING_RESIDUAL) & (growth > 0))
             bound = system.frequency_bound(subset(points, near))
             near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances)]
-            near = near[motion.answer[near] == Existence.EXACT]
             motion.answer[near] = Existence.NEAR
             for name in _frame_rates(system, base):
                 variables[name][near] = Label.NOT_COMPUTED

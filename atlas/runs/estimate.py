@@ -86,7 +86,7 @@ def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
         return ""
     return (
         f"this run takes about {seconds / 3600:.3g} h on {processors} {unit} for {share * plan.scene.size:.3g} points;"
-        f" atlas run SCENE --dry-run shows size, memory and error"
+        " atlas run SCENE --dry-run shows size, memory and error"
     )
 
 

@@ -12,8 +12,8 @@ from .base import Family
 def unknown_family(name: str, families: Mapping[str, Family]) -> str:
     """End of a message about an unknown family: its name here, if the paper calls a family so, else the allowed names."""
     words = re.escape(name.lower())
-    called = [f for f in families.values() if name and re.search(rf"\b{words}\b", f.paper_wording.lower())]
-    if 0 < len(called) <= 2:
-        wording = called[0].paper_wording
-        return f"{' or '.join(family.name for family in called)}, by the paper's words {wording!r}"
+    matches = [f for f in families.values() if name and re.search(rf"\b{words}\b", f.paper_wording.lower())]
+    if 0 < len(matches) <= 2:
+        wording = matches[0].paper_wording
+        return f"{' or '.join(family.name for family in matches)}, by the paper's words {wording!r}"
     return extension.available_text(name, families)

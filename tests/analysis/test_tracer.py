@@ -1,4 +1,4 @@
-"""The cache of lines: what they depend on, of extensions too; lines of an extension of one's own on a map."""
+"""Lines of theory: their places, what their cache depends on, and lines of an extension of one's own on a map."""
 
 import numpy as np
 import pytest
@@ -103,3 +103,21 @@ def test_maps_draw_the_lines_of_an_extension_alone(own):
     np.testing.assert_array_equal(drawn["black"], [[0.5, 0.6], [1.5, 0.6]])
     assert cells.border_style("other") == {"color": "black", "linestyle": "-", "linewidth": 0.6}
     assert "equal rates" not in ds.atlas.boundary(variable="label").kind.values
+
+
+def test_the_edge_of_existence_is_where_the_formula_of_the_family_ends():
+    """theta0 of perp_radius exists where |k3 + C m| < |1 - C| Omega: two straight lines over k3 and m."""
+    scene = {
+        "schema": 1,
+        "system": "satellite",
+        "fixed": {"A": 1.0, "B": 1.0, "C": 0.4},
+        "axes": {"k3": {"from": -1.5, "to": 1.5, "count": 9}, "m": {"from": -1.0, "to": 1.0, "count": 7}},
+        "family": {"name": "perp_radius", "solve": ["theta0"]},
+        "integration": {"duration": 1.0},
+    }
+    lines = atlas.run(scene, progress=False).atlas.boundary()
+    edge = lines.isel(vertex=lines.kind.values == "edge of existence")
+    momentum = edge.k3 + 0.4 * edge.m
+    np.testing.assert_allclose(np.abs(momentum), 0.6, atol=1e-4)
+    for side in (-1, 1):
+        assert np.ptp(edge.m.values[side * momentum.values > 0]) > 1.9

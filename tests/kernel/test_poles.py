@@ -85,6 +85,27 @@ def test_corrected_sums_are_integrals(zeros, monkeypatch):
     np.testing.assert_allclose(errors * units, expected, rtol=2e-3, atol=2e-4)
 
 
+@pytest.mark.parametrize("size", [1e-3, 0.1, 2.0])
+@pytest.mark.parametrize("zeros", [(1.4 + 0.2j, 2.1 - 0.6j), (1.7 - 0.5j, -3.0 + 1.0j), (1.45 + 0.0j, 1.5 + 1.2j)])
+@pytest.mark.parametrize("phase", [0.0, 0.8, 2.3, 3.9, 5.5])
+def test_zeros_of_a_parabola_are_exact(size, zeros, phase):
+    """zeta of degree 2: the parabola that touches it is zeta itself, whatever its size and direction."""
+    t, (near, far) = np.arange(4.0), zeros
+    factor = size * np.exp(1j * phase)
+    zeta, slope = factor * (t - near) * (t - far), factor * (2.0 * t - near - far)
+    passages = np.zeros((poles.PASSAGE_ROWS, 1))
+    for row, values in ((Passage.G1, zeta), (Passage.G1_SLOPE, slope)):
+        passages[row : row + 4, 0] = values.real
+        passages[row + 8 : row + 12, 0] = values.imag
+    poles.difference(passages, Passage.G1, 0)
+    poles.difference(passages, Passage.G2, 0)
+    passages[Passage.TIME, 0] = 1.5
+    for farther, zero in enumerate(zeros):
+        poles.approximate_zero(passages, 0, bool(farther))
+        found = complex(passages[Passage.Z_REAL, 0], passages[Passage.Z_IMAG, 0])
+        assert found == pytest.approx(zero, abs=1e-11)
+
+
 def test_nothing_is_divided_by_zero():
     """A third axis at rest on the vertical, or beside it: zeta has no zero."""
     terms = np.zeros((2, len(Term), 1))

@@ -180,10 +180,16 @@ class Regularity(Flag):
     HYPERBOLIC = 5, "mean MEGNO above 5 of a steady motion, or from a start on an unstable one: not chaotic"
 
 
-# Families of extensions, name -> motion: their flags follow those of the system's own in this order, whatever is installed.
-SATELLITE_RESERVED_FAMILIES = {
-    "plane_libration": "libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
-    "plane_rotation": (
-        "rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor"
-    ),
+_RESERVED_FAMILIES = {
+    "satellite": {
+        "plane_libration": "libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
+        "plane_rotation": (
+            "rotation in the plane of the orbit at a varying rate, third axis on the normal, asymmetric body with axial rotor"
+        ),
+    }
 }
+
+
+def reserved_families(system: str) -> dict[str, str]:
+    """Families of extensions, name -> motion; their flags follow the system's own in this order, whatever is installed."""
+    return _RESERVED_FAMILIES.get(system, {})

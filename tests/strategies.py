@@ -6,6 +6,8 @@ Points are dictionaries of arrays of one length, as the package takes them.
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -172,5 +174,5 @@ def evaluate(system, base, points, duration, settings, *, halved=False, threads=
 def specialization_of(system, points):
     """Terms that vanish, or are equal, at every one of these points."""
     zero = {name for name, values in points.items() if ((values == 0) | np.isnan(values)).all()}
-    equal = {(a, b) for a, b in system.equal_parameters if (points[a] == points[b]).all()}
+    equal = {(a, b) for a, b in combinations(points, 2) if np.all(points[a] == points[b])}
     return Specialization.of(system, zero, equal)

@@ -37,7 +37,7 @@ class Plan:
     ) -> Plan:
         """The plan of points with some parameters of any values, the other parameters at their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
-        return cls(system, settings, outputs, Specialization.of(system, *zero_and_equal(system, defaults)))
+        return cls(system, settings, outputs, Specialization.of(system, *zero_and_equal(defaults)))
 
     def without_derived(self) -> Plan:
         """The plan without the variables from theory alone, which may take long."""

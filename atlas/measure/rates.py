@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..flags import Agreement, Label, Stability, Status
+from ..flags import Agreement, Label, Stability, Status, reserved_families
 from ..kernel.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
 from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
 from ..kernel.tableaux import METHODS
@@ -48,7 +48,7 @@ class Rates(MainInstrument):
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         own = {name: family.title for name, family in system.families.items()}
-        families = {"none": "no family of steady motions", **own, **system.reserved_families}
+        families = {"none": "no family of steady motions", **own, **reserved_families(system.name)}
         flag = [
             Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
             Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
@@ -212,7 +212,7 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}
-    has_families = bool(system.families or system.reserved_families)
+    has_families = bool(system.families or reserved_families(system.name))
     if not has_families:
         missing |= {"family", "stable", "growth_rate"}
     if not (predicted := has_families or isinstance(polynomial_degree(system), int)):

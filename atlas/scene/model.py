@@ -6,6 +6,7 @@ import html
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import combinations
 from typing import Any
 
 import tomli_w
@@ -254,9 +255,9 @@ class Scene:
         constants = {
             name: self.fixed.get(name, parameters[name].default) for name in parameters if name not in varying
         }
-        zero, equal = zero_and_equal(self.system, constants)
-        copies = {(name, tie.text) for name, tie in self.ties.items() if tie.text in constants}
-        return zero, equal | {(a, b) for a, b in self.system.equal_parameters if {(a, b), (b, a)} & copies}
+        zero, equal = zero_and_equal(constants)
+        copies = [{name, tie.text} for name, tie in self.ties.items() if tie.text in constants]
+        return zero, equal | {(a, b) for a, b in combinations(parameters, 2) if {a, b} in copies}
 
     def toml(self) -> str:
         """The scene with every default written out; `load_scene` of this text gives the same scene."""
@@ -321,13 +322,12 @@ class Scene:
         return f"<pre>{html.escape(str(self))}</pre>"
 
 
-def zero_and_equal(
-    system: System, constants: Mapping[str, float]
-) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+def zero_and_equal(constants: Mapping[str, float]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
     """The parameters among some constants that are 0 or absent (nan), and the pairs that are equal."""
     zero = {name for name, value in constants.items() if value == 0 or math.isnan(value)}
-    pairs = (pair for pair in system.equal_parameters if constants.keys() >= {*pair})
-    return frozenset(zero), frozenset((a, b) for a, b in pairs if constants[a] == constants[b])
+    return frozenset(zero), frozenset(
+        (a, b) for a, b in combinations(constants, 2) if constants[a] == constants[b]
+    )
 
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
+from ..flags import reserved_families
 from ..systems.base import Array, System, families_of
 from ..variables import POINT, data_variables, default_variables, variables
 from . import checks
@@ -358,7 +359,7 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
     if name not in families:
         from ..systems.wording import unknown_family
 
-        why = "of a missing extension" if name in system.reserved_families else "unknown family"
+        why = "of a missing extension" if name in reserved_families(system.name) else "unknown family"
         raise BadInput(f"family.name = {shown(name)}: {why}; {unknown_family(name, families)}")
     family = families[name]
     solve = table.get("solve", [])

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import extension
 from ..errors import BadInput
-from ..flags import Stability
+from ..flags import Stability, reserved_families
 from .arithmetic import TIME_UNIT
 from .jacobian import frequency
 from .vectors import turned
@@ -221,13 +221,13 @@ class System(ABC):
 
     Equations
         `equations`, `parameters`, `observables`, `constants`, `integral_scales`, `frequency_bound`, `rate_states`,
-        `equal_parameters`, `specialization`.
+        `specialization`.
     Initial values
         `initial_state`, `steady_rates`, `as_euler_angles`, `check`, `warnings`, and what is physically possible:
         `moments_of_inertia`, `possible_start`, `start_condition`.
     Theory
-        `families`, `reserved_families`, `identify_family`, `linear_stability`, `frame_rate`, `geometries`, `derived`,
-        `equilibria`, `equilibria_of_bodies`, `stress_cases`.
+        `families`, `identify_family`, `linear_stability`, `frame_rate`, `geometries`, `derived`, `equilibria`,
+        `equilibria_of_bodies`, `stress_cases`.
 
     Instances are compared and hashed by identity: kernels are cached by system.
     """
@@ -276,8 +276,6 @@ class System(ABC):
     """What is measured of a system without ``frame_motion``: a motion is steady while none of them varies."""
     rate_states: tuple[str, ...] = ()
     """States that are angular velocities; their errors are measured against the frequency bound."""
-    equal_parameters: tuple[tuple[str, str], ...] = ()
-    """Pairs of parameters; `specialization` receives those that are equal at every point of a scene."""
     moments_of_inertia: tuple[str, str, str] | None = None
     """Parameters that are the principal moments of inertia of a rigid body; None: the system has no such three."""
 
@@ -328,7 +326,7 @@ class System(ABC):
         zero : set of str
             Parameters that are 0 or absent at every point.
         equal : set of pairs of str
-            Those of `equal_parameters` that are equal at every point.
+            Parameters that are equal at every point, each pair in the order of `parameters`.
 
         Returns
         -------
@@ -392,8 +390,6 @@ class System(ABC):
 
     families: Mapping[str, Family] = MappingProxyType({})
     """Families of exact steady motions by name, their flags counted from 1 in this order."""
-    reserved_families: Mapping[str, str] = MappingProxyType({})
-    """Name -> title of families that extensions may add; their flags follow in this order, whatever is installed."""
     geometries: Mapping[str, Geometry] = MappingProxyType({})
     """Geometries of steady motions by name, the values of the flag variable `geometry` counted from 1; 0 is none."""
     derived: Mapping[str, DerivedVariable] = MappingProxyType({})
@@ -541,12 +537,12 @@ def families_of(system: System) -> Mapping[str, Family]:
     added: dict[str, Family] = {}
     for families in extension.every("families"):
         added |= families(system)
-    if unknown := added.keys() - system.reserved_families.keys():
+    if unknown := added.keys() - reserved_families(system.name).keys():
         raise BadInput(
             f"the system {system.name}: an extension has a family {min(unknown)}, for which no flag is reserved"
         )
     every = dict(system.families)
-    for flag, (name, title) in enumerate(system.reserved_families.items(), 1 + len(every)):
+    for flag, (name, title) in enumerate(reserved_families(system.name).items(), 1 + len(every)):
         if name in added:
             every[name] = replace(added[name], name=name, flag=flag, title=title)
     return MappingProxyType(every)

@@ -31,6 +31,8 @@ REPLACED = {
     "published": "the rows of a paper are `published` of an extension",
     "possible_body": "moments_of_inertia names the parameters that the triangle inequality is about",
     "check_possible": "possible_start and start_condition say which starts are possible",
+    "equal_parameters": "specialization receives every pair of parameters that are equal at all points",
+    "reserved_families": "flags of families of extensions are reserved in atlas/flags.py",
     "within_range": "theory makes no prediction where parameters are beyond 1e60",
     "despun_equivalent": "`despun` of a Gyrostat",
 }

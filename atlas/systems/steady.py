@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..flags import reserved_families
 from . import arithmetic
 from .base import FAMILY_TOLERANCE, Array, Flags, Mask, Points, System, TwoAxes, families_of, shape_of, subset
 from .gyrostat.system import Gyrostat
@@ -426,7 +427,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
 
     Its third axis stays on the vertical at first, while the rate about it changes: no other start can be on such a family.
     """
-    is_complete = system.reserved_families.keys() <= families_of(system).keys()
+    is_complete = reserved_families(system.name).keys() <= families_of(system).keys()
     if is_complete or isinstance(polynomial_degree(system), str):
         return np.zeros(shape_of(points), bool)
     start = _Starts.of(system, points)

@@ -150,7 +150,7 @@ def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_sce
     zero, symmetric = scene.zero_and_equal_parameters()
     assert {"k1", "k2", "mu1", "mu2", "mu3", "h1", "h3", "n"} <= zero
     assert not zero & {"k3", "m", "theta0", "C"}
-    assert symmetric
+    assert ("A", "B") in symmetric
     moved = load_scene(
         small_scene.replace('B = "A"', 'B = "1.01 * A"\nmu1 = "0 * A"').replace(
             "[family]", "[axes.h1]\nvalues = [0.0]\n[family]"
@@ -158,7 +158,7 @@ def test_nothing_is_left_out_that_an_axis_a_tie_or_a_solution_can_move(small_sce
     )
     zero, symmetric = moved.zero_and_equal_parameters()
     assert not zero & {"mu1", "h1"}
-    assert not symmetric
+    assert ("A", "B") not in symmetric
 
 
 def test_the_example_scenes_share_twelve_kernels():

@@ -7,7 +7,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ...flags import SATELLITE_RESERVED_FAMILIES
 from ..base import Array, Geometry, Mask, Points, StressCase, shape_of
 from ..gyrostat import Gyrostat
 from . import any_axis, equations, families, initial
@@ -31,7 +30,6 @@ class Satellite(Gyrostat):
     equations = equations
     parameters = initial.PARAMETERS
     rate_states = ("w1", "w2", "w3")
-    equal_parameters = (("A", "B"),)
     constants = staticmethod(initial.constants)
     integral_scales = staticmethod(initial.integral_scales)
     frequency_bound = staticmethod(initial.frequency_bound)
@@ -42,7 +40,6 @@ class Satellite(Gyrostat):
 
     squared_unit = staticmethod(families.squared_rate)
     families = families.FAMILIES | any_axis.FAMILIES
-    reserved_families = SATELLITE_RESERVED_FAMILIES
     geometries = MappingProxyType(
         {
             "cylindrical": Geometry(

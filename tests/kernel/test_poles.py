@@ -86,7 +86,9 @@ def test_corrected_sums_are_integrals(zeros, monkeypatch):
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.1, 2.0])
-@pytest.mark.parametrize("zeros", [(1.4 + 0.2j, 2.1 - 0.6j), (1.7 - 0.5j, -3.0 + 1.0j), (1.45 + 0.0j, 1.5 + 1.2j)])
+@pytest.mark.parametrize(
+    "zeros", [(1.4 + 0.2j, 2.1 - 0.6j), (1.7 - 0.5j, -3.0 + 1.0j), (1.45 + 0.0j, 1.5 + 1.2j)]
+)
 @pytest.mark.parametrize("phase", [0.0, 0.8, 2.3, 3.9, 5.5])
 def test_zeros_of_a_parabola_are_exact(size, zeros, phase):
     """zeta of degree 2: the parabola that touches it is zeta itself, whatever its size and direction."""

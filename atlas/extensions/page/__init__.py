@@ -6,6 +6,6 @@ EXTENSION = Extension(
     "page",
     __name__,
     "one HTML file of an atlas, with its motions",
-    questions={"page": "page:page"},
+    questions={"page": "page:page", "widget": "widget:widget"},
     commands={"page": "commands:make_page"},
 )

@@ -18,6 +18,8 @@ function choose(index) {
   announce(index);
   showMotion(state.chosen);
   writeAddress();
+  // To the widget around the page, if there is one.
+  if (parent !== window) parent.postMessage({ point: Object.fromEntries(coordinatesOf(index).map(({ dim, value }) => [dim, value])) }, "*");
 }
 
 // The address of the page names variable and point, "#variable=label&m=0.5&h3=1", so that a link leads to both.
@@ -288,6 +290,39 @@ function showAll() {
   draw();
 }
 
+// The map and its legend as a PNG file, with the mark of the chosen point.
+function savePicture() {
+  const ratio = map.width / map.clientWidth;
+  const [width, margin, row] = [map.clientWidth, 12, 20];
+  const font = "13px system-ui, sans-serif";
+  const picture = element("canvas");
+  const context = picture.getContext("2d");
+  context.font = font;
+  let [x, y] = [margin, map.clientHeight + row];
+  const entries = [...byId("legend").children].map((item) => {
+    const text = [...item.querySelectorAll("span")].map((part) => part.textContent).join(" ");
+    const length = 34 + context.measureText(text).width;
+    if (x > margin && x + length > width - margin) [x, y] = [margin, y + row];
+    x += length + margin;
+    return { sample: item.querySelector("canvas"), text, left: x - length - margin, middle: y };
+  });
+  [picture.width, picture.height] = [map.width, Math.round(ratio * (y + row))];
+  context.fillStyle = colour("paper");
+  context.fillRect(0, 0, picture.width, picture.height);
+  for (const layer of [map, marks]) context.drawImage(layer, 0, 0);
+  context.scale(ratio, ratio);
+  [context.font, context.fillStyle, context.textBaseline] = [font, colour("ink"), "middle"];
+  for (const { sample, text, left, middle } of entries) {
+    context.drawImage(sample, left, middle - 6.5, 26, 13);
+    context.fillText(text, left + 32, middle);
+  }
+  picture.toBlob((blob) => {
+    const link = element("a", { href: URL.createObjectURL(blob), download: `${state.variable.name}.png` });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  });
+}
+
 // Start.
 
 function addListeners() {
@@ -305,6 +340,7 @@ function addListeners() {
   byId("zoom-in").addEventListener("click", () => zoom(1.5));
   byId("zoom-out").addEventListener("click", () => zoom(1 / 1.5));
   byId("zoom-all").addEventListener("click", showAll);
+  byId("save-picture").addEventListener("click", savePicture);
   byId("controls").addEventListener("submit", (event) => event.preventDefault());
   byId("theme").addEventListener("click", () => {
     theme = (theme + 1) % THEMES.length;

@@ -446,9 +446,14 @@ function drawEnlarged(canvas, points) {
 
 // Lines to copy.
 
+// Name, dimension and value of each coordinate of a point, with all digits.
+function coordinatesOf(index) {
+  return data.commands.places.map((each) => ({ ...each, value: at(each.values, index) })).filter(({ value }) => !Number.isNaN(value));
+}
+
 function showCommands(index) {
-  const { shell, python, places: names } = data.commands;
-  const coordinates = names.map((each) => ({ ...each, value: at(each.values, index) })).filter(({ value }) => !Number.isNaN(value));
+  const { shell, python } = data.commands;
+  const coordinates = coordinatesOf(index);
   if (!coordinates.length) return;
   const command = `${shell} ${coordinates.map(({ name, value }) => `${name}=${value}`).join(" ")}`;
   const line = `${python}(${coordinates.map(({ dim, value }) => `${dim}=${value}`).join(", ")})`;

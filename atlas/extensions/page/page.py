@@ -68,7 +68,7 @@ class Page:
     def _repr_html_(self) -> str:
         """The page in a frame of its own, which can reach neither the notebook around it nor the network."""
         return (
-            f'<iframe title="atlas" sandbox="allow-scripts" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
+            f'<iframe title="atlas" sandbox="allow-scripts allow-downloads" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
             f' srcdoc="{html.escape(self.html)}"></iframe>'
         )
 

@@ -2,6 +2,7 @@
 
 import html
 import importlib
+import json
 import re
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,7 +13,7 @@ from plain_kernel import plain_module
 from plugins import PENDULUM
 
 import atlas
-from atlas.extensions.page import motion
+from atlas.extensions.page import motion, page
 from atlas.extensions.page.page import atlas_page
 from atlas.kernel import blocks
 from atlas.kernel.ensemble import Ensemble
@@ -365,7 +366,9 @@ def test_in_a_notebook(browser, small_page, tmp_path):
     )
     assert html.escape("<script") in frame
     browser.open(path.as_uri(), 1000, 900)
-    assert browser.evaluate("document.querySelector('iframe').sandbox.value") == "allow-scripts"
+    assert (
+        browser.evaluate("document.querySelector('iframe').sandbox.value") == "allow-scripts allow-downloads"
+    )
     browser.wait("document.documentElement?.dataset.ready === 'yes'", context=browser.contexts[-1])
     assert (
         browser.evaluate("document.querySelector('h1').textContent", context=browser.contexts[-1]) == "small"
@@ -389,3 +392,76 @@ def test_scripts_that_need_a_browser_run(browser, small_scene, quick_page, tmp_p
         script.main()
     assert re.search(r"^\| small \| 9 x 7 \| \d+ \|", capsys.readouterr().out, re.M)
     assert picture.stat().st_size > 10_000
+
+
+@pytest.fixture
+def widget_page(browser, small_page, tmp_path):
+    """The widget in a page, with the model of a notebook, of which it uses get, set and save_changes; and its frame."""
+    script = json.dumps((Path(page.__file__).parent / "widget.js").read_text())
+    texts = json.dumps({"html": small_page.html, "height": 900}).replace("<", "\\u003c")
+    path = tmp_path / "widget.html"
+    path.write_text(
+        "<!DOCTYPE html><html><meta charset='utf-8'><body><div id='cell'></div><script type='module'>\n"
+        f"const values = {texts};\nwindow.saved = [];\n"
+        "const model = { get: (name) => values[name], set: (name, value) => { values[name] = value; },"
+        " save_changes: () => saved.push({ ...values.point }) };\n"
+        f"const module = await import(URL.createObjectURL(new Blob([{script}], {{ type: 'text/javascript' }})));\n"
+        "window.remove = module.default.render({ model, el: document.getElementById('cell') });\n"
+        "await new Promise((done) => document.querySelector('iframe').addEventListener('load', done));\n"
+        "document.documentElement.dataset.ready = 'yes';\n</script></body></html>"
+    )
+    browser.open(path.as_uri(), 1000, 950)
+    frame = browser.contexts[-1]
+    browser.wait("document.documentElement?.dataset.ready === 'yes'", context=frame)
+    return frame
+
+
+def test_a_click_in_the_widget_reaches_python(browser, widget_page, small_atlas):
+    """What the widget saves is the point, exactly, and nothing else may send one."""
+    left, top = browser.evaluate(
+        "(() => { const box = document.querySelector('iframe').getBoundingClientRect(); return [box.left, box.top]; })()"
+    )
+    x, y = browser.evaluate(
+        "(() => { const frame = marks.getBoundingClientRect(); const [x, y] = pixelOf([2, 3]);"
+        " return [frame.left + x, frame.top + y]; })()",
+        context=widget_page,
+    )
+    browser.click(left + x, top + y)
+    browser.wait("saved.length === 1")
+    browser.evaluate("postMessage({ point: { sigma: 1 } }, '*')")
+    browser.evaluate("new Promise((done) => setTimeout(done, 50))")
+    ((saved,),) = [browser.evaluate("saved")]
+    widget = small_atlas.atlas.widget()
+    seen = []
+    widget.observe(lambda change: seen.append(change["new"]), "point")
+    widget.set_state({"point": saved})  # as the notebook does
+    assert seen == [saved]
+    point = small_atlas.sel(widget.point)
+    assert point.sigma.shape == point.theta0.shape == ()
+    assert dict(widget.point) == {
+        name: float(small_atlas.isel(sigma=2, theta0=3)[name]) for name in point.coords if name in saved
+    }
+    assert small_atlas.atlas.trajectory(**widget.point).sizes["time"] > 1
+    browser.evaluate("remove()")
+    assert not browser.errors
+    assert not browser.requests
+
+
+def test_the_picture_of_the_view_holds_map_and_legend(browser, address):
+    browser.open(address)
+    browser.evaluate(
+        "window.pictures = []; URL.createObjectURL = (blob) => { pictures.push(blob); return '#'; };"
+        " HTMLAnchorElement.prototype.click = function () { pictures.push(this.download); }"
+    )
+    map_width, map_height = browser.evaluate(
+        "(() => { byId('save-picture').click(); return [map.width, map.height]; })()"
+    )
+    browser.wait("pictures.length === 2")
+    name, kind, width, height = browser.evaluate(
+        "(async () => { const [blob, name] = pictures; const { width, height } = await createImageBitmap(blob);"
+        " return [name, blob.type, width, height]; })()"
+    )
+    assert (name, kind) == ("label.png", "image/png")
+    assert width == map_width
+    assert height > map_height + 20
+    assert not browser.errors

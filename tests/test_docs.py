@@ -37,6 +37,7 @@ EXTENSIONS = {
     "docs/basins.md": {"basins"},
     "docs/branches.md": {"branches"},
     "docs/fixed_point.md": {"amer2013"},
+    "docs/how_to.md": {"basins", "branches", "yehia2021"},
     "docs/new_system.md": {"lagrangian"},
     "docs/page.md": {"page"},
 }
@@ -200,6 +201,21 @@ def test_the_gallery_shows_its_pictures_with_all_their_colours():
             assert image.mode in ("RGB", "RGBA")  # no palette
         folders = ("configs", f"docs/examples/{picture.stem}")
         assert any((ROOT / folder / f"{picture.stem}.toml").is_file() for folder in folders)
+
+
+def test_the_how_to_page_lists_its_questions_and_draws_its_pictures():
+    first, *sections = re.split(r"^## ", (ROOT / "docs" / "how_to.md").read_text(), flags=re.M)
+    listed = re.findall(r"\[([^\]]+)\]\(#", first)
+    assert sorted(listed) == sorted(text[0].lower() + text[1 : text.index("\n")] for text in sections)
+    drawn = [
+        picture
+        for text in sections
+        for picture in re.findall(r"\(how_to/(\w+\.png)\)", text)
+        if f'savefig("{picture}"' in text
+    ]
+    pictures = sorted((ROOT / "docs" / "how_to").iterdir())
+    assert sorted(drawn) == [picture.name for picture in pictures]
+    assert max(picture.stat().st_size for picture in pictures) < 40_000
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ EXTENSIONS = {
     "docs/api.rst": {"basins", "branches", "page"},
     "docs/basins.md": {"basins"},
     "docs/branches.md": {"branches"},
-    "docs/fixed_point.md": {"amer2013"},
+    "docs/fixed_point_checks.md": {"amer2013"},
     "docs/how_to.md": {"basins", "branches", "yehia2021"},
     "docs/new_system.md": {"lagrangian"},
     "docs/page.md": {"page"},
@@ -149,6 +149,13 @@ def test_architecture_names_functions_that_exist():
             continue
         for part in name.split("."):
             tree = next(node for node in tree.body if getattr(node, "name", "") == part)
+
+
+def test_pages_of_the_systems_are_short():
+    pages = [page for name in ("satellite", "fixed_point") for page in (ROOT / "docs").glob(f"{name}*.md")]
+    assert len(pages) == 8
+    for page in pages:
+        assert len(page.read_text().split()) < 3000, page
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -4,7 +4,7 @@
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
 used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png, the pages of some of
-the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five
+the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point_checks.md. All scenes take about five
 minutes on two cores.
 """
 
@@ -35,7 +35,7 @@ from atlas.systems import System
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point.md
+PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point_checks.md
 DPI = 300  # of the pictures in docs
 # Scenes whose pages are in the repository, with at most so many points each; scripts/docs.sh makes the others.
 PAGES = (

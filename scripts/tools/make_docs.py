@@ -240,18 +240,19 @@ def dataset(system: System) -> str:
 
 def families(system: System) -> str:
     """Table of the families of steady motions."""
-    rows = [("family", "equations", "solves for", "motion", "conditions")]
+    rows = [("family", "motion", "equations", "solves for")]
     for f in families_of(system).values():
-        rows.append(
-            (
-                f"`{f.name}`",
-                with_formulas(f.equations),
-                ", ".join(f.solve),
-                with_formulas(f.title),
-                "; ".join(in_latex(c.text) for c in f.conditions),
-            )
-        )
+        texts = (with_formulas(text) for text in (f.title, f.equations))
+        rows.append((f"`{f.name}`", *texts, ", ".join(f.solve)))
     return table(rows)
+
+
+def conditions(system: System) -> str:
+    """List of the conditions of the families: their formulas are too long for the cells of a table."""
+    return "\n".join(
+        f"- **`{f.name}`**: {'; '.join(in_latex(c.text) for c in f.conditions)}"
+        for f in families_of(system).values()
+    )
 
 
 def flags(flag: type[Flag]) -> str:
@@ -295,20 +296,42 @@ def claim_table(system: System) -> str:
     return table(rows)
 
 
-def published_equations(system: System) -> str:
-    """Table of the equations of the paper, as printed and as corrected."""
+def errata(system: System) -> str:
+    """Table of the equations of the paper that are wrong, as printed and as corrected."""
     rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
-    for row in catalogue.published(system):
+    for row in catalogue.published(system, errata=True):
         sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
-        formulas = (in_latex(row[key]) for key in ("printed", "true"))
-        effect = with_formulas(row["effect"] or row["measure"])
-        rows.append((row["equation"], row["verdict"], *formulas, *sizes, effect))
+        rows.append((row["equation"], row["verdict"], *_readings(row), *sizes, _effect(row)))
+    if {row[5] for row in rows[1:]} == {NONE}:  # the page says so in a sentence
+        rows = [(*row[:5], *row[6:]) for row in rows]
     return table(rows)
+
+
+def confirmed(system: System) -> str:
+    """Table of the equations of the paper that are true as printed."""
+    rows = [("equation", "as printed", "true", "residual", "what it measures, or what follows")]
+    for row in catalogue.published(system):
+        if row["verdict"] == "true":
+            rows.append((row["equation"], *_readings(row), _rounded(row["residual_true"]), _effect(row)))
+    return table(rows)
+
+
+def _readings(row: dict[str, Any]) -> list[str]:
+    """An equation as printed and as true."""
+    return [in_latex(row[key]) for key in ("printed", "true")]
+
+
+def _effect(row: dict[str, Any]) -> str:
+    """What follows from a difference, else what the residuals measure."""
+    return with_formulas(row["effect"] or row["measure"])
+
+
+NONE = "< 1e-9"  # a residual that vanishes
 
 
 def _rounded(residual: float | None) -> str:
     """A residual with one digit, so that the page is the same on every processor."""
-    return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
+    return "" if residual is None else NONE if residual < 1e-9 else f"{residual:.0e}"
 
 
 def rooms(folder: Path) -> str:
@@ -337,11 +360,13 @@ TABLES = {
     "parameters": parameters,
     "variables": dataset,
     "families": families,
+    "conditions": conditions,
     "flags": flags,
     "amplitudes": amplitudes,
     "periodic": periodic,
     "claims": claim_table,
-    "printed": published_equations,
+    "errata": errata,
+    "confirmed": confirmed,
 }
 
 SUBJECTS = SYSTEMS | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}

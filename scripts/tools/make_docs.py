@@ -53,9 +53,9 @@ SIGNS = {
     "*": r"\,",
 }
 SIGNS |= {".": r"\cdot", "..": r"\ldots", "...": r"\ldots", "{": r"\{", "}": r"\}"}
-NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z*])?('*)")
+NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z0*])?('*)")
 TOKEN = re.compile(
-    r"[a-z]+-[a-z]{2,}|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
+    r"[a-z]+-[a-z]{2,}|[A-Za-z]{2,}'s\b|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z0*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
 )
 
 
@@ -73,7 +73,7 @@ def in_latex(text: str) -> str:
     def is_word(token: str) -> bool:
         """Whether a token is a word of the language."""
         name = NAME.fullmatch(token)
-        return bool(re.search("[a-z]-[a-z]", token)) or (
+        return bool(re.search("[a-z][-'][a-z]", token)) or (
             name is not None and name[1] not in (*NAMES, *FUNCTIONS) and len(name[1]) > 1
         )
 
@@ -270,11 +270,21 @@ def figure_table() -> list[Any]:
     return claims.figure_table()
 
 
+def by_body(rows: list[tuple[str, ...]]) -> str:
+    """A table for each body, the first cell of a row, with a column for each of its rows: they are too long for the page."""
+    heading, *rest = [tuple(map(with_formulas, row)) for row in rows]
+    groups = [list(group) for _, group in groupby(rest, key=lambda row: row[0])]
+    columns = [zip(heading[1:], *(row[1:] for row in group), strict=True) for group in groups]
+    return "\n\n".join(
+        f"{group[0][0]}:\n\n{table(list(each))}" for group, each in zip(groups, columns, strict=True)
+    )
+
+
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
     from atlas.extensions.amer2013.figures import amplitude_table
 
-    return table([tuple(map(with_formulas, row)) for row in amplitude_table(figure_table())])
+    return by_body(amplitude_table(figure_table()))
 
 
 def periodic(system: System) -> str:
@@ -282,7 +292,7 @@ def periodic(system: System) -> str:
     from atlas.extensions.amer2013 import claims
     from atlas.extensions.amer2013.figures import periodic_solutions
 
-    return table([tuple(map(with_formulas, row)) for row in periodic_solutions(claims.periodic_table())])
+    return by_body(periodic_solutions(claims.periodic_table()))
 
 
 def claim_table(system: System) -> str:
@@ -297,41 +307,55 @@ def claim_table(system: System) -> str:
 
 
 def errata(system: System) -> str:
-    """Table of the equations of the paper that are wrong, as printed and as corrected."""
-    rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
+    """List of the equations of the paper that are wrong, as printed and as corrected; both are too long for the cells of a table."""
+    items = []
     for row in catalogue.published(system, errata=True):
-        sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
-        rows.append((row["equation"], row["verdict"], *_readings(row), *sizes, _effect(row)))
-    if {row[5] for row in rows[1:]} == {NONE}:  # the page says so in a sentence
-        rows = [(*row[:5], *row[6:]) for row in rows]
-    return table(rows)
+        residuals = [_rounded(row[key]) for key in ("residual_printed", "residual_true")]
+        measured = f", residuals {' and '.join(residuals)}" if residuals[0] else ""
+        printed, true = _readings(row)
+        items.append(
+            f"{_name(row)}, {row['verdict']}{measured}  \n  printed: {printed}  \n  true: {true}  \n  {_effect(row)}"
+        )
+    return "\n".join(items)
 
 
 def confirmed(system: System) -> str:
-    """Table of the equations of the paper that are true as printed."""
-    rows = [("equation", "as printed", "true", "residual", "what it measures, or what follows")]
+    """List of the equations of the paper that are true as printed."""
+    items = []
     for row in catalogue.published(system):
         if row["verdict"] == "true":
-            rows.append((row["equation"], *_readings(row), _rounded(row["residual_true"]), _effect(row)))
-    return table(rows)
+            printed, true = _readings(row)
+            remark = "" if true == "the same" else true
+            what = f"{_rounded(row['residual_true'])}: {_effect(row)}"
+            items.append(f"{_name(row)}: {printed}" + (f"  \n  {remark}" if remark else "") + f"  \n  {what}")
+    return "\n".join(items)
+
+
+def _name(row: dict[str, Any]) -> str:
+    """The number of an equation, as the beginning of an item."""
+    return f"- **{_starred(row['equation'])}**"
 
 
 def _readings(row: dict[str, Any]) -> list[str]:
     """An equation as printed and as true."""
-    return [in_latex(row[key]) for key in ("printed", "true")]
+    return [_starred(in_latex(row[key])) for key in ("printed", "true")]
 
 
 def _effect(row: dict[str, Any]) -> str:
     """What follows from a difference, else what the residuals measure."""
-    return with_formulas(row["effect"] or row["measure"])
+    return _starred(with_formulas(row["effect"] or row["measure"]))
 
 
-NONE = "< 1e-9"  # a residual that vanishes
+def _starred(text: str) -> str:
+    """A text whose stars between formulas are stars."""
+    return "".join(
+        part if part[:1] == "$" else part.replace("*", r"\*") for part in re.split(r"(\$[^$]*\$)", text)
+    )
 
 
 def _rounded(residual: float | None) -> str:
     """A residual with one digit, so that the page is the same on every processor."""
-    return "" if residual is None else NONE if residual < 1e-9 else f"{residual:.0e}"
+    return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
 
 
 def rooms(folder: Path) -> str:

@@ -1,7 +1,9 @@
 """Configuration of Sphinx for the pages of this folder; `sh scripts/docs.sh` builds them."""
 
 import re
+from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import ziamath
 from docutils import nodes
@@ -41,8 +43,26 @@ napoleon_google_docstring = False
 napoleon_use_rtype = False
 
 
+LONG = 12  # elements of a formula in a line of text, from which on it may be broken
+MATHML = "http://www.w3.org/1998/Math/MathML"
 PRIME = r'<mrow>\1<mo lspace="0" rspace="0">\2</mo></mrow>'
 SPACE = r'\1<mspace width="0.17em"/>'
+
+
+def breakable(formula):
+    """A formula in a line of text, which browsers do not break, as several if it is long, from =, + or - to the next."""
+    elements = list(ElementTree.fromstring(formula.replace(f' xmlns="{MATHML}"', ""))[0])
+    if len(elements) < LONG:
+        return formula
+    parts = []
+    for before, element in pairwise([None, *elements]):
+        is_operator = element.tag == "mo" and element.text in ("=", "+", "\N{MINUS SIGN}")
+        if before is None or (is_operator and (before.tag != "mo" or before.text in (")", "]", "}"))):
+            parts.append(ElementTree.Element("mrow"))
+            if is_operator and before is not None:
+                element.set("form", "infix")
+        parts[-1].append(element)
+    return "<wbr>".join(f"<math>{ElementTree.tostring(part, 'unicode')}</math>" for part in parts)
 
 
 def setup(app):
@@ -59,7 +79,7 @@ def setup(app):
             # A prime is raised in the font already, and names of functions need a space before their argument.
             formula = re.sub(r"<msup>(<mi>[^<]*</mi>)<mi>(&#x0203[23];)</mi></msup>", PRIME, formula)
             formula = re.sub(r"(<mi>(?:sin|cos|tan|ln|log|exp)</mi>)(?=<m[in])", SPACE, formula)
-            translator.body.append(formula)
+            translator.body.append(formula if display == "block" else breakable(formula))
             raise nodes.SkipNode
 
         return visit, None

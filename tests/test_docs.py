@@ -36,7 +36,9 @@ EXTENSIONS = {
     "docs/api.rst": {"basins", "branches", "page"},
     "docs/basins.md": {"basins"},
     "docs/branches.md": {"branches"},
-    "docs/fixed_point.md": {"amer2013"},
+    "docs/fixed_point_checks.md": {"amer2013"},
+    "docs/gallery.md": {"amer2013", "basins", "page"},
+    "docs/how_to.md": {"basins", "branches", "yehia2021"},
     "docs/new_system.md": {"lagrangian"},
     "docs/page.md": {"page"},
 }
@@ -150,6 +152,13 @@ def test_architecture_names_functions_that_exist():
             tree = next(node for node in tree.body if getattr(node, "name", "") == part)
 
 
+def test_pages_of_the_systems_are_short():
+    pages = [page for name in ("satellite", "fixed_point") for page in (ROOT / "docs").glob(f"{name}*.md")]
+    assert len(pages) == 8
+    for page in pages:
+        assert len(page.read_text().split()) < 3000, page
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_scripts_that_pages_name_exist(page):
     for script in re.findall(r"scripts/[\w/]+\.(?:py|sh)", (ROOT / page).read_text()):
@@ -200,6 +209,55 @@ def test_the_gallery_shows_its_pictures_with_all_their_colours():
             assert image.mode in ("RGB", "RGBA")  # no palette
         folders = ("configs", f"docs/examples/{picture.stem}")
         assert any((ROOT / folder / f"{picture.stem}.toml").is_file() for folder in folders)
+
+
+@pytest.fixture
+def gallery(monkeypatch):
+    """The script that writes the gallery."""
+    skip_without_extensions("docs/gallery.md")
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
+    return importlib.import_module("gallery")
+
+
+def test_the_gallery_has_the_captions_and_commands_of_its_scenes(gallery):
+    page = (ROOT / "docs" / "gallery.md").read_text()
+    for picture in gallery.PICTURES:
+        assert gallery.with_formulas(picture.caption) in page, picture.scene
+        assert "\n".join(gallery.commands(picture)) in page, picture.scene
+
+
+@pytest.mark.usefixtures("whole_kernels", "coarse_figures", "folder_of_reader")
+@pytest.mark.parametrize("scene", ["conditions_k3", "capture_damping"])
+def test_the_python_of_the_gallery_draws_its_picture(scene, gallery, monkeypatch):
+    """On a coarse grid; with an option of the map, and for a probability."""
+
+    def coarse(name):
+        axes = example(name)["axes"]
+        return example(name, axes={axis: {"count": 4} for axis in axes})
+
+    example = atlas.example
+    monkeypatch.setitem(vars(atlas), "example", coarse)
+    (picture,) = (each for each in gallery.PICTURES if each.scene == scene)
+    ((_, code),) = (
+        block for block in BLOCK.findall("\n".join(gallery.commands(picture))) if block[0] == "py"
+    )
+    exec(compile(code, scene, "exec"), {})
+    assert Path(f"{scene}.png").stat().st_size > 10_000
+
+
+def test_the_how_to_page_lists_its_questions_and_draws_its_pictures():
+    first, *sections = re.split(r"^## ", (ROOT / "docs" / "how_to.md").read_text(), flags=re.M)
+    listed = re.findall(r"\[([^\]]+)\]\(#", first)
+    assert sorted(listed) == sorted(text[0].lower() + text[1 : text.index("\n")] for text in sections)
+    drawn = [
+        picture
+        for text in sections
+        for picture in re.findall(r"\(how_to/(\w+\.png)\)", text)
+        if f'savefig("{picture}"' in text
+    ]
+    pictures = sorted((ROOT / "docs" / "how_to").iterdir())
+    assert sorted(drawn) == [picture.name for picture in pictures]
+    assert max(picture.stat().st_size for picture in pictures) < 40_000
 
 
 @pytest.mark.parametrize(

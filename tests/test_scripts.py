@@ -37,6 +37,7 @@ SCRIPTS = {
     "draw": ("--out FOLDER", r""),
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
     "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
+    "how_to": ("--out FOLDER --only dictionary", r"dictionary.png: \d+ kB"),
     "lagrange_form": ("--points 2 --steps 200", r"share unresolved"),
     "nonlinear_runs": (
         "--points 2 --duration 60 --starts 1 --nudges 0.01",

@@ -4,7 +4,7 @@
 
 Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
 used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png, the pages of some of
-the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point.md. All scenes take about five
+the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point_checks.md. All scenes take about five
 minutes on two cores.
 """
 
@@ -35,7 +35,7 @@ from atlas.systems import System
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point.md
+PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point_checks.md
 DPI = 300  # of the pictures in docs
 # Scenes whose pages are in the repository, with at most so many points each; scripts/docs.sh makes the others.
 PAGES = (
@@ -114,7 +114,7 @@ PICTURES = (
         " 1 < C/A < 4/3 the growth rate is proportional to sin theta0, and at small tilts too small to be seen in 20"
         " orbits, least of all near C/A = 1.14, where this change of the start contains nothing of the growing mode."
         " Just right of C/A = 4/3 the motion is stable, but the change of the start alters the momentum of the"
-        " spin too, and with it the steady motion: the start is 4 (C/A - 1)/(3 C/A - 4) times 1e-4 rad away from it, and the"
+        " spin too, and with it the steady motion: the start is $4 (C/A - 1)/(3 C/A - 4)$ times 1e-4 rad away from it, and the"
         " oscillation is above the tolerance.",
     ),
     Picture(
@@ -325,21 +325,26 @@ def register_example(picture: Picture) -> None:
 
 
 def commands(picture: Picture) -> list[str]:
-    """The commands that make the figure, as a block."""
+    """The commands that make the figure, and the same in Python, as two blocks."""
     name = picture.scene
+    run = [f"atlas new {name}", f"atlas run {name}.toml"]
+    scene = f'atlas.example("{name}")'
     if is_example(picture):
-        install, run = (
-            f"pip install ./{picture.folder}",
-            f"atlas run {picture.folder}/{name}.toml -o {name}.nc",
-        )
-        return ["```", install, run, f"atlas map {name}.nc", "```"]
-    lines = [f"atlas new {name}", f"atlas run {name}.toml", f"atlas map {name}.nc{picture.options}"]
+        file = f"{picture.folder}/{name}.toml"
+        run = [f"pip install ./{picture.folder}", f"atlas run {file} -o {name}.nc"]
+        scene = f'"{file}"'
+    python, shown = ["import atlas", "", f"ds = atlas.run({scene})"], "ds"
     if picture.probable:
-        shares = f'atlas.open_atlas("{name}.nc").atlas.probability("{picture.variable}", over="draw")'
-        lines[2] = (
-            f'python -c \'import atlas; {shares}.sel({picture.variable}="{picture.probable}").atlas.map().savefig("{name}.png")\''
-        )
-    return ["```", *lines, "```"]
+        python.append(f'shares = ds.atlas.probability("{picture.variable}", over="draw")')
+        shown = f'shares.sel({picture.variable}="{picture.probable}")'
+    else:
+        run.append(f"atlas map {name}.nc{picture.options}")
+    options = ", ".join(
+        f"{option.removeprefix('--no-')}=False" if option.startswith("--no-") else f"{option[2:]}=True"
+        for option in picture.options.split()
+    )
+    python.append(f'{shown}.atlas.map({options}).savefig("{name}.png")')
+    return ["```bash", *run, "```", "", "```py", *python, "```"]
 
 
 def is_current(file: Path, scene: atlas.Scene) -> bool:
@@ -402,6 +407,9 @@ def main() -> None:
         "On the site of these pages a link below each figure leads to its [page to point at](page.md), with the motion of every"
         f" point. Five of them are in the repository, with at most {PAGE_POINTS} points each; `sh scripts/docs.sh` makes those of"
         " the atlases in `out/gallery/`.",
+        "",
+        "Below each figure stand the commands that make it, and the same in Python; `atlas.example` takes changes of the scene,"
+        ' such as `axes={"sigma": {"count": 40}}`.',
         "",
     ]
     chosen = [picture for picture in PICTURES if picture.scene in options.only]

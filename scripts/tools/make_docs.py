@@ -53,9 +53,9 @@ SIGNS = {
     "*": r"\,",
 }
 SIGNS |= {".": r"\cdot", "..": r"\ldots", "...": r"\ldots", "{": r"\{", "}": r"\}"}
-NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z*])?('*)")
+NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z0*])?('*)")
 TOKEN = re.compile(
-    r"[a-z]+-[a-z]{2,}|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
+    r"[a-z]+-[a-z]{2,}|[A-Za-z]{2,}'s\b|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z0*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
 )
 
 
@@ -73,7 +73,7 @@ def in_latex(text: str) -> str:
     def is_word(token: str) -> bool:
         """Whether a token is a word of the language."""
         name = NAME.fullmatch(token)
-        return bool(re.search("[a-z]-[a-z]", token)) or (
+        return bool(re.search("[a-z][-'][a-z]", token)) or (
             name is not None and name[1] not in (*NAMES, *FUNCTIONS) and len(name[1]) > 1
         )
 
@@ -240,18 +240,19 @@ def dataset(system: System) -> str:
 
 def families(system: System) -> str:
     """Table of the families of steady motions."""
-    rows = [("family", "equations", "solves for", "motion", "conditions")]
+    rows = [("family", "motion", "equations", "solves for")]
     for f in families_of(system).values():
-        rows.append(
-            (
-                f"`{f.name}`",
-                with_formulas(f.equations),
-                ", ".join(f.solve),
-                with_formulas(f.title),
-                "; ".join(in_latex(c.text) for c in f.conditions),
-            )
-        )
+        texts = (with_formulas(text) for text in (f.title, f.equations))
+        rows.append((f"`{f.name}`", *texts, ", ".join(f.solve)))
     return table(rows)
+
+
+def conditions(system: System) -> str:
+    """List of the conditions of the families: their formulas are too long for the cells of a table."""
+    return "\n".join(
+        f"- **`{f.name}`**: {'; '.join(in_latex(c.text) for c in f.conditions)}"
+        for f in families_of(system).values()
+    )
 
 
 def flags(flag: type[Flag]) -> str:
@@ -269,11 +270,21 @@ def figure_table() -> list[Any]:
     return claims.figure_table()
 
 
+def by_body(rows: list[tuple[str, ...]]) -> str:
+    """A table for each body, the first cell of a row, with a column for each of its rows: they are too long for the page."""
+    heading, *rest = [tuple(map(with_formulas, row)) for row in rows]
+    groups = [list(group) for _, group in groupby(rest, key=lambda row: row[0])]
+    columns = [zip(heading[1:], *(row[1:] for row in group), strict=True) for group in groups]
+    return "\n\n".join(
+        f"{group[0][0]}:\n\n{table(list(each))}" for group, each in zip(groups, columns, strict=True)
+    )
+
+
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
     from atlas.extensions.amer2013.figures import amplitude_table
 
-    return table([tuple(map(with_formulas, row)) for row in amplitude_table(figure_table())])
+    return by_body(amplitude_table(figure_table()))
 
 
 def periodic(system: System) -> str:
@@ -281,7 +292,7 @@ def periodic(system: System) -> str:
     from atlas.extensions.amer2013 import claims
     from atlas.extensions.amer2013.figures import periodic_solutions
 
-    return table([tuple(map(with_formulas, row)) for row in periodic_solutions(claims.periodic_table())])
+    return by_body(periodic_solutions(claims.periodic_table()))
 
 
 def claim_table(system: System) -> str:
@@ -295,15 +306,51 @@ def claim_table(system: System) -> str:
     return table(rows)
 
 
-def published_equations(system: System) -> str:
-    """Table of the equations of the paper, as printed and as corrected."""
-    rows = [("equation", "verdict", "as printed", "true", "residual as printed", "as true", "effect")]
+def errata(system: System) -> str:
+    """List of the equations of the paper that are wrong, as printed and as corrected; both are too long for the cells of a table."""
+    items = []
+    for row in catalogue.published(system, errata=True):
+        residuals = [_rounded(row[key]) for key in ("residual_printed", "residual_true")]
+        measured = f", residuals {' and '.join(residuals)}" if residuals[0] else ""
+        printed, true = _readings(row)
+        items.append(
+            f"{_name(row)}, {row['verdict']}{measured}  \n  printed: {printed}  \n  true: {true}  \n  {_effect(row)}"
+        )
+    return "\n".join(items)
+
+
+def confirmed(system: System) -> str:
+    """List of the equations of the paper that are true as printed."""
+    items = []
     for row in catalogue.published(system):
-        sizes = (_rounded(row["residual_printed"]), _rounded(row["residual_true"]))
-        formulas = (in_latex(row[key]) for key in ("printed", "true"))
-        effect = with_formulas(row["effect"] or row["measure"])
-        rows.append((row["equation"], row["verdict"], *formulas, *sizes, effect))
-    return table(rows)
+        if row["verdict"] == "true":
+            printed, true = _readings(row)
+            remark = "" if true == "the same" else true
+            what = f"{_rounded(row['residual_true'])}: {_effect(row)}"
+            items.append(f"{_name(row)}: {printed}" + (f"  \n  {remark}" if remark else "") + f"  \n  {what}")
+    return "\n".join(items)
+
+
+def _name(row: dict[str, Any]) -> str:
+    """The number of an equation, as the beginning of an item."""
+    return f"- **{_starred(row['equation'])}**"
+
+
+def _readings(row: dict[str, Any]) -> list[str]:
+    """An equation as printed and as true."""
+    return [_starred(in_latex(row[key])) for key in ("printed", "true")]
+
+
+def _effect(row: dict[str, Any]) -> str:
+    """What follows from a difference, else what the residuals measure."""
+    return _starred(with_formulas(row["effect"] or row["measure"]))
+
+
+def _starred(text: str) -> str:
+    """A text whose stars between formulas are stars."""
+    return "".join(
+        part if part[:1] == "$" else part.replace("*", r"\*") for part in re.split(r"(\$[^$]*\$)", text)
+    )
 
 
 def _rounded(residual: float | None) -> str:
@@ -337,11 +384,13 @@ TABLES = {
     "parameters": parameters,
     "variables": dataset,
     "families": families,
+    "conditions": conditions,
     "flags": flags,
     "amplitudes": amplitudes,
     "periodic": periodic,
     "claims": claim_table,
-    "printed": published_equations,
+    "errata": errata,
+    "confirmed": confirmed,
 }
 
 SUBJECTS = SYSTEMS | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}

@@ -12,7 +12,8 @@ from truth import REFERENCE, assert_shards_and_threads_agree, columns_of
 import atlas
 from atlas import cli
 from atlas.flags import Regularity, Status
-from atlas.measure.chaos import Chaos, regularity
+from atlas.measure.chaos import Chaos
+from atlas.measure.tangent_runs import regularity
 from atlas.systems import SYSTEMS
 from atlas.variables import default_variables
 

@@ -180,7 +180,7 @@ class Regularity(Flag):
     HYPERBOLIC = 5, "mean MEGNO above 5 of a steady motion, or from a start on an unstable one: not chaotic"
 
 
-# Families of extensions, name -> motion: their flags follow those of the system's own in this order, whatever is installed.
+# Families of extensions, name -> motion: their flags follow the flags of the system's own families in this order, whatever is installed.
 SATELLITE_RESERVED_FAMILIES = {
     "plane_libration": "libration in the plane of the orbit, third axis on the normal, asymmetric body with axial rotor",
     "plane_rotation": (

@@ -172,7 +172,7 @@ class TangentRuns:
     ensemble: Ensemble
     steps: TangentSteps
     rate_unit: Array  # see `rate_unit`
-    share: float  # of the work of all runs of the points
+    share: float  # of these runs in the work of all runs of the points
 
     @classmethod
     def of(

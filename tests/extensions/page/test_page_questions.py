@@ -1,4 +1,4 @@
-"""Pages in degrees, as a caller or a scene asks for them, with the same points, lines and numbers as in rad."""
+"""What a page shows in degrees, and of what there is none."""
 
 import json
 import re
@@ -43,6 +43,12 @@ def test_a_scene_asks_for_pages_in_degrees(scene_text):
 def test_a_wrong_value_is_one_line(small_atlas):
     with pytest.raises(BadInput, match=r"^degrees = 'yes': must be true or false$"):
         small_atlas.atlas.page(degrees="yes")
+
+
+def test_joined_atlases_have_no_page(small_atlas):
+    joined = atlas.concat({"first": small_atlas, "second": small_atlas}, "kind")
+    with pytest.raises(BadInput, match=r"^kind: joined atlases \(first, second\) .*\.sel\(kind="):
+        joined.atlas.page()
 
 
 def test_the_shell_makes_pages_in_degrees(scene_text, tmp_path, monkeypatch):

@@ -87,7 +87,7 @@ class Atlas(Questions):
         Parameters
         ----------
         degrees : bool, optional
-            Return angles in degrees, for tables; what computes from such a dataset refuses it.
+            Return angles in degrees, for tables; questions that compute anything from such a dataset refuse it.
         **flags : str, int or sequence of them
             Flag variable -> one name or number, or several, such as label="drifting", label=3,
             agreement=["theory_only", "differ"]; of several variables all must hold.

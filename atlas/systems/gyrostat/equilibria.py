@@ -215,7 +215,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Completeness of the lists, NOT_LISTED of bodies to be searched; of each equilibrium the body, and its variables."""
+    """Completeness of the lists (NOT_LISTED: the body has yet to be searched); body and variables of each equilibrium."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):

@@ -87,7 +87,7 @@ class Atlas(Questions):
         Parameters
         ----------
         degrees : bool, optional
-            Return angles in degrees, for tables; what computes from such a dataset refuses it.
+            Return angles in degrees, for tables; questions that compute anything from such a dataset refuse it.
         **flags : str, int or sequence of them
             Flag variable -> one name or number, or several, such as label="drifting", label=3,
             agreement=["theory_only", "differ"]; of several variables all must hold.
@@ -258,7 +258,7 @@ class Atlas(Questions):
         worst : int, optional
             Number of disagreements, or of changes of each label, to list, at least 0.
         degrees : bool, optional
-            Print the angles of points in degrees; default those of axes with display_units = "deg".
+            Print the angles of points in degrees; by default the angles of axes with display_units = "deg".
 
         Returns
         -------
@@ -288,7 +288,7 @@ class Atlas(Questions):
         -------
         Dataset
             For flags `label_change`, ...: unchanged, or to_drifting, ...; for numbers `theta_max_difference`, ...: the other
-            less this one. `differences(other).atlas.map()` draws where labels change.
+            minus this one. `differences(other).atlas.map()` draws where labels change.
         """
         from .analysis import differences
 
@@ -452,7 +452,7 @@ class Atlas(Questions):
             - exponent: least-squares slope of log(uncertain) over log(side), for sides with a fraction
               above 0 [1]_: 1 for smooth borders, towards 0 for fractal ones, which finer grids hardly
               sharpen; nan with fewer than two such sides. The dimension of the borders is the number of
-              axes less the exponent.
+              axes minus the exponent.
             - entropy, border_entropy: mean over boxes of `atlas.analysis.trust.BOX` points along each axis of
               -sum p ln p, p the fractions of the flags in a box [3]_, and over the boxes with more than one
               flag alone, where more than ln 2 means fractal borders.

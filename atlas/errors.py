@@ -24,13 +24,13 @@ class BadInput(ValueError):
 def printable(text: str, limit: int | None = None) -> str:
     """Text in one line of at most `limit` characters, with escapes such as `\\x1b` for what is not printable."""
     if limit is not None:
-        text = _shortened(text, limit)
+        text = _shorten(text, limit)
     if not text.isprintable():
         text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-    return text if limit is None else _shortened(text, limit)
+    return text if limit is None else _shorten(text, limit)
 
 
-def _shortened(text: str, limit: int) -> str:
+def _shorten(text: str, limit: int) -> str:
     """The beginning and the end of a text that is too long."""
     if len(text) <= limit:
         return text

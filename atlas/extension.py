@@ -164,7 +164,7 @@ def of_each(kind: str, system: str) -> list[Any]:
 
 
 def every(kind: str) -> list[Any]:
-    """The different objects of one of the PARTS, in the order of the extensions; without those that cannot be loaded."""
+    """The different objects of one of the PARTS, in the order of the extensions; parts that cannot be loaded are left out."""
     objects = []
     for extension, reference in dict.fromkeys(parts(kind).values()):
         with suppress(BadInput):  # which not_loaded() keeps

@@ -51,7 +51,7 @@ def foreign_message(path: Path | str) -> str:
 
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """Give the name of a new, empty file, which appears at `path` whole or not at all, if `durable` also after a power cut."""
+    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut."""
     temporary = temporary_path(path)
     # O_EXCL and O_NOFOLLOW: never through a link that somebody else has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -101,7 +101,7 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             with suppress(OSError):
                 running = is_running(match[1])
-                if running is None:  # its age is known by the clock of the file system
+                if running is None:  # of another machine; both times are by the clock of the file system
                     running = age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
                 if not running and entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)

@@ -191,5 +191,5 @@ _RESERVED_FAMILIES = {
 
 
 def reserved_families(system: str) -> dict[str, str]:
-    """Families of extensions, name -> motion; their flags follow the system's own in this order, whatever is installed."""
+    """Families of extensions, name -> motion; their flags follow the flags of the system's own families in this order, whatever is installed."""
     return _RESERVED_FAMILIES.get(system, {})

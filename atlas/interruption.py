@@ -22,7 +22,7 @@ from .errors import printable
 INTERRUPTED, TERMINATED = 130, 143
 STOPPED = 75  # of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds from a signal to the end of a process that does not react to exceptions, and for each half of its message.
+# Seconds from a signal to the end of a process that does not react to exceptions; seconds to find, and to print, its message.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 

@@ -21,7 +21,7 @@ Files = dict[str, tuple[int, str]]
 
 
 def read(folder: Path | None = None) -> Files:
-    """The modules of a folder, or those of this package that numbers depend on."""
+    """The modules of a folder, or the modules of this package that numbers depend on."""
     files, root = {}, PACKAGE if folder is None else folder
     patterns = NUMERIC_SOURCES if folder is None else EVERY_MODULE
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
@@ -55,7 +55,7 @@ def changed(folders: Iterable[Path] = ()) -> list[Path]:
 
 
 def code(files: Files | None = None) -> str:
-    """Hash of files, by default of those of this package, as they were at the import."""
+    """Hash of files, by default of this package, as they were at the import."""
     files = AT_IMPORT if files is None else files
     text = "\n".join(f"{name} {content}" for name, (_, content) in files.items())
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -173,7 +173,7 @@ def installed_extensions():
     patched = pytest.MonkeyPatch()
     caches = (
         extension._found, extension.parts, base.families_of, base.derived_variables, atlas.variables._registry,
-        metadata._registered,
+        metadata._registry,
     )  # fmt: skip
 
     def replace(found: Mapping[str, object] | None = None, broken: dict[str, str] | None = None) -> None:

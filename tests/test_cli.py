@@ -295,6 +295,20 @@ def test_cache_warm_compiles_the_kernel_of_a_scene(folder, tmp_path, monkeypatch
     assert "1 kernels" in capsys.readouterr().out
 
 
+def test_cache_warm_skips_examples_of_missing_extensions(copied_package, folder):
+    package, environment = copied_package
+    examples = package.parent / "configs"
+    examples.mkdir()
+    scene = (folder / "small.toml").read_text()
+    (examples / "first.toml").write_text(f'extensions = ["absent"]\n{scene}')
+    (examples / "second.toml").write_text(scene)
+    warmed = shell("cache", "--warm", cwd=package.parent, env=os.environ | environment)
+    assert warmed.returncode == 0, warmed.stderr
+    first, second, *_ = warmed.stdout.splitlines()
+    assert first == "first: skipped: the extension absent is not installed"
+    assert second.startswith("second: ")
+
+
 def test_trajectory_of_a_point_of_a_scene(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(["trajectory", "small.toml", "--at", "sigma=0.5", "theta0=0.7"]) == 0

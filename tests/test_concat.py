@@ -125,7 +125,6 @@ def test_the_whole_answers_what_needs_no_scene(joined):
         lambda ds: ds.atlas.frequencies(**PLACE),
         lambda ds: ds.atlas.map(),
         lambda ds: ds.atlas.map("theta_max"),
-        lambda ds: ds.atlas.page(),
         lambda ds: ds.atlas.boundary(),
         lambda ds: ds.atlas.boundary("drifting"),
         lambda ds: ds.atlas.families(),

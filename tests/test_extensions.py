@@ -141,9 +141,9 @@ def test_a_broken_record_leaves_everything_else_working(tmp_path):
     why = "; the extension broken cannot be loaded (RuntimeError: no such library)"
     assert message.endswith(why)
     shell = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from atlas import cli; sys.exit(cli.main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", shell, "pag"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", shell, "mapp"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr.startswith("atlas: argument COMMAND: 'pag': did you mean 'page'? allowed: run, ")
+    assert done.stderr.startswith("atlas: argument COMMAND: 'mapp': did you mean 'map'? allowed: run, ")
     assert done.stderr.count("\n") == 1
     assert f"{why} (see atlas --help)" in done.stderr
     done = subprocess.run([sys.executable, "-c", shell, "--help"], capture_output=True, text=True, check=True)

@@ -431,6 +431,7 @@ CALLS = [
             ({"mass": 1.0}, "mass: not a parameter of the satellite; allowed: ..."),
             ({"Omega": 0.0}, "equilibria: without orbit and field the body can rest in any orientation"),
             ({"A": 1.0, "B": 1.0, "C": 1.0}, "equilibria: this body has a surface of equilibria, not single ones or circles of them"),
+            ({"A": 1.0, "B": 1.0, "C": 1.0, "k2": 5e-324}, "equilibria: this body has a surface of equilibria, not single ones or circles of them"),
         )
     ),
     (lambda ds, points: atlas.equilibria("sputnik", {}), "system = 'sputnik': there is no such system; allowed: satellite, fixed_point"),

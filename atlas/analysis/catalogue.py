@@ -53,7 +53,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 def published(
     system: System, family: str | None = None, errata: bool = False, number: str | None = None
 ) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true, on its errata, or on those of a number."""
+    """Rows on the published equations of the system's paper, as printed and as true; errata: only on these, number: on that equation."""
     every = equations = published_equations(system)
     if number is not None:
         every = [row for row in equations if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]

@@ -49,7 +49,7 @@ OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapun
 def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
-    whole, ds = ds, _compared(ds)
+    whole, ds = ds, _variables_to_compare(ds)
     axes = neighbour_axes(ds)
     ds = in_order(ds.transpose(..., *axes), dict.fromkeys(axes, 1))
     label, predicted = ds["label"].values, ds["predicted"].values
@@ -69,7 +69,7 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     return "\n".join(lines)
 
 
-def _compared(ds: xr.Dataset) -> xr.Dataset:
+def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
     """Label, predicted, and variables that explain their differences; BadInput unless both are flags of the same points."""
     if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(

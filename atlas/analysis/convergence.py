@@ -60,7 +60,7 @@ def convergence(
         scene = replace(scene, axes=axes)
     names, stopwatch = list(dict.fromkeys(names)), Stopwatch()
     cases = [(name, factor) for name in names for factor in FACTORS if factor != 1.0]
-    plans = [ScenePlan.of(scene), *(ScenePlan.of(_changed(scene, *case)) for case in cases)]
+    plans = [ScenePlan.of(scene), *(ScenePlan.of(_with_setting(scene, *case)) for case in cases)]
     with closing(Progress(scene.size * len(plans), show=progress)) as bar:
         base, *others = (columns_of(plan, bar)[0] for plan in plans)
     varied = dict(zip(cases, others, strict=True))
@@ -86,7 +86,7 @@ def convergence(
     return ds
 
 
-def _changed(scene: Scene, name: str, factor: float) -> Scene:
+def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
     """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
     if name == "duration":
         return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))

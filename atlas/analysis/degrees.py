@@ -27,7 +27,7 @@ def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
 
 def in_degrees(data: Data, degrees: bool | None = True) -> Data:
     """The same with its angles in degrees; `degrees` as for `factor`."""
-    return _scaled(
+    return _scale(
         data, {n: f for n, v in _variables(data).items() if (f := factor(v.attrs, degrees)) != 1}, DEGREE
     )
 
@@ -35,7 +35,7 @@ def in_degrees(data: Data, degrees: bool | None = True) -> Data:
 def in_rad(data: Data) -> Data:
     """The same with its angles in rad."""
     units = {name: attribute_text(variable.attrs, "units") for name, variable in _variables(data).items()}
-    return _scaled(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
+    return _scale(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
 
 
 def _variables(data: Data) -> Mapping[str, xr.DataArray]:
@@ -45,7 +45,7 @@ def _variables(data: Data) -> Mapping[str, xr.DataArray]:
     return {str(name): data[name] for name in data.variables}
 
 
-def _scaled(data: Data, factors: Mapping[str, float], units: str) -> Data:
+def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
     """Data with some of its variables multiplied, in other units."""
     variables, new = _variables(data), dict[str, xr.Variable]()
     for name, number in factors.items():

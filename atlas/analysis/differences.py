@@ -56,7 +56,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
                 lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
-        # A value in one atlas alone differs infinitely; equal infinite values differ by nan, here 0.
+        # Where only one atlas has a value the difference is infinite; inf - inf is nan, which counts as 0.
         difference = abs(ours - theirs).where(ours.isnull() == theirs.isnull(), np.inf).fillna(0.0)
         if not difference.any():
             unchanged.append(name)

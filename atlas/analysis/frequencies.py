@@ -63,7 +63,7 @@ def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Strongest lines of a motion, and the fastest line that its samples miss: signal and frequency, 0 if there is none."""
+    """Strongest spectral lines of a motion, and the signal and frequency of the fastest line beyond its sampling rate (0: none)."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     dims, shape = ("signal", "line"), (len(columns), lines)
@@ -148,19 +148,19 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
         highest = int(np.argmax(spectrum))
         if spectrum[highest] <= 1e-12 * scale:
             break
-        frequencies.append(_refined(time, residual * weight, grid[highest], grid[1]))
+        frequencies.append(_refine(time, residual * weight, grid[highest], grid[1]))
         coefficients, residual = _fit(time, signal, frequencies, weight, real)
         # Lines shift the maxima of each other: each is refined again without the others.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
                 half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
                 single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
-                frequencies[i] = _refined(time, single, frequency, grid[1])
+                frequencies[i] = _refine(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)
     return np.array(frequencies), coefficients
 
 
-def _refined(time: Array, weighted: Signal, guess: float, width: float) -> float:
+def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
     """Frequency of the maximum of the Fourier integral within `width` of a guess."""
 
     def negative(frequency: float) -> float:

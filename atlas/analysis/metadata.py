@@ -167,7 +167,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Axes along which points have neighbours, as in the scene: not those of single points, repeated values or random draws."""
+    """Axes along which points have neighbours, as in the scene: not axes of one point, of repeated values or of random draws."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
@@ -199,7 +199,7 @@ def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
 
 
 @lru_cache
-def _registered(system: System) -> Mapping[str, Variable]:
+def _registry(system: System) -> Mapping[str, Variable]:
     """Variables of the atlases of a system; none of a system that can have no atlas."""
     with suppress(BadInput):
         return data_variables(system)
@@ -208,7 +208,7 @@ def _registered(system: System) -> Mapping[str, Variable]:
 
 def _positions(name: str) -> tuple[str, str] | None:
     """`Variable.positions` of the variable of this name."""
-    registered = (_registered(system).get(name) for system in systems.SYSTEMS.values())
+    registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     return next((variable.positions for variable in registered if variable and variable.positions), None)
 
 
@@ -219,7 +219,7 @@ def has_flags(array: xr.DataArray) -> bool:
     """
     if array.dtype.kind == "b":
         return True
-    registered = [v for system in systems.SYSTEMS.values() for v in _registered(system).values() if v.flags]
+    registered = [v for system in systems.SYSTEMS.values() for v in _registry(system).values() if v.flags]
     known, text = any(array.name == v.name for v in registered), str(array.attrs.get("long_name"))
     own = "long_name" in array.attrs and not any(text == v.long_name for v in registered)
     return "flag_meanings" in array.attrs and (known or own)

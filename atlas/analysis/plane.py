@@ -64,10 +64,10 @@ class Plane:
         for dim in extent:
             values = np.unique(ds[dim].values)
             edges = cell_edges(values, is_logarithmic(scene, dim, values))
-            plane = plane._extended(dim, float(edges[0]), float(edges[-1]))
+            plane = plane._extend(dim, float(edges[0]), float(edges[-1]))
         return plane
 
-    def _extended(self, dim: str, low: float, high: float) -> Plane:
+    def _extend(self, dim: str, low: float, high: float) -> Plane:
         """The plane with wider limits along an axis, each only if the scene has points at it."""
         parameter = self.scene.system.parameters.get(dim)
         plane = self
@@ -107,7 +107,7 @@ class Plane:
         return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))
 
     def positions(self, dim: str, values: Array) -> Array:
-        """Fractions of the extent of an axis at some values."""
+        """Positions of values along an axis, as fractions of its extent."""
         scale = np.log if is_logarithmic(self.scene, dim, self.extent[dim]) else np.asarray
         low, high = scale(self.extent[dim])
         return (scale(values) - low) / (high - low)

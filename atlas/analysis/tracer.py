@@ -123,7 +123,7 @@ def narrowed_lines(
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
     while new.size:
-        vertices[new] = _narrowed(is_above, at_low[new], low[new], high[new], trisections)
+        vertices[new] = _narrow(is_above, at_low[new], low[new], high[new], trisections)
         long = last - first > 1
         first, last = first[long], last[long]
         if first.size:
@@ -142,7 +142,7 @@ def narrowed_lines(
     return np.split(vertices[kept], ends), list(edges)
 
 
-def _narrowed(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
+def _narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
     """Positions (vertices, axes) between low and high at which `is_above` first differs from its value at low, by trisection."""
     for _ in range(count):
         third = (high - low) / 3
@@ -169,12 +169,12 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
     samples = (digits @ np.array(list(columns.values()))).reshape(steps.size, steps.size)
     evaluated = np.ones(samples.shape, bool)
     for _ in range(LEVELS):
-        samples, evaluated = _divided(codes, samples, evaluated)
+        samples, evaluated = _divide(codes, samples, evaluated)
     of_code = (np.arange(3**digits.size)[:, np.newaxis] // digits % 3).astype(np.int8)
     return {kind: of_code[:, i][samples] for i, kind in enumerate(columns)}
 
 
-def _divided(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
+def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
     """Samples of the cells divided into DIVISION x DIVISION, and whether each was evaluated or copied from the nearest.
 
     Evaluated are all samples of cells with a change, and of the cells beside them as far as a line continues.

@@ -82,7 +82,7 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Names and settings of an argument for `Parser.add_argument`, and `lowest`, its least number."""
+    """Names and settings of an argument for `Parser.add_argument`; the setting `lowest` is the least number allowed."""
     return names, settings
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import atlas
 
-from .. import systems
+from .. import extension, systems
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, writable
 from ..interruption import called_as
@@ -192,7 +192,15 @@ def list_kernels(options: argparse.Namespace) -> None:
 
         scenes = {name: read_scene(name) for name in options.warm}
         if not scenes:
-            scenes = {name: atlas.load_scene(text.read_text("utf-8")) for name, text in examples().items()}
+            for name in examples():
+                table = atlas.example(name)
+                missing = [each for each in table.get("extensions", []) if each not in extension.extensions()]
+                if missing:
+                    say(
+                        f"{name}: skipped: the extension {', '.join(missing)} is not installed{extension.not_loaded()}"
+                    )
+                else:
+                    scenes[name] = atlas.load_scene(table)
         for name, scene in scenes.items():
             sample, watch, began = grid.check(scene), Stopwatch(), time.perf_counter()
             evaluate(Plan.of(scene), sample.subset(np.flatnonzero(sample.exists)[:1]))

@@ -303,7 +303,7 @@ def _plugged_lines(equations: ModuleType, plugs: Sequence[Plug]) -> list[str]:
 
 
 def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> list[str]:
-    """Lines that count nodes at which the energy, the first integral without the sum of its loss, exceeds some levels."""
+    """Lines that count the nodes at which the energy (the first integral without its accumulated loss) exceeds some levels."""
     name = next(iter(equations.INTEGRALS))
     terms = _terms(equations, name)
     total = " + ".join(terms[:-1] if name in equations.LOSSES else terms)

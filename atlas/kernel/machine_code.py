@@ -244,7 +244,7 @@ class _MachineCode(NullCache):
                     raise ValueError(_danger(status) or "it is not a file")
                 content = file.read()
             payload = content[hashlib.sha256().digest_size :]
-            if content != _hashed(key, payload):
+            if content != _with_hash(key, payload):
                 raise ValueError("its hash differs")
             stream = io.BytesIO(payload)
             for module in pickle.load(stream):
@@ -268,7 +268,7 @@ class _MachineCode(NullCache):
                 return
             with atomic_write(path, durable=False) as temporary:
                 temporary.chmod(0o600)
-                temporary.write_bytes(_hashed(key, payload))
+                temporary.write_bytes(_with_hash(key, payload))
             remove_leftovers(path.parent)
         except OSError as error:
             _complain(path.parent, f"cannot be written ({error.strerror or error}): compiling in memory")
@@ -279,7 +279,7 @@ class _MachineCode(NullCache):
         return cache_folder() / f"{self.name}.{hashlib.sha256(key + _INTRINSICS).hexdigest()[:8]}", key
 
 
-def _hashed(key: bytes, payload: bytes) -> bytes:
+def _with_hash(key: bytes, payload: bytes) -> bytes:
     """Content of a file of the cache; the hash reveals damage and a wrong key."""
     return hashlib.sha256(key + payload).digest() + payload
 

@@ -21,7 +21,7 @@ from .tableaux import Method
 # Distance of two samples in rad of the bound: short enough to show that a motion becomes faster, such as on an eccentric orbit
 # before the centre, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Turns in a run at the least bound, with which a motion is sampled whose Jacobian vanishes at the start.
+# The least bound is so many turns in a run: a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25

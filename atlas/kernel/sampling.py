@@ -147,7 +147,7 @@ def end_weights() -> EndWeights:
     """The weights for any run.
 
     By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, the first and the last counted half, plus
-    B_2k / (2k)! times the odd derivatives at the start less those at the end. With the derivatives of the Hermite interpolation
+    B_2k / (2k)! times the odd derivatives at the start minus the derivatives at the end. With the derivatives of the Hermite interpolation
     of four nodes the rule is exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)

@@ -192,7 +192,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: Any, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Steps in each of `intervals` equal parts of runs, at most as long as those of `steps` in a run, or as `settings.step`."""
+    """Steps in each of `intervals` equal parts of runs, no longer than with `steps` in a run, or than `settings.step`."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))

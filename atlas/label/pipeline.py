@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,6 @@ from ..kernel import numeric_bound
 from ..kernel.ensemble import Ensemble
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..kernel.tableaux import METHODS
-from ..measure.chaos import TangentRuns
 from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run
 from ..measure.observables import whole_periods
@@ -21,6 +21,9 @@ from ..systems.base import Array, Flags, Mask, SharedValues, derived_values
 from ..variables import variables
 from .plan import Plan
 from .theory import Theory, agreement, departure_changes, predict_any_axis
+
+if TYPE_CHECKING:
+    from ..measure.tangent_runs import TangentRuns
 
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
@@ -177,6 +180,8 @@ def _prepare(
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = None
         if plan.has_chaos:
+            from ..measure.tangent_runs import TangentRuns
+
             tangent = TangentRuns.of(
                 system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes
             )

@@ -28,7 +28,7 @@ from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan
 
-MORE_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
+OTHER_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
 @typed
@@ -45,7 +45,7 @@ def label_points(
     threads: int | None = None,
     progress: bool = False,
     keep: Sequence[str] = (),
-    **more: Any,
+    **other_settings: Any,
 ) -> xr.Dataset:
     """Label points given one by one, or as arrays that are broadcast against each other.
 
@@ -77,7 +77,7 @@ def label_points(
     keep : sequence of str, optional
         Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those named
         id, index, name, number or point, are kept anyhow.
-    **more
+    **other_settings
         cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
 
     Returns
@@ -94,7 +94,7 @@ def label_points(
 
     Notes
     -----
-    Points with moments of inertia that no body can have, and those of which nothing turns where the duration is a
+    Points with moments of inertia that no body can have, and points at rest where the duration is a
     number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A
     logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point is computed.
 
@@ -106,10 +106,12 @@ def label_points(
     vanishes, results differ by rounding.
     """
     description = systems.get(system)
-    for key in set(more) - set(MORE_SETTINGS):
-        options = [*[*signature(label_points).parameters][2:-1], *MORE_SETTINGS]
+    for key in set(other_settings) - set(OTHER_SETTINGS):
+        options = [*[*signature(label_points).parameters][2:-1], *OTHER_SETTINGS]
         raise BadInput(f"{key}: unknown option of label_points; {allowed_text(key, options)}")
-    settings = Settings(method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **more)
+    settings = Settings(
+        method=method, tolerance=tolerance, step=step, rate_tolerance=rate_tolerance, **other_settings
+    )
     check_std_tolerance(description, settings.std_tolerance)
     whole_number("threads", 1 if threads is None else threads, 1, MAX_THREADS)
     registry = variable_registry(description)
@@ -127,10 +129,10 @@ def label_points(
         description, source, keep, duration=1.0 if text is not None else duration
     )
     dims = {dim for array in (*arrays, lengths) for dim in array.dims}
-    more = {
+    new_sizes = {
         str(dim): n for array in name_columns.values() for dim, n in array.sizes.items() if dim not in dims
     }
-    lengths = lengths.expand_dims(more if dims or more else {POINT: 1})
+    lengths = lengths.expand_dims(new_sizes if dims or new_sizes else {POINT: 1})
     for name in {
         str(each) for array in (*arrays, *name_columns.values()) for each in array.coords
     } | name_columns.keys():

@@ -67,7 +67,7 @@ def trajectory(
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     point : mapping of str to float, or Series
-        Parameters; those that are left out take their defaults. A row of the DataFrame that `label_points` takes is one.
+        Parameters; omitted ones take their defaults. A row of the DataFrame that `label_points` takes is one.
     duration : float
         In time units.
     samples : int
@@ -89,7 +89,7 @@ def trajectory(
         axis in the frame: for the satellite along radius, velocity and normal); integral_drift. Of a system
         with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the
         parameters (a start value that has the name of one of the variables has the suffix _start). The
-        attributes are those of an atlas.
+        attributes are as in an atlas.
 
     Raises
     ------

@@ -46,7 +46,7 @@ class Axis(IntEnum):
 
 
 class Sum(IntEnum):
-    """Sums over the nodes, half at both ends, of changes of u (x, y, z), of u^2 (l), of u'^2 (s), and of their products."""
+    """Sums over the nodes, the first and last with weight 1/2, of changes of u (x, y, z), u^2 (l), u'^2 (s), and their products."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 

@@ -205,11 +205,11 @@ class Instrument:
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Measurements from the sums of a run; measured: those of earlier instruments."""
+        """Measurements from the sums of a run; measured: by earlier instruments."""
         return {}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rules of its labels; rules: those of earlier instruments."""
+        """Rules of its labels; rules: of earlier instruments."""
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
@@ -265,11 +265,11 @@ class MainInstrument(Instrument):
         return 1.0
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """The largest of the errors of its statistics, relative; bound: of the fastest frequency."""
+        """Largest relative error of its statistics; bound: upper bound of the fastest frequency."""
         raise NotImplementedError
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Frequency bound for the steps of points; settled: where it holds for the whole run, as a proved bound does."""
+        """Frequency bound that sets the steps of points; settled: where the given bound holds for the whole run."""
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:

@@ -158,7 +158,7 @@ class Observables(MainInstrument):
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Errors of the standard deviations: as large as those of the ranges of the observables."""
+        """Errors of the standard deviations: as large as the errors of the ranges of the observables."""
         measured = run.measured
         return {
             f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"]) + ROUNDING * size

@@ -199,7 +199,7 @@ class Rates(MainInstrument):
 def geometry(
     system: System, measured: Measured, steady: Mask, cylinder: Mask, tolerances: Tolerances
 ) -> Flags:
-    """Value of the first of the system's geometries that each motion has, 0 of those that are not steady, (points,)."""
+    """Flag of the first of the system's geometries that each steady motion has, 0 of others, (points,)."""
     kinds = [
         kind.holds(measured, cylinder, tolerances.rate, tolerances.angle)
         for kind in system.geometries.values()

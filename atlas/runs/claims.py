@@ -62,7 +62,7 @@ def held(place: Place, name: str) -> Iterator[None]:
 
 
 def claimants(place: Place) -> Iterator[tuple[str, str]]:
-    """Names of the claims of a place, also in folders inside, each with its process, or an empty text if that is gone."""
+    """Names of the claims of a place and of its folders, each with its process, or with an empty text if the process has ended."""
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)

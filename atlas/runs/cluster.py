@@ -138,7 +138,7 @@ def for_each(
                 ended = wait(list(in_flight), timeout=POLL_INTERVAL, return_when="FIRST_COMPLETED").done
             for future in ended:
                 task_arguments, attempt = in_flight.pop(future)
-                if _succeeded(future, attempt):
+                if _has_result(future, attempt):
                     on_result(future.result())
                 else:
                     submit(task_arguments, attempt + 1)
@@ -147,7 +147,7 @@ def for_each(
             future.cancel()
 
 
-def _succeeded(future: Future[Any], attempt: int) -> bool:
+def _has_result(future: Future[Any], attempt: int) -> bool:
     """Whether a task has a result; without one it is to be submitted again. Raises the error of a task that failed."""
     from distributed import KilledWorker
 

@@ -59,7 +59,7 @@ def run(
     workers : int, optional
         Number of processes on this machine that compute the tiles.
     stop_after : float, optional
-        Seconds after which no tile begins; those that are being computed are finished. Needs `out`.
+        Seconds after which no tile begins; tiles at work are finished. Needs `out`.
     reuse : str, Path or sequence of them, optional
         Earlier atlases, also unfinished run folders, on the same processor by the same programs: points that they share
         with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states

@@ -146,7 +146,7 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
 
 
 def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | None) -> None:
-    """Write the notes of a run if it has all its tiles; totals: of all tiles, None after a shard."""
+    """Write the notes of a run if it has all its tiles; totals: sums over all tiles, None after a shard."""
     if folder.tiles.missing():
         return
     if totals is None:
@@ -263,7 +263,7 @@ class _Job:
 
     run: RunFolder
     tiles: Tiles
-    share: range  # those of the shard; all of a level, which every shard completes before the next one
+    share: range  # tiles of the shard; of a level all tiles, which every shard completes before the next one
     execution: Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job

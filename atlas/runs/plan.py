@@ -23,7 +23,7 @@ from ..kernel import blocks, numeric_bound
 from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
 from ..kernel.tangent import METHOD as TANGENT_METHOD
-from ..measure.chaos import RELATIVE_COST, Chaos, TangentSteps
+from ..measure.chaos import Chaos
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
 from ..systems.base import Array, extensions_of
@@ -92,6 +92,8 @@ class ScenePlan:
         """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors included."""
         if not self.has_chaos:
             return self.mean_steps
+        from ..measure.tangent_runs import RELATIVE_COST, TangentSteps
+
         settings = self.scene.settings
         with np.errstate(all="ignore"):
             sizes = TangentSteps.of(self._bound, self.sample.duration, settings.step, settings.max_steps)

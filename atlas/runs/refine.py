@@ -49,7 +49,7 @@ MAX_BOX_POINTS = 2**20
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """A scene with [refine] computed on its finest grid, in memory or, without measured numbers, in a folder; and its attributes."""
+    """The finest grid of a scene with [refine], computed in memory or in a folder (which has no measured numbers), and attributes."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, threads, integrate, folder)

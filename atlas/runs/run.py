@@ -178,8 +178,8 @@ class RunFolder:
 
     def check_same(self, plan: ScenePlan) -> None:
         """Raise BadInput with the differences unless this process computes the same bits for the scene."""
-        stored = _flattened(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
-        current = _flattened(tomllib.loads(plan.scene.toml())) | identity(plan.points)
+        stored = _flatten(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
+        current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.points)
         different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
@@ -419,9 +419,9 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
     return np.full(run.tiling.shape_of(tile), missing, dtype)
 
 
-def _flattened(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """A nested table as one level, with dotted names."""
     flat: dict[str, Any] = {}
     for name, value in table.items():
-        flat |= _flattened(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
+        flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
     return flat

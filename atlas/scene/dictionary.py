@@ -21,7 +21,7 @@ def text_of(table: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any, key: str = "") -> Any:
-    """A value of a scene in the types of TOML, by way of which it is read; BadInput if it has none."""
+    """A value of a scene in a type of TOML, because the scene is read from that text; BadInput if there is no such type."""
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):

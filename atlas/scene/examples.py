@@ -41,16 +41,16 @@ def example(name: str, **changes: Any) -> dict[str, Any]:
     scenes = examples()
     if name not in scenes:
         raise BadInput(f"{name}: no such example; {allowed_text(name, scenes)}")
-    return _changed(tomllib.loads(scenes[name].read_text("utf-8")), changes)
+    return _with_changes(tomllib.loads(scenes[name].read_text("utf-8")), changes)
 
 
-def _changed(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def _with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """A table with changes, which tables of both change within."""
     values = dict(table)
     for key, change in changes.items():
         if isinstance(change, Mapping):
             old = values.get(key)
-            values[key] = _changed(old if isinstance(old, Mapping) else {}, change)
+            values[key] = _with_changes(old if isinstance(old, Mapping) else {}, change)
         elif change is None:
             values.pop(key, None)
         else:

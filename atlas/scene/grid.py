@@ -202,13 +202,13 @@ def check(scene: Scene) -> Grid:
     and for a derived variable without meaning.
     """
     try:
-        bodies = _evenly_spaced(scene.size, MAX_CHECKED_BODIES)
+        bodies = _even_indices(scene.size, MAX_CHECKED_BODIES)
         # This checks the ranges of all ties as well.
         possible = bodies[possible_body(scene.system, parameter_values(scene, bodies))]
-        indices = _evenly_spaced(scene.size, MAX_CHECKED_STARTS)
+        indices = _even_indices(scene.size, MAX_CHECKED_STARTS)
         grid = points_at_indices(scene, indices)
         if not grid.exists.any() and possible.size:
-            indices = possible[_evenly_spaced(possible.size, MAX_CHECKED_STARTS)]
+            indices = possible[_even_indices(possible.size, MAX_CHECKED_STARTS)]
             grid = points_at_indices(scene, indices)
         defined = grid.reason != Reason.NO_VALUE
         if not defined.any():
@@ -222,7 +222,7 @@ def check(scene: Scene) -> Grid:
         if scene.family is not None:
             exists = (grid.reason == Reason.NONE) | (grid.reason == Reason.NO_TURN)
             candidates = indices[exists if exists.any() else grid.reason == Reason.NO_MOTION]
-            chosen = candidates[_evenly_spaced(candidates.size, MAX_CHECKED_FORMULAS)]
+            chosen = candidates[_even_indices(candidates.size, MAX_CHECKED_FORMULAS)]
             values = parameter_values(scene, chosen)
             base = {name: values[name] for name in scene.system.parameters}
             family = families_of(scene.system)[scene.family]
@@ -320,6 +320,6 @@ def system_warnings(system: System, points: Points) -> list[str]:
     return messages
 
 
-def _evenly_spaced(size: int, count: int) -> np.ndarray:
+def _even_indices(size: int, count: int) -> np.ndarray:
     """At most `count` of the indices 0 .. size - 1."""
     return np.linspace(0, size - 1, min(size, count)).round().astype(np.int64)

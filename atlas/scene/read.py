@@ -321,7 +321,9 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
     axes = {}
     for name, table in checked_tables.items():
         values = (
-            np.array(table["values"]) if "values" in table else _spaced(f"axes.{name}", table, counts[name])
+            np.array(table["values"])
+            if "values" in table
+            else _even_values(f"axes.{name}", table, counts[name])
         )
         offset = table.get("offset_from_family", False)
         if name in system.parameters and not offset:
@@ -337,7 +339,7 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
     return axes
 
 
-def _spaced(key: str, table: Mapping[str, Any], count: int) -> Array:
+def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
     """`count` evenly spaced, distinct values from the number `from` to the number `to`."""
     first, last, spacing = checks.interval(key, table)
     if count > 1 and first == last:

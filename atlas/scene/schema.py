@@ -54,11 +54,11 @@ def scene_schema() -> Schema:
             "extensions": checks.texts.schema | {"description": "extensions that must be installed"},
             "seed": checks.SEED.schema | {"default": 0, "description": "seed of normal and uniform in ties"},
             "about": about | {"description": "attributes of the atlas, by the names of ACDD-1.3"},
-            "fixed": _named("parameters, or names for ties, with one value", NUMBER),
-            "axes": _named("the dimensions of the atlas: parameters, or names for ties", AXIS)
+            "fixed": _table_of("parameters, or names for ties, with one value", NUMBER),
+            "axes": _table_of("the dimensions of the atlas: parameters, or names for ties", AXIS)
             | {"minProperties": 1, "maxProperties": read.MAX_AXES},
             "points": POINTS,
-            "ties": _named(TIES, TEXT),
+            "ties": _table_of(TIES, TEXT),
             "family": TABLE | {"required": ["name"], "description": "every point starts on these steady motions"},
             "nudge": TABLE | {"additionalProperties": NUMBER, "description": "added to start values after solving"},
             "integration": integration | {"not": {"required": ["step", "tolerance"]}},
@@ -85,7 +85,7 @@ def scene_schema() -> Schema:
     }  # fmt: skip
 
 
-def _named(description: str, values: Schema) -> Schema:
+def _table_of(description: str, values: Schema) -> Schema:
     """Schema of a table whose keys are names of the user's choice."""
     names = {"propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
     return TABLE | names | {"description": description, "additionalProperties": values}

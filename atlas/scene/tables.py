@@ -293,7 +293,7 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
     number = size = 0  # number of the last line read; characters read
 
     def content_lines() -> Iterator[str]:
-        """The lines without empty ones and comments."""
+        """The lines that are neither empty nor comments."""
         nonlocal number, size
         for line in iter(partial(file.readline, MAX_LINE + 1), ""):
             number, size = number + 1, size + len(line)

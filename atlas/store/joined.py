@@ -35,8 +35,8 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
     -------
     xarray.Dataset
         With the new dimension first. Parts that were opened lazily stay lazy. A part, such as ``joined.sel(kind="r")``, answers
-        every question to `ds.atlas` as the atlas did before; the whole answers those that need no scene, such as `fractions`
-        and `select`. It can be written and opened like an atlas.
+        every question to `ds.atlas` as the atlas did before; the whole answers questions that need no scene, such as
+        `fractions` and `select`. It can be written and opened like an atlas.
 
     Raises
     ------

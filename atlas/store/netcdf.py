@@ -42,12 +42,12 @@ def write(ds: xr.Dataset, path: Path) -> None:
         str(name): {"_FillValue": np.nan if name in floats else None} | (COMPRESSION if variable.ndim else {})
         for name, variable in ds.variables.items()
     }
-    with _hashed(path) as temporary:
+    with _file_with_hash(path) as temporary:
         ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
 
 
 @contextmanager
-def _hashed(path: Path) -> Iterator[Path]:
+def _file_with_hash(path: Path) -> Iterator[Path]:
     """Give a temporary name for a file that gets its hash; it appears at `path` whole or not at all."""
     with atomic_write(path) as temporary:
         try:
@@ -68,7 +68,11 @@ def write_blocks(
 ) -> None:
     """Write an atlas larger than memory, whole or not at all: blocks of `names`, then the attributes."""
     coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    with _hashed(path) as temporary, NETCDF_LOCK, netCDF4.Dataset(temporary, "w", format="NETCDF4") as file:
+    with (
+        _file_with_hash(path) as temporary,
+        NETCDF_LOCK,
+        netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
+    ):
         for dim, length in ds.sizes.items():
             file.createDimension(str(dim), length)
         for name, array in ds.variables.items():

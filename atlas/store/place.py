@@ -22,7 +22,7 @@ from ..errors import BadInput, one_line
 from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
-# Seconds: until a request without an answer is given up, of the first and of the longest pause, until a warning.
+# Seconds: limit of a request without an answer, first pause, longest pause, delay of the warning.
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
 # Final answers of a server, which another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")

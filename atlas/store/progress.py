@@ -101,7 +101,7 @@ class Progress:
 
 
 def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
-    """AT_WORK or the reason why the writer of a progress file ended; age: of the file, which decides about other machines."""
+    """AT_WORK, or why the writer of a progress file ended; the age of the file decides where it runs on another machine."""
     if not content["running"]:
         return "ended"
     running = is_running(str(content["process"]))

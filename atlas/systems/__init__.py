@@ -136,7 +136,7 @@ def describe(name: str | None = None) -> str:
 
 
 def available() -> dict[str, System]:
-    """All systems by name; those that are installed but broken are left out with a logged warning."""
+    """All systems by name; installed but broken systems are left out with a logged warning."""
     systems = {}
     for name in names():
         try:
@@ -147,7 +147,7 @@ def available() -> dict[str, System]:
 
 
 def origin(system: System) -> plugins.Origin | None:
-    """Where a system comes from, registered or not; None for those of this package."""
+    """Where a system comes from, registered or not; None for the systems of this package."""
     if system not in _ORIGINS and system not in (SATELLITE, FIXED_POINT):
         _ORIGINS[system] = plugins.origin(system, "")
     return _ORIGINS.get(system)

@@ -136,7 +136,7 @@ class Family:
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
-    """Families by name, their flags counted from 1 in this order, or from those that come before."""
+    """Families by name, their flags counted in this order from 1, or after the families that come before."""
     return {family.name: replace(family, flag=i) for i, family in enumerate(families, 1 + len(after))}
 
 
@@ -158,8 +158,8 @@ class PublishedEquation:
     effect: str = ""  # consequence of the difference
 
 
-# Names of variables, points before the nudge, duration, pause -> values (points,) by these names.
-Together = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
+# (names of variables, points before the nudge, duration, pause) -> their values (points,) by name.
+GroupValues = Callable[[Collection[str], Points, Array, Callable[[], None]], Mapping[str, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
@@ -178,18 +178,18 @@ class DerivedVariable:
     # of a variable of flags, int8: name -> sentence of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
     # As `values`, of several variables by their names: the same function for all that share intermediate results.
-    together: Together | None = None
+    group_values: GroupValues | None = None
 
     @classmethod
     def of_group(
-        cls, together: Together, name: str, unit: str, long_name: str, comment: str, **more: Any
+        cls, group_values: GroupValues, name: str, unit: str, long_name: str, comment: str, **attributes: Any
     ) -> DerivedVariable:
-        """One of the variables that the function `together` computes; `more`: further attributes."""
+        """One of the variables that `group_values` computes."""
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
-            return together([name], SharedValues(points), duration, pause)[name]
+            return group_values([name], SharedValues(points), duration, pause)[name]
 
-        return cls(name, unit, long_name, values, comment, together=together, **more)
+        return cls(name, unit, long_name, values, comment, group_values=group_values, **attributes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -523,7 +523,7 @@ def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tu
 def within_range(system: System, points: Points) -> Mask:
     """Where the formulas of theory do not overflow, which make no prediction elsewhere, (points,).
 
-    Magnitudes are up to MAX_MAGNITUDE, and those of parameters that must be positive from its inverse.
+    Magnitudes are up to MAX_MAGNITUDE, and values of parameters that must be positive at least its inverse.
     """
     positive = [name for name, p in system.parameters.items() if p.open_low and p.low == 0]
     too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
@@ -549,7 +549,7 @@ def families_of(system: System) -> Mapping[str, Family]:
 
 
 def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
-    """Extensions on which numbers of a system depend: of these variables, and of families, any of which a start may be on."""
+    """Extensions on which numbers of a system depend: by these variables, and by families, since a start may be on any."""
     families = families_of(system).keys() - system.families.keys()
     return extension.used([name for name in variables if name not in system.derived], families)
 
@@ -636,11 +636,11 @@ def derived_values(
     variables = [variable for name, variable in derived_variables(system).items() if name in names]
     points, columns = SharedValues(points), dict[str, NDArray[Any]]()
     for variable in variables:
-        if variable.together is None:
+        if variable.group_values is None:
             columns[variable.name] = variable.values(points, duration, pause)
         elif variable.name not in columns:
-            group = [other.name for other in variables if other.together is variable.together]
-            values = variable.together(group, points, duration, pause)
+            group = [other.name for other in variables if other.group_values is variable.group_values]
+            values = variable.group_values(group, points, duration, pause)
             columns |= {name: values[name] for name in group}
     return columns
 
@@ -686,7 +686,7 @@ def shape_of(points: Points) -> tuple[int, ...]:
 
 
 def unsteady(system: System, flags: Flags) -> Mask:
-    """Where a family is one of motions of which the rate about the vertical varies, (points,)."""
+    """Where a family's motions turn about the vertical at a varying rate, (points,)."""
     return np.isin(flags, [each.flag for each in families_of(system).values() if each.rate_std])
 
 

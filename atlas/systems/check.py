@@ -36,7 +36,7 @@ REPLACED = {
     "within_range": "theory makes no prediction where parameters are beyond 1e60",
     "despun_equivalent": "`despun` of a Gyrostat",
 }
-# Characters of a parameter's name, as of the names that a scene makes up.
+# Longest name of a parameter, in characters, as for names that a scene defines.
 MAX_NAME = 60
 
 
@@ -98,7 +98,7 @@ def _check_parameters(parameters: object) -> None:
         if parameter.name != name:
             raise BadInput(f"{key} has the name {shown(parameter.name)}: both must be the same")
         _check_name(key, name)
-        _check_described(key, parameter.unit, ".meaning", parameter.meaning)
+        _check_unit_and_text(key, parameter.unit, ".meaning", parameter.meaning)
         default, low, high = parameter.default, parameter.low, parameter.high
         if not all(isinstance(x, int | float) for x in (default, low, high)) or not low < high:
             raise BadInput(
@@ -130,7 +130,7 @@ def _check_observables(system: System) -> None:
             raise BadInput(f"{key} is named twice")
         if observable.name in system.parameters:
             raise BadInput(f"{key}: a parameter has this name; choose another one")
-        _check_described(key, observable.unit, ": long_name", observable.long_name)
+        _check_unit_and_text(key, observable.unit, ": long_name", observable.long_name)
         tolerance = observable.tolerance
         if tolerance is not None and not (isinstance(tolerance, int | float) and tolerance > 0):
             raise BadInput(f"{key}: tolerance = {shown(tolerance)}: must be a number above 0, or None")
@@ -157,7 +157,7 @@ def _check_name(key: str, name: object) -> None:
         raise BadInput(f"{key}: {shown(name)} has another meaning in expressions; choose another name")
 
 
-def _check_described(key: str, unit: object, name: str, text: object) -> None:
+def _check_unit_and_text(key: str, unit: object, name: str, text: object) -> None:
     if not is_unit(unit):
         raise BadInput(
             f'{key}: {shown(unit)} is no unit; allowed: such as "kg m2", "rad s-1", and "1" for pure numbers'
@@ -166,8 +166,8 @@ def _check_described(key: str, unit: object, name: str, text: object) -> None:
         raise BadInput(f"{key}{name} = {shown(text)}: must be a text")
 
 
-# Units of parameters and observables: products of powers of the units that UDUNITS has, such as "kg m2 s-1"; those with
-# prefixes, and those without.
+# Units of parameters and observables: products of powers of the units that UDUNITS has, such as "kg m2 s-1"; first units
+# that take prefixes, then units that take none.
 _PREFIXED = (
     "m g s A K mol cd Hz N Pa J W C V F ohm S Wb T H rad sr eV bar L l lm lx Bq Gy t meter metre gram second ampere kelvin"
     " mole candela hertz newton pascal joule watt coulomb volt farad siemens weber tesla henry radian steradian liter"

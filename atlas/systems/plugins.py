@@ -23,7 +23,7 @@ class Origin:
     package: str  # name and version of the installed package; empty: it was registered in this process
     # Hash of its source files as they were when it was registered, or of its code where it has no files
     code: str
-    files: tuple[Path, ...]  # these files
+    files: tuple[Path, ...]  # its source files
 
     def changed(self) -> Path | None:
         """One of the files that is not as it was when the system was registered, if there is one."""

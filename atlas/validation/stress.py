@@ -201,15 +201,15 @@ def unresolved(ds: xr.Dataset) -> Mask:
 def beyond_estimate(ds: xr.Dataset) -> Mask:
     """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, as at most 1 % may be."""
     error = ds["statistic_error"].max("statistic").values
-    return np.asarray(_estimated(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
+    return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
 
 def estimate_fails(ds: xr.Dataset) -> bool:
     """Whether more than 1 % of the runs along exact motions are beyond ten times their estimate."""
-    return bool(beyond_estimate(ds).sum() > 0.01 * _estimated(ds).sum())
+    return bool(beyond_estimate(ds).sum() > 0.01 * _has_estimate(ds).sum())
 
 
-def _estimated(ds: xr.Dataset) -> Mask:
+def _has_estimate(ds: xr.Dataset) -> Mask:
     """Where a resolved point follows an exact motion, bool over (method, level, point)."""
     known = ds["statistic_error"].notnull().any("statistic").values
     return np.asarray(known & (ds["status"].values == Status.OK))
@@ -282,7 +282,7 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
     heading = ["exact motions", "points"]
     for method in ds["method"].values:
         heading += [f"{method} largest error", "of", "over estimate", "beyond 10 x"]
-    rows, beyond, estimated = [heading], beyond_estimate(ds), _estimated(ds)
+    rows, beyond, estimated = [heading], beyond_estimate(ds), _has_estimate(ds)
     for case in dict.fromkeys(ds["case"].values[known]):
         members = np.flatnonzero(known & (ds["case"].values == case))
         row = [str(case), str(members.size)]

@@ -41,7 +41,7 @@ from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import Specialization, kernel, source, tangent_kernel
 from atlas.kernel.stepsize import StepSizes
 from atlas.kernel.tangent import METHOD
-from atlas.measure import chaos
+from atlas.measure import tangent_runs
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.variables import default_variables
@@ -333,7 +333,7 @@ def engine(points: int, rk4_steps: int, repeat: int) -> bool:
 
 def tangent_run(*arguments) -> None:
     """Runs with tangent vectors, from their preparation to the end."""
-    chaos.Separation(*arguments).integrate(threads=1)
+    tangent_runs.Separation(*arguments).integrate(threads=1)
 
 
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
@@ -341,7 +341,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
     for name, system in SYSTEMS.items():
         case = Case(name, METHOD.name, frozenset(), count, steps)
         sizes = case.step_sizes
-        tangent = chaos.TangentSteps(sizes.steps, sizes.step_size, np.ones(count, bool))
+        tangent = tangent_runs.TangentSteps(sizes.steps, sizes.step_size, np.ones(count, bool))
         own = tangent_kernel(system)
         unit = np.ones(count)
         works = {

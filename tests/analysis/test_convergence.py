@@ -84,7 +84,7 @@ def test_a_large_grid_is_thinned_and_a_refined_one_taken_coarse(scene_text, monk
 
 def test_a_step_is_varied_in_place_of_the_tolerance(scene_text):
     scene = load_scene(scene_text({"integration.tolerance": None, "integration.step": 0.1}))
-    assert convergence._changed(scene, "tolerance", 0.5).settings.step == 0.05
+    assert convergence._with_setting(scene, "tolerance", 0.5).settings.step == 0.05
 
 
 def test_the_command_writes_table_map_and_numbers(scene_text, tmp_path, capsys):

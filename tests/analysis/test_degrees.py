@@ -1,6 +1,5 @@
 """Angles in degrees: where a caller or a scene asks for them, with the same points, lines and numbers as in rad."""
 
-import json
 import re
 
 import numpy as np
@@ -63,8 +62,6 @@ def test_a_scene_asks_for_degrees_in_figures_alone(scene_text):
     assert drawn(ds.atlas.map(select={"sigma": 1.0}, x="theta0"))  # input stays in rad
     assert ds.atlas.boundary().theta0.attrs["units"] == "rad"
     assert ds.atlas.nearest(theta0=0.5).theta0.item() < 1.6
-    theta0 = next(each for each in data_of(ds.atlas.page())["axes"] if each["name"] == "theta0")
-    np.testing.assert_allclose(theta0["values"], np.degrees(ds.theta0.values))
 
 
 def test_tables_and_points_in_degrees(ds):
@@ -107,30 +104,9 @@ def test_comparisons_print_degrees(ds):
     assert " deg" not in ds.atlas.compare(other)
 
 
-def data_of(page):
-    """The data in a page."""
-    return json.loads(
-        re.search(r'<script[^>]*type="application/json"[^>]*>(.*?)</script>', page.html, re.S)[1]
-    )
-
-
-def test_a_page_in_degrees(ds):
-    rad, deg = data_of(ds.atlas.page()), data_of(ds.atlas.page(degrees=True))
-    for before, after in zip(rad["axes"], deg["axes"], strict=True):
-        factor = np.degrees(1.0) if before["name"] == "theta0" else 1.0
-        np.testing.assert_allclose(after["values"], np.array(before["values"]) * factor)
-    assert deg["axes"][1]["plain"] == rad["axes"][1]["plain"].replace("rad", "deg")
-    assert (rad["motion"]["angle"]["unit"], deg["motion"]["angle"]["unit"]) == ("rad", "deg")
-    vertices = [each["theory"]["slices"][0][0]["paths"][0][0] for each in (rad, deg)]
-    np.testing.assert_allclose(vertices[1], np.array(vertices[0]) * [1.0, np.degrees(1.0)], rtol=1e-5)
-    units = [{p["name"]: p["unit"] for p in each["motion"]["parameters"]}["theta0"] for each in (rad, deg)]
-    assert units == [[{"t": "rad"}], [{"t": "deg"}]]
-    assert rad["commands"] == deg["commands"]  # what is copied stays in rad
-
-
 def test_wrong_values_are_one_line(ds, scene_text):
     for ask in (
-        ds.atlas.map, ds.atlas.page, ds.atlas.boundary, ds.atlas.select, ds.atlas.nearest, ds.atlas.trajectory,
+        ds.atlas.map, ds.atlas.boundary, ds.atlas.select, ds.atlas.nearest, ds.atlas.trajectory,
         ds.atlas.frequencies, ds.atlas.compare,
     ):  # fmt: skip
         with pytest.raises(BadInput, match=r"^degrees = 'yes': must be true or false$"):
@@ -152,7 +128,6 @@ def test_the_shell_takes_and_shows_degrees(ds, scene_text, tmp_path, monkeypatch
     (tmp_path / "a.toml").write_text(scene_text({}))
     assert main(["run", "a.toml", "--quiet"]) == 0
     assert main(["map", "a.nc", "-o", "a.svg", "--degrees"]) == 0
-    assert main(["page", "a.nc", "--degrees"]) == 0
     assert main(["compare", "a.nc", "--degrees"]) == 0
     at = ["--at", "sigma=1.0", "theta0=40 * deg", "-o", "a_motion.nc"]
     assert main(["trajectory", "a.toml", *at]) == 0

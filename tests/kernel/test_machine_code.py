@@ -191,7 +191,7 @@ def plant(file: Path, witness: Path) -> None:
     dispatcher = machine_code.load(SOURCE).integrate
     (signature,) = dispatcher.overloads
     _, key = dispatcher._cache._place(signature, dispatcher.overloads[signature].codegen)
-    file.write_bytes(machine_code._hashed(key, pickle.dumps((Planted(witness),))))
+    file.write_bytes(machine_code._with_hash(key, pickle.dumps((Planted(witness),))))
     file.chmod(0o600)
 
 

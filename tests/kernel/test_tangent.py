@@ -9,7 +9,7 @@ from strategies import random_fixed_points, random_satellites, select, specializ
 from atlas.kernel import augmented, blocks, tangent
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
-from atlas.measure import chaos
+from atlas.measure import tangent_runs
 from atlas.systems import SYSTEMS
 
 RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
@@ -19,9 +19,11 @@ def indicators(name, points, duration, *, kernel=None, threads=1, step=None):
     system = SYSTEMS[name]
     ensemble = Ensemble.of(system, points)
     durations = np.full(ensemble.size, duration)
-    steps = chaos.TangentSteps.of(ensemble.frequency_bound, durations, step, 10**9)
+    steps = tangent_runs.TangentSteps.of(ensemble.frequency_bound, durations, step, 10**9)
     kernel = kernel or tangent_kernel(system)
-    separation = chaos.Separation(system, kernel, ensemble, steps, chaos.rate_unit(system, points))
+    separation = tangent_runs.Separation(
+        system, kernel, ensemble, steps, tangent_runs.rate_unit(system, points)
+    )
     separation.integrate(threads=threads)
     return separation.megno, separation.lyapunov
 
@@ -78,7 +80,7 @@ def reference(name, points, i, duration):
     system = SYSTEMS[name]
     state = system.initial_state(points)[:, [i]]
     v = augmented.tangent_start(system.equations, state)[:, 0]
-    unit = chaos.rate_unit(system, points)[i]
+    unit = tangent_runs.rate_unit(system, points)[i]
     v[:3] *= unit
     slope = VARIATION[name](points, i)
     times = np.linspace(0, duration, 20001)
@@ -176,9 +178,9 @@ def test_the_drawdown_is_the_largest_decrease():
 
 def test_runs_go_on_where_they_ended():
     points, system = random_satellites(np.random.default_rng(8), 20), SYSTEMS["satellite"]
-    ensemble, unit = Ensemble.of(system, points), chaos.rate_unit(system, points)
-    steps = chaos.TangentSteps.of(ensemble.frequency_bound, np.full(20, 15.0), None, 10**9)
-    separation = chaos.Separation(system, tangent_kernel(system), ensemble, steps, unit)
+    ensemble, unit = Ensemble.of(system, points), tangent_runs.rate_unit(system, points)
+    steps = tangent_runs.TangentSteps.of(ensemble.frequency_bound, np.full(20, 15.0), None, 10**9)
+    separation = tangent_runs.Separation(system, tangent_kernel(system), ensemble, steps, unit)
     separation.integrate()
     first = separation.lyapunov
     separation.integrate(np.arange(0, 20, 2))
@@ -213,13 +215,13 @@ def test_the_unit_of_time_does_not_matter():
 
 def test_step_sizes():
     bound, duration = np.array([1.0, 10.0, np.inf, 0.0]), np.full(4, 300.0)
-    sizes = chaos.TangentSteps.of(bound, duration, None, 10**9)
+    sizes = tangent_runs.TangentSteps.of(bound, duration, None, 10**9)
     assert sizes.resolved.tolist() == [True, True, False, True]
     assert (sizes.step_size[:2] * bound[:2] <= 0.3).all()
     assert (sizes.nodes <= sizes.steps).all()
-    long = chaos.TangentSteps.of(np.array([1.0]), np.array([1e7]), None, 10**9)
+    long = tangent_runs.TangentSteps.of(np.array([1.0]), np.array([1e7]), None, 10**9)
     assert long.resolved.all()
-    assert (long.steps <= chaos.MAX_STEPS_PER_NODE * long.nodes).all()
+    assert (long.steps <= tangent_runs.MAX_STEPS_PER_NODE * long.nodes).all()
     for step, resolved in ((0.29, True), (0.31, False)):
-        assert chaos.TangentSteps.of(bound[:1], duration[:1], step, 10**9).resolved.all() == resolved
-    assert not chaos.TangentSteps.of(bound[:1], duration[:1], None, 100).resolved.any()
+        assert tangent_runs.TangentSteps.of(bound[:1], duration[:1], step, 10**9).resolved.all() == resolved
+    assert not tangent_runs.TangentSteps.of(bound[:1], duration[:1], None, 100).resolved.any()

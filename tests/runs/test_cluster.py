@@ -347,21 +347,21 @@ def test_worker_processes_on_this_machine_listen_to_this_machine_only(tmp_path):
 
 
 def test_a_result_that_died_with_its_worker_is_computed_again_and_a_lost_scheduler_is_an_error():
-    assert cluster._succeeded(SimpleNamespace(status="finished"), 1)
-    assert not cluster._succeeded(SimpleNamespace(status="lost"), cluster.MAX_ATTEMPTS)
+    assert cluster._has_result(SimpleNamespace(status="finished"), 1)
+    assert not cluster._has_result(SimpleNamespace(status="lost"), cluster.MAX_ATTEMPTS)
     with pytest.raises(OSError, match="scheduler lost a task"):
-        cluster._succeeded(SimpleNamespace(status="cancelled"), 1)
+        cluster._has_result(SimpleNamespace(status="cancelled"), 1)
 
 
 def test_a_task_under_which_workers_die_is_sent_again_a_few_times():
     killed = SimpleNamespace(status="error", exception=lambda: distributed.KilledWorker("task", None, 0))
     for attempt in range(1, cluster.MAX_ATTEMPTS):
-        assert not cluster._succeeded(killed, attempt)
+        assert not cluster._has_result(killed, attempt)
     with pytest.raises(OSError, match="workers died while they computed the same tile, 3 times"):
-        cluster._succeeded(killed, cluster.MAX_ATTEMPTS)
+        cluster._has_result(killed, cluster.MAX_ATTEMPTS)
     failed = SimpleNamespace(status="error", exception=lambda: atlas.BadInput("a task's own error"))
     with pytest.raises(atlas.BadInput, match="own error"):
-        cluster._succeeded(failed, 1)
+        cluster._has_result(failed, 1)
 
 
 def test_worker_processes_on_this_machine_give_the_same_atlas(longer, monkeypatch, capfd):

@@ -1,6 +1,5 @@
 """The systems in docs/examples, each an installed package as far as Python can tell, and no part of this one."""
 
-import importlib.util
 import re
 import subprocess
 import sys
@@ -188,15 +187,6 @@ def test_generic_stress_cases_give_no_wrong_label():
     assert {"energy", "x0", "y0", "v0", "defaults"} <= set(ds["case"].values)
     assert set(ds["known_from"].values) == {"reference", "overflow"}
     assert "determined by" in stress.report(ds)
-
-
-def test_equations_of_the_double_pendulum_are_those_of_its_lagrangian():
-    pytest.importorskip("sympy")
-    folder = EXAMPLES / "double_pendulum"
-    spec = importlib.util.spec_from_file_location("write_equations", folder / "write_equations.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.equations() == (folder / "double_pendulum" / "equations.py").read_text()
 
 
 def test_double_pendulum_swings_in_its_normal_modes():

@@ -48,7 +48,7 @@ def test_the_compiled_function_is_the_python_one_and_no_point_depends_on_others(
         np.testing.assert_array_equal(alone[0], together[part])
         np.testing.assert_array_equal(alone[1], log_scale[part])
     monkeypatch.setattr(fundamental, "LANES", 2)
-    monkeypatch.setattr(fundamental, "_compiled", lambda: fundamental.integrate)
+    monkeypatch.setattr(fundamental, "_compile", lambda: fundamental.integrate)
     interpreted = fundamental.of_harmonics(harmonics, period, period, 20)
     np.testing.assert_allclose(interpreted[0], together, rtol=0, atol=1e-13)
     np.testing.assert_allclose(interpreted[1], log_scale, rtol=0, atol=1e-13)

@@ -259,6 +259,11 @@ def test_lists_beside_a_symmetry_are_whole():
         np.testing.assert_array_equal(together["index"][i, : len(expected)], one["index"])
 
 
+def test_a_vector_whose_square_underflows_leaves_a_list_incomplete():
+    ds = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.0, "k2": [5e-324, 1e-200, 0.1]})
+    assert list(ds.completeness) == 2 * [Completeness.NOT_LISTED] + [Completeness.NOT_ISOLATED]
+
+
 @pytest.mark.parametrize("difference", [1e-12, -1e-10, 3e-8, 1e-5])
 def test_a_circle_leaves_four_equilibria_beside_its_symmetry(difference):
     ds = atlas.equilibria("satellite", {"A": 1.3 + difference, "B": 1.3, "C": 1.7, "k3": 0.1})

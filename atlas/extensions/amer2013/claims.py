@@ -248,7 +248,7 @@ def _deviations(rows: Sequence[Row]) -> Judgement:
 
 
 def _periodic(rows: Sequence[Row]) -> Judgement:
-    """Distances from the start after a period of motions that start at (33), and the exact periodic solution."""
+    """Whether motions that start at (33) return to their start after a period; the distance that the exact solution leaves."""
     printed, *corrected = np.max([row.defect for row in periodic_table() if row.rotor], axis=0)
     first, exact = ("< 1e-9" if defect < 1e-9 else f"{defect:.2g}" for defect in corrected)
     return _verdict(printed < 1e-2), {"printed": printed, "first": first, "exact": exact}

@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
     return (true_rate(spin, y)[3] + sign * spin.eps * y[1] * y[5]) / y[2] - y[4]
 
 
-def _coupling(
+def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
     """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
@@ -166,7 +166,7 @@ def _coupling(
 
 
 def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
-    """p2'' (index 1) or gamma2'' (3) of the full motion less the reduced equation, over the forced term."""
+    """p2'' (index 1) or gamma2'' (3) of the full motion minus the reduced equation, over the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
     exact = fast_spin.p2_gamma2(spin, true_acceleration(spin, y))[index // 2]
     term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
@@ -196,7 +196,7 @@ def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: 
 
 
 def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
-    """chi less the value of A1 (q1 l1 - p1 l2) q1 / (C r0), a term of (7), on the forced motion w = mu / Omega."""
+    """chi minus the term A1 (q1 l1 - p1 l2) q1 / (C r0) of (7), on the forced motion w = mu / Omega."""
     y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
     return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
 
@@ -233,7 +233,7 @@ READINGS: dict[str, Readings] = {
     ),
     "(9)": _readings(_direction_cosine, -1, 1),
     "(10), chi1 and nu": _readings(
-        _coupling,
+        _coupling_residual,
         lambda spin: formulas(coefficients(spin), "chi1", "nu"),
         lambda spin: (spin.chi1, spin.nu),
         partial(random_spin, l1=0.0, l2=0.0),

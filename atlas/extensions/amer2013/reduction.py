@@ -118,7 +118,7 @@ def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
 
 
 def variables(x0: Array, x: Array) -> Values:
-    """p = p2, v = p2', g = gamma2, u = gamma2' at x, p0 to u0 at x0; Dname: value of name at x0 less its value at x."""
+    """p = p2, v = p2', g = gamma2, u = gamma2' at x, p0 to u0 at x0; Dname: value of name at x0 minus its value at x."""
 
     def products(x: Array) -> Values:
         values = dict(zip("pvgu", x, strict=True))
@@ -153,7 +153,7 @@ def _motion(rng: np.random.Generator, entry: Entry) -> Values:
     return names(spin) | state(y) | rates | {"S1": S1, "S2": S2}
 
 
-def _generating(rng: np.random.Generator, entry: Entry) -> Values:
+def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
     """The solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
     spin = random_spin(rng, **{"r0": entry["r0"]} if "r0" in entry else {})
     E, eta = rng.uniform(0.5, 1.5, 2) * (entry.get("amplitude", 1.0), 1)
@@ -199,7 +199,7 @@ def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
-    "states": _states, "motion": _motion, "generating": _generating, "series": _series, "orbit": _orbit,
+    "states": _states, "motion": _motion, "generating": _generating_solution, "series": _series, "orbit": _orbit,
 }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from ...systems.gyrostat.body import length
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # relative error of the energy
-LEVELS = 6  # minima of a body for which the time of settling is measured: those of least potential
+LEVELS = 6  # minima of a body for which the time of settling is measured, from the lowest potential upwards
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
 _ORDER = (
@@ -115,7 +115,7 @@ class Settling(Instrument):
         return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """The energies at which the body is settled; nan, of which none is above, after the last."""
+        """The energies at which the body is settled, then nan, which no energy exceeds."""
         from .wells import wells_of
 
         wells, row = wells_of(system, points)

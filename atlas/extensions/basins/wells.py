@@ -127,7 +127,7 @@ class Wells:
 
 
 def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
-    """The wells of the bodies of some points of a Gyrostat, and the body of each; those of the last bodies are kept."""
+    """The wells of the bodies of some points of a Gyrostat, and the body of each point; the last result is kept."""
     bodies, row = system.bodies_of({**points, "damping": np.zeros_like(points["damping"])})
     return _wells(system, tuple(bodies), np.stack([*bodies.values()]).tobytes()), row
 

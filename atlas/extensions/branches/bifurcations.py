@@ -1,7 +1,7 @@
 """Relative equilibria against a parameter: all of them at each value, joined to branches that meet at bifurcations.
 
-Branches are not followed one by one: `equilibria_of_bodies` lists all solutions at each value, and those of neighbouring values
-are matched where the tangents of both predict one another far better than any other solution. An interval in which a solution has
+Branches are not followed one by one: `equilibria_of_bodies` lists all solutions at each value, and solutions of neighbouring
+values are matched where the tangents of both predict one another far better than any other solution. An interval in which a solution has
 no match, or changes its index, is divided until each of its bifurcations follows from Newton's method on
 
     gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
@@ -10,7 +10,7 @@ An interval is also divided where two complex solutions at an end may become rea
 parameters the same equations define curves of bifurcations, which are followed from points on them by their arc length.
 
 Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
-the body) are left out: the projector onto them is added to the Hessian, and distances are those of what a turn leaves as it is.
+the body) are left out: the projector onto them is added to the Hessian, and distances are of what such a turn leaves unchanged.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _AWAY = 10  # steps until a curve may close
 
 
 class Singular(NamedTuple):
-    """Points at which an eigenvalue of the Hessian vanishes at a solution, as the end of Newton's method."""
+    """Results of Newton's method: points at which the Hessian of a solution has an eigenvalue 0."""
 
     values: Array  # (N, parameters)
     frames: Array
@@ -212,7 +212,8 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    if not (family.upright and family.axis >= 0):  # there circles count 0, and only poles are isolated
+    # Otherwise circles of solutions contribute 0 to the sum, and a list has only the isolated poles.
+    if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
     listed = {"potential": potential} | listed | {"index": index}
@@ -220,7 +221,7 @@ def solutions_at(
 
 
 def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Places) -> Array:
-    """Distances of the solutions at some nodes, continued along their tangents, from those at others, (N, places, places)."""
+    """Distances of solutions at nodes `start`, continued along their tangents, from solutions at `end`, (N, places, places)."""
     turn = nodes.turn[start] * (nodes.values[end] - nodes.values[start])[:, None, None]
     turn = turn / np.maximum(1.0, length(turn) / _MAX_TURN)[..., None]
     predicted = family.place(rotated(nodes.frames[start], turn))
@@ -299,7 +300,7 @@ class Branches(NamedTuple):
     branch: Places  # number of the branch of each solution, -1: none, (values, places)
     points: list[Bifurcation]  # in the order of their values
     meeting: list[list[int]]  # branches that meet at each
-    total: int  # of the branches, also of those that exist between two values alone
+    total: int  # number of the branches, with branches that exist only between two values
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
@@ -363,7 +364,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
 
 
 def links_of(pairs: Places, follower: Places) -> Places:
-    """Node and place of solutions and of those that follow them, (links, 2, 2); pairs: nodes, (pairs, 2)."""
+    """Node and place of each solution and of its follower, (links, 2, 2); pairs: nodes, (pairs, 2)."""
     pair, place = np.nonzero(follower >= 0)
     return np.stack([pairs[pair], np.stack([place, follower[pair, place]], 1)], -1)
 

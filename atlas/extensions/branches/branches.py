@@ -45,7 +45,7 @@ def branches(
 ) -> xr.Dataset:
     """Branches of relative equilibria, or of permanent rotations about the vertical, against one parameter.
 
-    All solutions are computed at every value, and those of neighbouring values joined; an interval in which one begins, ends or
+    All solutions are computed at every value, and solutions of neighbouring values joined; an interval in which one begins, ends or
     changes its stability is divided until each bifurcation in it follows from Newton's method.
 
     Parameters
@@ -131,7 +131,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
 def _variables(
     along: str, size: int, possible: np.ndarray, family: BodyFamily, result: Branches
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Variables of the branches, which are over those values of the axis at which a body is possible, and of their points."""
+    """Variables of the branches and of their points; the branches are over the values at which a body is possible."""
     node, place = np.nonzero(result.branch >= 0)
     variables = {}
     for name, column in result.listed.items():

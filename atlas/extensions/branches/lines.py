@@ -26,7 +26,7 @@ MANY_COUNTS = 300  # vertices, which take more than a second
 SLICES, SLICE_VALUES = 7, 9  # along each axis, on which curves begin
 MAX_SEARCHES = 8  # searches for points on further curves
 MAX_SEGMENTS = 64  # changes of a count between neighbours in each search
-TOGETHER = 4  # curves that are followed at once
+CURVES_AT_ONCE = 4  # curves that are followed at once
 SAME_CURVE = 1e-3  # distance over the extent of the axes: further than the chords of a curve are from it
 
 
@@ -108,7 +108,7 @@ def _merging_lines(
         for vertices, _ in lines:
             remaining = remaining[_distances(vertices, where[remaining]) > SAME_CURVE]
         while remaining.size:
-            some = remaining[:TOGETHER]
+            some = remaining[:CURVES_AT_ONCE]
             for i, line in zip(some, curves(family, where[some], frames[some]), strict=True):
                 if i in remaining:
                     lines.append(line)

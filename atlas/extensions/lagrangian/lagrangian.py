@@ -133,7 +133,7 @@ class _Mechanics:
         dissipation: Expression,
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """The arguments after all checks but of the mass matrix; groups: of symbols, by the names of the arguments."""
+        """The arguments after all checks except of the mass matrix; groups: symbols by the name of their argument."""
         import sympy
 
         for name, group in groups.items():
@@ -161,12 +161,12 @@ class _Mechanics:
         allowed = {*q, *v, *p}
         scalar = {"lagrangian": lagrangian, "dissipation": dissipation}
         scalar |= {f"forces[{coordinate}]": force for coordinate, force in forces.items()}
-        given = {name: _checked(name, value, allowed) for name, value in scalar.items()}
+        given = {name: _expression(name, value, allowed) for name, value in scalar.items()}
         own: dict[str, Any] = {}
         for name, value in functions.items():
             several = isinstance(value, Iterable)
             parts = [
-                _checked(f"functions[{name!r}]", part, allowed) for part in (value if several else [value])
+                _expression(f"functions[{name!r}]", part, allowed) for part in (value if several else [value])
             ]
             own[name] = tuple(parts) if several else parts[0]
         result = cls(
@@ -311,7 +311,7 @@ class _Mechanics:
                 solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
             else:
                 given = [block.named(f"f_{self.velocities[i].name}", right_side[i]) for i in group]
-                solved = _solved(part, given, block)
+                solved = _solution(part, given, block)
             for i, acceleration in zip(group, solved, strict=True):
                 result[i] = acceleration
         return result
@@ -369,7 +369,7 @@ class _Mechanics:
         return "\n".join([*lines, '"""', ""])
 
 
-def _checked(name: str, value: Any, allowed: set[Expression]) -> Expression:
+def _expression(name: str, value: Any, allowed: set[Expression]) -> Expression:
     """An expression of sympy that is arithmetic of known symbols; else BadInput."""
     import sympy
 
@@ -435,7 +435,7 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
     return multiples, len(functions), operations, int(expression.count_ops())
 
 
-def _solved(
+def _solution(
     matrix: list[list[Expression]], right_side: Sequence[Expression], block: Block
 ) -> list[Expression]:
     """Solution of symmetric equations: of two by the inverse of their matrix, of more by its factors K D K^T."""

@@ -1,8 +1,8 @@
 """Nonlinear stability of equilibria with two degrees of freedom, by Birkhoff's normal form of degree 4.
 
 A gyrostat whose rotation about one direction is cyclic keeps the momentum about it, and two degrees of freedom remain. For an
-axis of symmetry of the body they are those of that axis e in the frame, with the angular momentum m in the frame; for the
-vertical, where nothing acts along alpha, those of e = gamma in the body, with m in the body. In both cases |e| = 1 and m.e = S is
+axis of symmetry of the body they belong to that axis e in the frame, with the angular momentum m in the frame; for the
+vertical, where nothing acts along alpha, to e = gamma in the body, with m in the body. In both cases |e| = 1 and m.e = S is
 constant, m and e have the brackets of the Euclidean group, and
 
     H = m.J m / 2 + b.m + e.G e / 2 + c.e,
@@ -14,8 +14,8 @@ With the equilibrium at u = v = 0 of latitude v and longitude u, e = (cos v cos 
 
     m = S (cos u, sin u, 0)/cos v + p_u (-tan v cos u, -tan v sin u, 1) + p_v (sin u, -cos u, 0),
 
-and the chart is singular nowhere near it. The Taylor polynomials of m and e are the same for all points; those of H are linear in
-the products of its coefficients with those of m at the equilibrium.
+and the chart is singular nowhere near it. The Taylor polynomials of m and e are the same for all points; the coefficients of H's
+polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
 
 In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (q^2 + p^2)/2, an equilibrium is stable for l1 l2 > 0.
 For l1 l2 < 0 without resonance up to order 4 it is if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
@@ -209,7 +209,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Derivatives at 0 of the functions of which H is the sum, (monomials, functions), and the places of each order among them."""
+    """Derivatives at 0 of the terms of H, (monomials, terms), and the places of each order among the monomials."""
     from scipy.sparse import csr_array  # here, because every command imports the systems
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])

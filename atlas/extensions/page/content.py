@@ -167,7 +167,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
 def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     """Values of a variable with their colours, of flags with their sentences."""
     array = layout.shown[name]
-    values, flags = motion.over_points(_filled(layout, name), layout.sizes), flag_names(array)
+    values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
         added = store.add(float_array(values))
         return {"values": added, "scale": store.add_scale(color_scale(array, MapOptions()))}
@@ -195,7 +195,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     return table
 
 
-def _filled(layout: Layout, name: str) -> xr.DataArray:
+def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
     """Values; where a refined atlas did not integrate, of the nearest point, as on maps."""
     array = layout.shown[name]
     if "computed" not in layout.ds or flag_names(array) or layout.points:
@@ -348,7 +348,7 @@ _LEVEL = 9
 
 
 class Store:
-    """Arrays over the points of an atlas, and shades of colours, each stored once; nbytes: of the arrays, uncompressed."""
+    """Arrays over the points of an atlas, and shades of colours, each stored once; nbytes: size of the arrays, uncompressed."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape

@@ -117,7 +117,7 @@ def atlas_page(
         if store.nbytes <= MAX_BYTES or count < 1000:
             break
         count = int(count * min(0.9, MAX_BYTES / store.nbytes))
-    return Page(_assembled(table, script, _fallback(layout)))
+    return Page(_file_text(table, script, _fallback(layout)))
 
 
 def _fallback(layout: Layout) -> str:
@@ -130,7 +130,7 @@ def _fallback(layout: Layout) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
-def _assembled(table: dict[str, Any], equations: str, picture: str) -> str:
+def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
     """The file: template, style, script and data, with a policy that allows these and nothing else."""
     folder = files(__package__)
     style = folder.joinpath("page.css").read_text(encoding="utf-8")

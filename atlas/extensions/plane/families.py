@@ -39,7 +39,7 @@ def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
 
 
 def _excess(p: Points) -> Array:
-    """Kinetic energy less the energy of the barrier, over the sum of both; any shape."""
+    """Difference of the kinetic energy and the energy of the barrier over their sum; any shape."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2

@@ -117,7 +117,7 @@ class PlaneMotions(NamedTuple):
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
-        """Time since x = 0, or x = pi of a libration about it, at the start, in periods."""
+        """Time of the start in periods, counted from the passage of x = 0 (of x = pi for librations about it)."""
         from scipy.special import elliprf  # here, because every command imports the systems
 
         k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
@@ -128,7 +128,7 @@ class PlaneMotions(NamedTuple):
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
-        """x less its mean rotation, x' / f and Z, at these times since x = 0 in periods."""
+        """x without its mean rotation, x' / f, and Jacobi's zeta function Z at times in periods, see `start_turns`."""
         (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
         k = np.sqrt(self.modulus)
         angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
@@ -160,7 +160,7 @@ class PlaneMotions(NamedTuple):
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # Near borders verdicts, and everywhere growth rates, are those of the sums that `multipliers` gives.
+        # Near borders the verdicts, and everywhere the growth rates, follow from the sums that `multipliers` gives.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)

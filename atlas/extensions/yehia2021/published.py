@@ -165,7 +165,7 @@ def _equation_on_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
     return float(np.abs(left - true_left_side(point, at["t"], entry["left_side"]))[0])
 
 
-def _vanishing(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+def _largest_residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     point = random_point(rng)
     values = with_values(
         point | instant(entry, rng, point), entry.get("start", {}) | entry.get(f"as_{reading}", {})
@@ -250,15 +250,15 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     return float(np.abs(by_lagrange - exact).max() / np.abs(exact).max())
 
 
-def _shared(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 less this share."""
+def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> float:
+    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 minus this share."""
     rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
     return float(share if reading == "printed" else 1 - share)
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of pitch and rate by elliptic functions, by differences, or of rho against its value at amplitude 0."""
+    """Largest residual of the equation of pitch by finite differences of elliptic functions; with `rho`, its error at amplitude 0."""
     from ..plane.motions import PlaneMotions  # another extension
 
     p = with_values(random_point(rng), entry["plane"])
@@ -284,7 +284,7 @@ def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """10 less the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
+    """10 minus the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
     i = np.arange(1, 11)
     x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
     waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])
@@ -307,14 +307,14 @@ MEASURES = {
     "lagrange": _equation_of_motion,
     "kinematics": _kinematics,
     "both_forms": _both_forms,
-    "shared": _shared,
+    "shared": _shared_conditions,
     "lost_rank": _lost_rank,
     "plane": _plane,
     "normal_form": _normal_form,
     "determinant": _determinant,
     "apex_distance": _apex_distance,
     "left_side": _equation_on_motion,
-    "vanish": _vanishing,
+    "vanish": _largest_residual,
     "inertial": _inertial,
     "form": _closed_form,
     "breaks": _beyond,

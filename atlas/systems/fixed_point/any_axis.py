@@ -286,13 +286,13 @@ class Balanced(Start):
         return self.residual((across(self.rotor, s) - needed) * length(self.w))
 
     def excess_weight(self) -> Array:
-        """Mg r_c less the value that balances the motion."""
+        """Mg r_c minus the value that balances the motion."""
         s, m, _, n = self.axes()
         return self.weight + n * (self.rotor + m * dot(self.inertia * s, s) * s)
 
 
-def _family(kind: Any, **more: Any) -> Family:
-    family = family_about_axes(kind, directions=lambda p: (vertical(p),), **more)
+def _family(kind: Any, **attributes: Any) -> Family:
+    family = family_about_axes(kind, directions=lambda p: (vertical(p),), **attributes)
     return replace(family, conditions=(*family.conditions, NO_DISSIPATION))
 
 

@@ -11,7 +11,7 @@ The damping is not of the paper; with it the energy falls at the rate damping w.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
-functions into its kernels, so they may use no imports and no names but those of this file.
+functions into its kernels, so they may use no imports and only names of this file.
 """
 
 STATE = ("p", "q", "r", "g1", "g2", "g3")

@@ -71,7 +71,7 @@ def _fast_torque(points: Points) -> Array:
 
 
 def precession(points: Points, n: Array | float | None = None, cosine: Array | float | None = None) -> Array:
-    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, 0 on a conical motion; n and cosine replace those of the points."""
+    """(C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0, 0 on a conical motion; n and cosine replace the values of the points."""
     Mg, N = fields(points)
     _, own, m = rates(points)
     n, c = own if n is None else n, vertical(points)[2] if cosine is None else cosine
@@ -287,8 +287,8 @@ _REST = FAMILIES["rest"]
 _EXACTLY_NO_SPIN = Condition(
     "m = 0", lambda p: np.where(np.abs(_NO_SPIN.residual(p)) <= FAMILY_TOLERANCE, 0.0, np.inf)
 )
-# Order in which the families are tested. They overlap: the motions of `rest` with m = 0 come before those of `staude`,
-# the others after those of `conical`.
+# Order in which the families are tested. They overlap: motions of `rest` with m = 0 come before `staude`, the others after
+# `conical`.
 ORDER = (
     FAMILIES["sleeping"],
     replace(_REST, conditions=(*_REST.conditions, _EXACTLY_NO_SPIN)),

@@ -169,7 +169,7 @@ class Body(NamedTuple):
         return length(excess) <= 1e-8 * self.rate(w) ** 2 * self.inertia.max(-1) / self.inertia.min(-1)
 
     def gyroscopic(self, w: Array) -> Array:
-        """The vector k + 2 I w - tr(I) w, of which the matrix D = hat(v) is that of the rates in the linear system."""
+        """The vector v = k + 2 I w - tr(I) w; D = hat(v) is the matrix of the rates in the linear system."""
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:

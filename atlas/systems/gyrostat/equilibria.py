@@ -156,11 +156,11 @@ def equilibria_of_bodies(
 ) -> dict[str, NDArray[Any]]:
     """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
 
-    Those of bodies with an axis of symmetry, of which moments are equal and components across vanish to the last bit, follow
-    from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
+    For bodies with an axis of symmetry, whose moments are equal and whose components across it vanish to the last bit, they
+    follow from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
     sphere of the axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: beside a symmetry from
     differences of the moments of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
-    solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and those of which a path is lost are
+    solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and bodies with a lost path are
     searched one by one, in about 70 ms each. pause: called at least once a second; it may raise an exception. stability:
     whether to compute STABILITY. ordered: see `homotopy.solve`; with attitudes near complex solutions, index -1. Returns arrays
     (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
@@ -215,7 +215,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Completeness of the lists, NOT_LISTED of bodies to be searched; of each equilibrium the body, and its variables."""
+    """Completeness of the lists (NOT_LISTED: the body has yet to be searched); body and variables of each equilibrium."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -224,7 +224,8 @@ def _at_once(
         units = np.concatenate([given.inertia, given.turn[:, None]], 1)
         usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(1)
         vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
-        usable &= (np.abs(vectors) < _MAX_SCALE).all(-1)
+        size = np.abs(vectors)
+        usable &= ((size == 0) | ((size > 1 / _MAX_SCALE) & (size < _MAX_SCALE))).all(-1)
         usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
     axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
     symmetric = np.asarray(axes.any(1))

@@ -183,7 +183,7 @@ def growth_of_periodic_motion(
     The linear system of six equations has four multipliers 1: a shift in time, the energy and two integrals that are
     linear or quadratic in the state, such as the area integral and the length of the vertical. The last two are
     mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
-    are not, because those at 1 are defective. Stable where mu is on the unit circle and not real.
+    are not, because the eigenvalues 1 are defective. Stable where mu is on the unit circle and not real.
 
     matrix: (indices of points, times (samples, points)) -> matrices of the linear system, of three rates and the vertical,
     (samples, points, 6, 6), a mean and two harmonics over the period: time units; nan where there is no motion, of which the

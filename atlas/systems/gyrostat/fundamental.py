@@ -35,7 +35,7 @@ def of_harmonics(
     parts = np.stack([mean.real, 2 * first.real, -2 * first.imag, 2 * second.real, -2 * second.imag])
     parts, turn = np.moveaxis(parts * (span / count)[:, None, None], 1, -1), 2 * np.pi * span / count / period
     result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)
-    integrate_steps = _compiled()
+    integrate_steps = _compile()
     for start in range(0, points, LANES):
         lanes = slice(start, start + LANES)
         of_lanes = np.ascontiguousarray(parts[np.newaxis, ..., lanes])
@@ -53,12 +53,12 @@ def of_steps(matrices: Array) -> tuple[Array, Array]:
     """
     steps, _, size, _, points = matrices.shape
     result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)
-    _compiled()(matrices, np.zeros(points), 0, steps, result, log_scale)
+    _compile()(matrices, np.zeros(points), 0, steps, result, log_scale)
     return result, log_scale
 
 
 @cache
-def _compiled() -> Any:
+def _compile() -> Any:
     """The function `integrate` in machine code."""
     from ...kernel import machine_code  # here, because every command imports the systems
 
@@ -120,7 +120,7 @@ def solve(a, b):
 
 
 def add(total, error, change):
-    """Add a change to a total; error: of the total by rounding, which is added next time."""
+    """Add a change to a total by compensated summation; error: the rounding error of the total, which the next call adds."""
     size = total.shape[0]
     for i in range(size):
         for j in range(size):
@@ -205,7 +205,7 @@ def rescale(matrix, error, log_scale):
 
 
 def integrate(parts, turn, begin, end, result, log_scale):
-    """Multiply the matrices of at most LANES points by those of the steps from begin to end.
+    """Multiply the matrices of at most LANES points by the matrices of the steps from begin to end.
 
     parts: mean, cosines and sines of two harmonics of all steps, (1, 5, size, size, points), or the matrices at the Gauss
     nodes of each, (steps, 3, size, size, points), times the step; turn: phase of a step, rad; result: (points, size, size),

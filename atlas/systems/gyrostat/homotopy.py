@@ -38,7 +38,7 @@ _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 # Near a symmetric body paths turn sharply where 1 - t is as small as the distance from symmetry.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
-# Components of a path that goes to infinity, where its end has fewer than 24 solutions, and the t from which it may.
+# Least components of a path that goes to infinity, where the end has fewer than 24 solutions, and the least t where it may.
 _FAR, _FAR_FROM = 100.0, 0.99
 _STRIDE = 5  # one of so many successive bodies is followed
 _ROUNDING = 1e-11  # of the gradient at an end
@@ -102,20 +102,23 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """As `_ends`, with paths for every _STRIDE-th body alone; 24 different solutions are all, wherever they start."""
+    """As `_ends`, with paths only for every _STRIDE-th body; its solutions are the starts of Newton's method for its neighbours.
+
+    24 different solutions are all that there are, whatever the starts.
+    """
     count = target[0].shape[1]
     followed = np.arange(0, count, _STRIDE)
     ends, _ = _ends([values[:, followed] for values in target], *attempt)
     nearest = np.minimum((np.arange(count) + _STRIDE // 2) // _STRIDE, followed.size - 1)
     start = ends[:, :, nearest].reshape(6, -1)
     repeated = [np.tile(values, PATHS) for values in target]
-    alpha, gamma, exact = _polished(repeated, start[:3], start[3:], attempt[-1])
+    alpha, gamma, exact = _polish(repeated, start[:3], start[3:], attempt[-1])
     ends = np.concatenate([alpha, gamma]).reshape(6, PATHS, count)
     return ends, np.asarray(exact.reshape(PATHS, count).all(0))
 
 
 def _all_different(ends: Complex) -> Mask:
-    """Where all solutions but those at infinity are clearly different, and clearly real or not, (bodies,)."""
+    """Where all finite solutions are clearly different, and clearly real or not, (bodies,)."""
     distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
@@ -143,12 +146,12 @@ def _follow(
             return _newton(_gradient(dI, dp, dq, a, g), start + s * dI, s * dp, s * dq, a, g)
 
         a, g = alpha[:, active], gamma[:, active]
-        middle = _turned(a, g, rate(a, g, now), 0.5 * length)
-        a, g = _turned(a, g, rate(*middle, now + 0.5 * length), length)
+        middle = _turn(a, g, rate(a, g, now), 0.5 * length)
+        a, g = _turn(a, g, rate(*middle, now + 0.5 * length), length)
         end = now + length
         inertia, p, q = start + end * dI, end * dp, end * dq
         xi = _newton(_gradient(inertia, p, q, a, g), inertia, p, q, a, g)
-        a, g = _turned(a, g, xi, 1.0)
+        a, g = _turn(a, g, xi, 1.0)
         correction = _size(xi)
         accepted = correction < tolerance
         chosen = active[accepted]
@@ -161,19 +164,17 @@ def _follow(
         far = ahead[np.abs([alpha[:, ahead], gamma[:, ahead]]).max((0, 1)) > _FAR]
         alpha[:, far] = gamma[:, far] = np.nan
         active = active[~np.isnan(alpha[0, active])]
-    alpha, gamma, exact = _polished(target, alpha, gamma, polish)
+    alpha, gamma, exact = _polish(target, alpha, gamma, polish)
     return alpha, gamma, (t >= 1) & exact | np.isnan(alpha[0])
 
 
-def _polished(
-    target: Three, alpha: Complex, gamma: Complex, iterations: int
-) -> tuple[Complex, Complex, Mask]:
+def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> tuple[Complex, Complex, Mask]:
     """Solutions by Newton's method from near ones, and which are exact but for rounding."""
     inertia, p, q = target
     for _ in range(iterations):
         xi = _newton(_gradient(inertia, p, q, alpha, gamma), inertia, p, q, alpha, gamma)
         small = _size(xi) < 0.3
-        alpha, gamma = _turned(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
+        alpha, gamma = _turn(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
     magnitude = (np.abs(alpha).max(0) + np.abs(gamma).max(0)) ** 2
     exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _ROUNDING * magnitude
     return alpha, gamma, exact
@@ -224,7 +225,7 @@ def _cross(a: Three, b: Three) -> Three:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _turned(a: Three, g: Three, xi: Three, length: Array | float) -> tuple[Complex, Complex]:
+def _turn(a: Three, g: Three, xi: Three, length: Array | float) -> tuple[Complex, Complex]:
     """alpha and gamma after the body turned by length * xi, to second order (Cayley's rotation)."""
     half = [0.5 * length * x for x in xi]
     factor = 2 / (1 + half[0] ** 2 + half[1] ** 2 + half[2] ** 2)

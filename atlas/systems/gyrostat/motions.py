@@ -70,7 +70,7 @@ class Start(ABC):
 
     @property
     def squared_rate(self) -> Array:
-        """Largest squared rate: that of the frame, |w|^2, and the torques of fields and rotor over the moment."""
+        """Largest squared rate: of the frame, of the body, or torques of fields and rotor over the moment."""
         square = np.maximum((self.w**2).sum(0), np.square(self.turn))
         torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
         return np.maximum(square, torque / self.moment)
@@ -93,11 +93,11 @@ def family_about_axes(
     conditions: Iterable[tuple[str, Callable[[Any], Array]]],
     directions: Callable[[Points], tuple[Array, ...]],
     turn: Callable[[Points], Array] | None = None,
-    **more: Any,
+    **attributes: Any,
 ) -> Family:
     """A family by the class of its starts and the residuals of its conditions, which are functions of the start.
 
-    directions, turn: as of `motion_of`; more: further attributes of the family.
+    directions, turn: see `motion_of`; attributes: further attributes of the family.
     """
 
     def of_points(function: Callable[[Any], Any], points: Points) -> Any:
@@ -105,7 +105,7 @@ def family_about_axes(
 
     rows = tuple(Condition(text, partial(of_points, residual)) for text, residual in conditions)
     axes = partial(of_points, kind.axes)
-    return Family(axes=axes, motion=motion_of(axes, directions, turn), conditions=rows, **more)
+    return Family(axes=axes, motion=motion_of(axes, directions, turn), conditions=rows, **attributes)
 
 
 def motion_of(

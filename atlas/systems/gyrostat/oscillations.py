@@ -88,7 +88,7 @@ class Equilibria(NamedTuple):
         return cls(points, equivalent, alpha[some], gamma[some], rate[some], cyclic[some], free[some])
 
     def squared_exponents(self) -> NDArray[np.complex128]:
-        """Squares of the characteristic exponents without damping, (points, 3); nan: of a cyclic direction, inf: overflow."""
+        """Squares of the characteristic exponents without damping, (points, 3); nan for a cyclic direction, inf after an overflow."""
         inertia, v = self.body.inertia, self.body.gyroscopic(self.body.turn[:, None] * self.gamma)
         hessian = self.body.hessian(self.alpha, self.gamma)
         diagonal = np.diagonal(hessian, axis1=1, axis2=2)

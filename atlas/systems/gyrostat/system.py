@@ -91,7 +91,7 @@ class Gyrostat(System):
         stable, growth = np.zeros(start[0].shape[0], np.int8), np.full(start[0].shape[0], np.nan)
         rest = Equilibria.of(body, *start)
         stable[rest.points], growth[rest.points] = rest.stability()
-        moving = _turning(rest, body, start)
+        moving = _turning_motions(rest, body, start)
         if moving.size:
             from . import floquet  # motions at rest in some frame need no multipliers
 
@@ -108,7 +108,7 @@ class Gyrostat(System):
         return equilibria_of_bodies(self, points, *arguments, **options)
 
     def bodies_of(self, points: Points) -> tuple[Points, NDArray[np.int64]]:
-        """Every parameter of the distinct bodies of some points, those of the start having defaults, and the body of each point."""
+        """Every parameter of the distinct bodies of some points, start values at their defaults, and the body of each point."""
         names = [name for name, p in self.parameters.items() if not p.start]
         columns = np.stack([points[name] for name in names], -1)
         key = np.where(np.isnan(columns), -np.inf, columns)  # nan equals nothing
@@ -153,7 +153,7 @@ class Gyrostat(System):
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
-        """Points of which the third axis moves alike, and how much larger their phi' is, rad per time unit, (points,).
+        """Points with the same motion of the third axis, and how much larger their phi' is, rad per time unit, (points,).
 
         Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then: they are cheaper
         to integrate accurately.
@@ -187,7 +187,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
         chunk = where[first : first + _CHUNK]
         part = subset(points, chunk)
         body, start = system.body(part), system.start(part)
-        moving = _turning(Equilibria.of(body, *start), body, start)
+        moving = _turning_motions(Equilibria.of(body, *start), body, start)
         if not moving.size:
             continue
         from . import floquet
@@ -201,7 +201,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
     return result
 
 
-def _turning(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
+def _turning_motions(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
     """Motions that are no equilibria, and turn steadily."""
     moving = np.delete(np.arange(body.turn.size), rest.points)
     if not moving.size:

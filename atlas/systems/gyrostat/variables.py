@@ -40,7 +40,7 @@ def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
     """Frequencies, the largest first, stability by the energy, and its kind."""
 
-    def together(
+    def group_values(
         names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
     ) -> dict[str, NDArray[Any]]:
         columns: dict[str, NDArray[Any]] = {}
@@ -65,11 +65,11 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
         ("energy_stable", "1", "stability of the steady motion by the energy, from theory", energy),
         ("stability_kind", "1", "linear stability and stability by the energy, from theory", energy),
     )  # fmt: skip
-    return {row[0]: DerivedVariable.of_group(together, *row, flags=flags.get(row[0])) for row in rows}
+    return {row[0]: DerivedVariable.of_group(group_values, *row, flags=flags.get(row[0])) for row in rows}
 
 
 def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
-    """Values of flags.StabilityKind, (points,), from those of Stability with the growth rate and of EnergyStability."""
+    """Values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy."""
     stable = linear == Stability.STABLE
     kinds = {
         StabilityKind.UNSTABLE: linear == Stability.UNSTABLE,

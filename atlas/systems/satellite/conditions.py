@@ -1,6 +1,6 @@
 """Equations of the families of steady motions of the satellite, and their quantities.
 
-Short names, the equations (*) and the scales of the residuals are those of `families`.
+`families` explains the short names, the equations (*) and the scales of the residuals.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ import importlib.util
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -315,3 +316,11 @@ def test_sympy_is_needed(monkeypatch):
     monkeypatch.setitem(sys.modules, "sympy", None)
     with pytest.raises(atlas.BadInput, match=r"pip install sympy"):
         from_lagrangian(OSCILLATOR, [X], [U], [M, K])
+
+
+def test_equations_of_the_example_of_a_double_pendulum_are_those_of_its_lagrangian():
+    folder = Path(__file__).parents[3] / "docs" / "examples" / "double_pendulum"
+    spec = importlib.util.spec_from_file_location("write_equations", folder / "write_equations.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.equations() == (folder / "double_pendulum" / "equations.py").read_text()

@@ -20,7 +20,7 @@ def ds(small_scene):
 def test_pages_hold_clean_texts(ds, monkeypatch):
     monkeypatch.setattr(content, "MAX_SLICES", 0)  # no lines of theory
     monkeypatch.setattr(page, "_fallback", lambda shown: "data:,")
-    monkeypatch.setattr(page, "_assembled", lambda table, *_: table)
+    monkeypatch.setattr(page, "_file_text", lambda table, *_: table)
     hostile = changed(ds, [HOSTILE]).assign({HOSTILE[:40]: ds.theta_dot_rms})
     text = json.dumps(hostile.atlas.page().html, ensure_ascii=False)
     assert not {"\u202e", "\udcff"} & set(text)

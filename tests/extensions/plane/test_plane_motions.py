@@ -19,7 +19,7 @@ from atlas.flags import Label, Regularity, Stability
 from atlas.kernel import tangent
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
-from atlas.measure import chaos
+from atlas.measure import tangent_runs
 from atlas.systems.base import derived_values, families_of, rate_std, unsteady
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite.equations import rhs
@@ -210,9 +210,9 @@ def test_multipliers_are_those_of_the_compiled_tangent_vectors():
     period, size = motions.period(), 4
     many = {name: np.repeat(values, 6) for name, values in points.items()}
     ensemble, duration = Ensemble.of(SATELLITE, many), np.repeat(period, 6)
-    steps = chaos.TangentSteps.of(ensemble.frequency_bound, duration, 0.01, 10**6)
-    separation = chaos.Separation(
-        SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, chaos.rate_unit(SATELLITE, many)
+    steps = tangent_runs.TangentSteps.of(ensemble.frequency_bound, duration, 0.01, 10**6)
+    separation = tangent_runs.Separation(
+        SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, tangent_runs.rate_unit(SATELLITE, many)
     )
     separation.vectors[:] = np.tile(np.eye(6), size) / separation.weights
     separation.integrate(threads=1)

@@ -1,0 +1,253 @@
+"""Runs with a tangent vector, which give the indicators of chaos; imported only where a plan has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..flags import Label, Regularity, Status
+from ..kernel import augmented, blocks, tangent
+from ..kernel.ensemble import Ensemble
+from ..kernel.generated import WIDTH
+from ..kernel.stepsize import StepSizes, count_ladder, steps_of_length
+from ..kernel.tableaux import METHODS
+from ..kernel.tangent import METHOD
+from ..systems.base import Array, Flags, Mask, Points, System, shape_of
+
+# Least number of nodes of a run, the instants at which the tangent vector is divided by its norm and the sums grow.
+NODES = 1024
+# Largest number of steps between two nodes: a tangent vector grows by less than e^700 there, and cannot overflow.
+MAX_STEPS_PER_NODE = 1000
+# Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
+# motions by less than 0.01.
+MAX_RADIANS_PER_STEP = 0.3
+# Largest loss of an amplitude by dissipation during a run: it lowers MEGNO.
+MAX_DISSIPATION_ERROR = 0.01
+# Time of a step with a tangent vector over a step with statistics, see bench_engine.py.
+RELATIVE_COST = 1.5
+# A tangent vector grows in chaos, and in one passage of an unstable motion, from nearby and back. A regular motion that returns
+# to a distance d of an unstable one has a tangent vector along its own velocity, which falls by a factor d: the logarithm L of
+# the growth has a drawdown of ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix and
+# cause the growth: drawdowns of 14 to 22 were measured, against at most 7 along chaotic motions.
+MAX_DRAWDOWN = 10.0
+# Before the return L grows by ln(1/d^2) or less, d^2 at least the rounding errors of 1e-16: 39 was measured.
+MAX_PASSAGE_GROWTH = 50.0
+# Mean MEGNO below the first is regular, above the second chaotic. It tends to 2 or less, or grows as lambda T / 2.
+MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
+# A chaotic run goes on for at most so many durations, until it exceeds one of these two limits.
+MAX_DURATIONS = 16
+
+
+@dataclass(frozen=True)
+class TangentSteps:
+    """Steps of the runs with tangent vectors; arrays of shape (points,)."""
+
+    steps: NDArray[np.int64]
+    step_size: Array  # in time units
+    resolved: Mask  # whether the steps are short enough for the indicators
+
+    @classmethod
+    def of(cls, bound: Array, duration: Array, step: float | None, max_steps: int) -> TangentSteps:
+        """Steps for frequency bounds (rad per time unit) and durations; `step`: the largest, if given."""
+        radians = bound * duration
+        finite = np.isfinite(radians)
+        radians = np.where(finite, radians, 0.0)
+        if step is None:
+            loss = MAX_DISSIPATION_ERROR / (METHOD.dissipation * np.maximum(radians, 1e-300))
+            y = np.minimum(MAX_RADIANS_PER_STEP, loss ** (1 / (METHOD.dissipation_order - 1)))
+            steps = count_ladder(np.minimum(radians / y, float(max_steps)))
+        else:
+            steps = steps_of_length(step, np.where(finite, duration, 0.0), 1, max_steps)
+        y = radians / steps
+        lost = radians * METHOD.dissipation * y ** (METHOD.dissipation_order - 1)
+        rounding = 1.0 + 1e-9
+        short = (y <= MAX_RADIANS_PER_STEP * rounding) & (lost <= MAX_DISSIPATION_ERROR * rounding)
+        return cls(steps, duration / steps, finite & short)
+
+    @property
+    def nodes(self) -> NDArray[np.int64]:
+        """Number of nodes of each run."""
+        return np.minimum(np.maximum(NODES, -(-self.steps // MAX_STEPS_PER_NODE)), self.steps)
+
+    def subset(self, where: NDArray[np.int64]) -> TangentSteps:
+        return TangentSteps(self.steps[where], self.step_size[where], self.resolved[where])
+
+
+class TangentArrays(NamedTuple):
+    """Data of points that the tangent kernel reads and writes, as `blocks.Arrays`."""
+
+    step_size: Array
+    state: Array
+    constants: Array
+    vectors: Array  # in the kernel's units, (kernel.TANGENT, points)
+    weights: Array  # factors of their components in their norm, (kernel.TANGENT, points)
+    sums: Array  # (tangent.SUMS, points)
+
+
+def rate_unit(system: System, points: Points) -> Array:
+    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: the rate of the frame, or 1.
+
+    A finite Lyapunov exponent depends a little on it, its limit does not.
+    """
+    rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
+    return np.where(rate > 0, rate, 1.0)
+
+
+class Separation:
+    """Tangent vectors of an ensemble, integrated for its durations and, where needed, longer."""
+
+    def __init__(
+        self, system: System, kernel: ModuleType, ensemble: Ensemble, steps: TangentSteps, rate_unit: Array
+    ) -> None:
+        self.kernel, self.steps = kernel, steps
+        self.state, self.constants = ensemble.state.copy(), ensemble.constants
+        with np.errstate(all="ignore"):
+            unit = steps.step_size / METHOD.kernel_step
+            # Weights of the components of a tangent vector, in the kernel's units, in its norm.
+            equations = system.equations
+            constants = equations.scaled(self.state, self.constants, unit)[1]
+            # The state changes its units by factors, which are the result for ones.
+            in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
+            rows = [
+                in_caller_units[i]
+                / (rate_unit if equations.STATE[i] in system.rate_states else 1.0)
+                * np.ones_like(unit)
+                for i in augmented.own_components(equations)
+            ]
+            if augmented.rotates(equations):
+                rows += 3 * [np.ones_like(unit)]
+            self.weights = np.ascontiguousarray(rows)
+            start = augmented.tangent_start(equations, self.state)
+            self.vectors = np.ascontiguousarray(start / self.weights)
+        self.durations = np.zeros(ensemble.size, np.int64)  # integrated until now
+        self.sums = np.empty((tangent.SUMS, ensemble.size))
+
+    @property
+    def megno(self) -> Array:
+        """Mean MEGNO up to now, (points,); nan or infinite where numbers overflow."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self.sums[tangent.MEGNO_INTEGRAL] / (self.durations * self.steps.steps))
+
+    @property
+    def lyapunov(self) -> Array:
+        """Largest Lyapunov exponent up to now, per time unit, (points,); nan or infinite where numbers overflow."""
+        with np.errstate(all="ignore"):
+            time = self.steps.step_size * (self.durations * self.steps.steps)
+            return np.asarray(self.sums[tangent.LOG_GROWTH] / time)
+
+    def integrate(
+        self,
+        where: NDArray[np.int64] | None = None,
+        *,
+        threads: int | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> None:
+        """Integrate points, which have run equally long, for one more duration."""
+        where = np.arange(self.durations.size) if where is None else where
+        schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
+        points, nodes = where[schedule.points], schedule.steps_per_sample
+        first_node = self.durations[points[:, 0]] * nodes
+
+        longest = blocks.BlockSchedule(points, MAX_DURATIONS * schedule.steps, MAX_DURATIONS * nodes)
+        arrays = TangentArrays(
+            self.steps.step_size, self.state, self.constants, self.vectors, self.weights, self.sums
+        )
+        call = partial(self.kernel.integrate, longest, arrays)
+        blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads, progress)
+        self.durations[where] += 1
+
+
+@dataclass(frozen=True)
+class TangentRuns:
+    """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
+
+    system: System
+    kernel: ModuleType  # see `kernel.specialization.tangent_kernel`
+    ensemble: Ensemble
+    steps: TangentSteps
+    rate_unit: Array  # see `rate_unit`
+    share: float  # of these runs in the work of all runs of the points
+
+    @classmethod
+    def of(
+        cls,
+        system: System,
+        kernel: ModuleType,
+        ensemble: Ensemble,
+        points: Points,
+        duration: Array,
+        settings: Any,
+        step_sizes: StepSizes,
+    ) -> TangentRuns:
+        """The runs of points that are integrated without a tangent vector as well, with step_sizes."""
+        with np.errstate(all="ignore"):
+            steps = TangentSteps.of(ensemble.frequency_bound, duration, settings.step, settings.max_steps)
+            unit = rate_unit(system, points)
+        own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
+        work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
+        return cls(system, kernel, ensemble, steps, unit, work / (own + work))
+
+    def variables(
+        self,
+        columns: Mapping[str, np.ndarray],
+        unstable: Mask,
+        threads: int | None,
+        progress: Callable[[float], None],
+    ) -> dict[str, np.ndarray]:
+        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; `progress` gets `share` of the points in all."""
+        size = self.rate_unit.size
+        megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
+        flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
+        where = np.flatnonzero(columns["status"] == Status.OK)
+        if not where.size:
+            progress(size * self.share)
+            return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+        steps = self.steps.subset(where)
+        points_per_step = size * self.share / float(steps.steps.sum())
+        separation = Separation(
+            self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
+        )
+        separation.integrate(
+            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
+        )
+        values = np.array([separation.megno, separation.lyapunov])
+        values[:, ~np.isfinite(values).all(0)] = np.nan
+        kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
+        drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
+        # Errors may decide how a motion leaves an unstable one, once a vector has grown; not while all neighbours approach.
+        highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
+        values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
+        # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
+        chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
+        active = chaotic
+        log_growth = separation.sums[tangent.LOG_GROWTH]  # a view, as `drawdown` is
+        for duration in range(1, MAX_DURATIONS + 1):
+            active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
+            if duration < MAX_DURATIONS and active.size:
+                separation.integrate(active, threads=threads, progress=lambda steps: progress(0.0))
+        sustained = (drawdown[chaotic] <= MAX_DRAWDOWN) & (log_growth[chaotic] > MAX_PASSAGE_GROWTH)
+        kind[chaotic[~sustained]] = Regularity.UNDECIDED
+        values[:, chaotic[~sustained]] = np.nan
+        (megno[where], lyapunov[where]), flags[where] = values, kind
+        return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
+
+
+def regularity(label: Flags, megno: Array, unstable: Mask) -> Flags:
+    """Values of flags.Regularity by mean MEGNO (nan: not computed), label (unresolved if not ok) and starts on unstable motions."""
+    steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
+    drifting = label == Label.DRIFTING
+    conditions = {
+        Regularity.NOT_COMPUTED: np.isnan(megno),
+        Regularity.HYPERBOLIC: (steady | (unstable & drifting)) & (megno > MIN_CHAOTIC),
+        Regularity.STEADY: steady,
+        Regularity.CHAOTIC: drifting & (megno > MIN_CHAOTIC),
+        Regularity.REGULAR: drifting & (megno < MAX_REGULAR),
+        Regularity.UNDECIDED: drifting,
+    }
+    return np.select(list(conditions.values()), list(conditions), Regularity.NOT_COMPUTED).astype(np.int8)

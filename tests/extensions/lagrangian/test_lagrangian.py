@@ -133,12 +133,12 @@ def test_double_pendulum_agrees_with_the_textbook(double_pendulum, tmp_path):
 
 
 def test_text_is_the_same_in_every_process(double_pendulum):
-    for seed in ("1", "2"):
-        run = subprocess.run(
-            [sys.executable, "-c", DOUBLE_PENDULUM + "print(source, end='')"],
-            env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        assert run.stdout == double_pendulum
+    """Hashes of texts, by which sets are ordered, differ between processes."""
+    run = subprocess.run(
+        [sys.executable, "-c", DOUBLE_PENDULUM + "print(source, end='')"],
+        env={**os.environ, "PYTHONHASHSEED": "1"}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert run.stdout == double_pendulum
 
 
 def test_equations_agree_with_those_of_sympy(tmp_path):

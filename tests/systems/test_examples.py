@@ -159,7 +159,7 @@ def test_lyapunov_exponents_are_those_of_dop853():
     [(1 / 8, 0.0454, 0.1), (1 / 6, 0.1255, 0.05)],
 )
 def test_lyapunov_exponent_of_the_chaotic_sea(energy, exponent, tolerance):
-    ds = indicators(chaotic_starts(energy, 64), 2e4)
+    ds = indicators(chaotic_starts(energy, 64), 1e4)
     chaotic = ds["regularity"].values == Regularity.CHAOTIC
     assert chaotic.sum() > 20
     assert ds["lyapunov"].values[chaotic].mean() == pytest.approx(exponent, rel=tolerance)
@@ -191,6 +191,7 @@ def test_generic_stress_cases_give_no_wrong_label():
 
 
 def test_equations_of_the_double_pendulum_are_those_of_its_lagrangian():
+    """The text is that which another process, with other hashes of texts, has written."""
     pytest.importorskip("sympy")
     folder = EXAMPLES / "double_pendulum"
     spec = importlib.util.spec_from_file_location("write_equations", folder / "write_equations.py")

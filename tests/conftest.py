@@ -107,19 +107,28 @@ def short_timings():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def few_dots():
+    """Save figures with fewer dots than for print, whose number per inch is the value, because many take half of a map's time."""
+    from atlas.plotting import style
+
+    with pytest.MonkeyPatch.context() as patched:
+        print_dpi = style.STYLE["savefig.dpi"]
+        patched.setitem(style.STYLE, "savefig.dpi", 100)
+        yield print_dpi
+
+
 @pytest.fixture(scope="module")
-def coarse_figures():
-    """Trace lines of theory from a ninth of the samples and save fewer dots, where no test of a module looks at a figure.
+def coarse_lines():
+    """Trace lines of theory from a ninth of the samples, where no test of a module looks at a figure.
 
     These lines are kept apart from those that other tests use.
     """
     from atlas.analysis import tracer
-    from atlas.plotting import style
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(tracer, "COARSE_SAMPLES", tracer.COARSE_SAMPLES // 3)
         patched.setattr(tracer, "LINES_FOLDER", "coarse_lines")
-        patched.setitem(style.STYLE, "savefig.dpi", 100)
         yield
 
 

@@ -8,7 +8,7 @@ import atlas
 from atlas import BadInput, load_scene
 from atlas.flags import Label
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines")
 
 SHAPE = (4, 5)
 MEANINGS = {"flag_values": np.arange(5, dtype=np.int8), "flag_meanings": " ".join(Label.meanings())}

@@ -11,7 +11,7 @@ from atlas import BadInput, load_scene
 from atlas.analysis.metadata import axes_of, scene_of, scene_problem
 from atlas.cli import main
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines")
 
 HEAD = """schema = 1
 system = "satellite"

@@ -15,7 +15,7 @@ from atlas.cli import main
 from atlas.plotting.style import caption
 from atlas.store.joined import part_of
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines")
 SCENE = tomllib.loads((Path(__file__).parent / "small.toml").read_text())
 RADIUS = {
     "title": "radius",

@@ -79,7 +79,7 @@ def folder_of_reader(tmp_path, monkeypatch):
         sys.modules.pop(path.stem, None)
 
 
-@pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_figures", "folder_of_reader")
+@pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
 def test_code_blocks_run(page):
     """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order.
@@ -106,7 +106,7 @@ def test_code_blocks_run(page):
             exec(compile(text, page, "exec"), cells)
 
 
-@pytest.mark.usefixtures("whole_kernels", "coarse_figures", "folder_of_reader")
+@pytest.mark.usefixtures("whole_kernels", "coarse_lines", "folder_of_reader")
 def test_the_reference_has_an_example_of_each_function():
     skip_without_extensions("docs/api.rst")
     text = (ROOT / "docs" / "api.rst").read_text()

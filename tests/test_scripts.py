@@ -63,7 +63,7 @@ PEERS = {
     "diffrax vmap Dopri8": "diffrax",
 }
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures", "script_folders")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines", "script_folders")
 
 
 @pytest.fixture

@@ -132,7 +132,7 @@ def call_by_parts(
     """Call a kernel for all blocks in threads, several times for a long block; threads = 0: in the calling thread."""
     # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
     total, stop = np.cumsum(point_steps), threading.Event()
-    least_chunks = 4 * (threads or available_threads())
+    least_chunks = 1 if threads == 0 else 4 * (threads or available_threads())
     max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK
     bounds = [0]
     while bounds[-1] < len(total):

@@ -140,9 +140,25 @@ class Ensemble:
         self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, *, threads: int | None = None
     ) -> Array:
         """States after so many steps of these sizes (time units), (states, points), without statistics."""
-        arrays = self.arrays(kernel, step_size)
-        blocks.integrate(kernel, blocks.pack_blocks(steps, steps), arrays, threads=threads)
-        return arrays.state[: len(self.state)]
+        return self.states_at_samples(kernel, steps, step_size, 1, threads=threads)[:, 0]
+
+    def states_at_samples(
+        self,
+        kernel: ModuleType,
+        steps: NDArray[np.int64],
+        step_size: Array,
+        count: int,
+        *,
+        threads: int | None = None,
+    ) -> Array:
+        """States each time that so many steps have ended, (states, count, points)."""
+        arrays, schedule = self.arrays(kernel, step_size), blocks.pack_blocks(steps, steps)
+        states = np.empty((len(self.state), count, self.size))
+        for k in range(count):
+            blocks.integrate(kernel, schedule, arrays, threads=threads)
+            states[:, k] = arrays.state[: len(self.state)]
+            arrays.state[len(self.state) :] = 0.0  # losses, which no sample takes over
+        return states
 
     def _integrate_in_segments(
         self,

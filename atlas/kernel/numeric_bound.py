@@ -118,13 +118,10 @@ def _largest_frequency(
         part = ensemble.subset(active)
         # The number of samples doubles, because most bounds that are too low are exceeded early.
         count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
-        states = np.empty((len(part.state), count, active.size))
         # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
         in_threads = 0 if n_samples > 0 and steps[active].sum() <= FEW_STEPS else threads
-        for k in range(count):
-            states[:, k] = part.final_states(kernel, steps[active], step_size[active], threads=in_threads)
-            part.state[:] = states[:, k]
-        ensemble.state[:, active] = part.state
+        states = part.states_at_samples(kernel, steps[active], step_size[active], count, threads=in_threads)
+        ensemble.state[:, active] = states[:, -1]
         with np.errstate(all="ignore"):
             constants = np.repeat(part.constants[:, None], count, axis=1)
             frequency = jacobian.frequency(system.equations, states, constants)

@@ -89,7 +89,7 @@ class FineGrid:
             missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
             self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
         self.n_existing, self.n_integrated, self.finest = 0, 0, (slice(None, None, 1),) * len(scene.shape)
-        for (chunk,) in Tiling.of((scene.size,), grid.max_points_per_tile()):
+        for (chunk,) in Tiling.of((scene.size,), grid.MAX_POINTS_PER_TILE):
             self._predict(chunk)
 
     def _predict(self, chunk: slice) -> None:

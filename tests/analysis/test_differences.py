@@ -139,7 +139,7 @@ def test_atlases_of_points_without_axes_are_compared(pair):
     assert "the same at every point: label" in free.atlas.compare(free.copy())
 
 
-@pytest.mark.usefixtures("coarse_figures")
+@pytest.mark.usefixtures("coarse_lines")
 def test_the_command_prints_and_draws_differences(pair, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, ds in zip("ab", pair, strict=True):

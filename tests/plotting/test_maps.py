@@ -542,7 +542,7 @@ def test_colours_texts_and_size_can_be_chosen(small):
 
 
 def test_plain_savefig_writes_for_print(small, tmp_path):
-    for dpi, expected in ((None, 300), (600, 600)):
+    for dpi, expected in ((None, 300), (120, 120)):
         figure = maps.atlas_map(small, **({} if dpi is None else {"dpi": dpi}))
         figure.savefig(tmp_path / "map.png")
         width = matplotlib.image.imread(tmp_path / "map.png").shape[1]
@@ -938,7 +938,8 @@ def test_too_many_panels_are_refused(solid):
 # Files.
 
 
-def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path):
+def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path, few_dots, monkeypatch):
+    monkeypatch.setitem(style.STYLE, "savefig.dpi", few_dots)
     for suffix in FIGURES:
         path = tmp_path / f"map{suffix}"
         written = []

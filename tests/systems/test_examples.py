@@ -158,7 +158,7 @@ def test_lyapunov_exponents_are_those_of_dop853():
     [(1 / 8, 0.0454, 0.1), (1 / 6, 0.1255, 0.05)],
 )
 def test_lyapunov_exponent_of_the_chaotic_sea(energy, exponent, tolerance):
-    ds = indicators(chaotic_starts(energy, 64), 2e4)
+    ds = indicators(chaotic_starts(energy, 64), 1e4)
     chaotic = ds["regularity"].values == Regularity.CHAOTIC
     assert chaotic.sum() > 20
     assert ds["lyapunov"].values[chaotic].mean() == pytest.approx(exponent, rel=tolerance)

@@ -501,7 +501,7 @@ def test_steps_through_a_wall_give_no_label(method, own_systems):
     rng, duration = np.random.default_rng(3), 14.0
     points = {"x0": rng.uniform(0.6, 1.6, 48), "v0": rng.uniform(-2.0, 2.0, 48)}
     options = {"duration": duration, "method": method, "tolerance": 1e-5, "rate_tolerance": 1e-3}
-    ds = atlas.label_points("wall", points | {"force": 3e-4}, **options)
+    ds = atlas.label_points("wall", points | {"force": 1e-3}, **options)
     times = np.linspace(0.0, duration, 20_001)[:, None]
     truth = np.abs(points["x0"] * np.cos(times) + points["v0"] * np.sin(times))
     error = np.abs(ds["x_std"].values - truth.std(axis=0)) / truth.max(axis=0)

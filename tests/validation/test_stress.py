@@ -184,7 +184,7 @@ def test_estimates_beyond_ten_times_fail_the_command(studies, monkeypatch):
     assert cli.main(["stress", "fixed_point"]) == cli.FAILED
 
 
-@pytest.mark.usefixtures("coarse_figures")
+@pytest.mark.usefixtures("coarse_lines")
 def test_files_of_the_command(studies, monkeypatch, tmp_path):
     monkeypatch.setattr(stress, "stress", lambda name, **options: studies[name])
     monkeypatch.setattr(stress, "limits", lambda: [("method",), ("rk4",)])

@@ -17,7 +17,7 @@ from atlas.scene.read import load_scene
 from atlas.validation import half_step, reference
 from atlas.validation.work_precision import advice, levels, report, scene_level, summary, work_precision
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_lines")
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from .fast_spin import (
     paper_body,
     paper_start,
     period_correction,
-    rhs,
+    rate_of,
     to_quasilinear,
 )
 
@@ -108,7 +108,7 @@ def _oscillation(spin: FastSpin, y0: Array, name: str) -> tuple[float, float, fl
         return float(to_quasilinear(spin, y)[row + 1])
 
     span = (0.0, 2.5 * np.pi / float(np.abs(frequency)))
-    solution = dop853(lambda _, y: rhs(spin, y), span, y0, events=speed)
+    solution = dop853(rate_of(spin), span, y0, events=speed)
     # The start is an extremum too; whether it is reported as an event depends on rounding errors.
     after_start = solution.t_events[0] > 1e-3
     times, states = solution.t_events[0][after_start], solution.y_events[0][after_start]

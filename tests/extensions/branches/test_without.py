@@ -11,7 +11,7 @@ from atlas.cli import BAD_INPUT, main
 from atlas.extensions.branches import COUNTS
 from atlas.extensions.branches.lines import CHANGE
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines")
 
 SCENE = """
 schema = 1

@@ -9,7 +9,7 @@ from atlas.analysis import select
 from atlas.extensions.page.content import page_layout
 from atlas.extensions.page.page import atlas_page
 
-pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_figures")
+pytestmark = pytest.mark.usefixtures("whole_kernels", "coarse_lines")
 
 
 def test_pages_show_the_same_values_of_a_reordered_axis(monkeypatch):

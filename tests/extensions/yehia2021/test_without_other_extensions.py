@@ -18,7 +18,7 @@ sys.exit(cli.main(["conditions", *sys.argv[2:]]))
 
 @pytest.mark.parametrize("missing", ["plane", "normal_form", "plane normal_form"])
 def test_equations_that_cannot_be_measured_name_the_missing_extension(missing):
-    command = [sys.executable, "-c", CODE, missing, "--json"]
+    command = [sys.executable, "-c", CODE, missing, "satellite", "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     (line,) = done.stderr.splitlines()
     assert line.endswith(f"are not measured: not installed: {missing.replace(' ', ' and ')}")

@@ -114,6 +114,16 @@ def test_flags_differ_in_grey_and_for_the_colour_blind(vision):
 
 
 @pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
+def test_positions_differ_for_the_colour_blind(vision):
+    names = ["none", *(f"place_{i}" for i in range(len(style.QUALITATIVE)))]
+    for count in range(2, len(names) + 1):
+        assert len(set(style.flag_colours(names[:count]).values())) == count
+    colours = lab(list(style.QUALITATIVE), vision)
+    i, j = np.triu_indices(len(colours), 1)
+    assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 7
+
+
+@pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
 def test_labels_differ_clearly_for_the_colour_blind(vision):
     colours = lab(list(style.flag_colours(Label.meanings()).values()), vision)
     i, j = np.triu_indices(len(colours), 1)
@@ -264,7 +274,8 @@ def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     for variable in ("label", "psi_dot_mean"):
         figure = ds.atlas.map(variable, title=bad, caption=True)
         figure.savefig(io.BytesIO())
-        assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+        labels = [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())]
+        assert drawn in {label.replace("\n", " ") for label in labels}
     assert figure.axes[-1].get_ylabel() == rf"mean $\dot\psi$ ({drawn})"
     assert style.drawable("$k_3$") == "$k_3$"
     assert style.drawable("$k_3$\n$\\bad$") == "$k_3$\n\\$\\bad\\$"

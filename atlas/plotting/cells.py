@@ -221,7 +221,7 @@ PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# One of KINDS with more than MAX_HALOED lines is THIN and has no halo: as wide as others it would cover the cells between them.
+# One of KINDS with more than MAX_HALOED lines, or crowded ones, is THIN and has no halo: else it would cover the cells between them.
 MAX_HALOED = 40
 THIN = {"linestyle": "-", "linewidth": 0.5}
 
@@ -244,9 +244,11 @@ HATCHES = {
 }
 
 
-def border_style(kind: str) -> dict[str, Any]:
-    """Line of a kind of border of the core or of an extension."""
-    return {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
+def border_style(kind: str, panel: Panel | None = None) -> dict[str, Any]:
+    """Line of a kind of border of the core or of an extension, on a panel maybe thin."""
+    style = {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
+    is_thin = panel and kind in KINDS and (len(panel.borders[kind]) > MAX_HALOED or kind in panel.crowded)
+    return style | THIN if is_thin else style
 
 
 def family_style(number: int) -> dict[str, Any]:
@@ -260,11 +262,9 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
-        lines = panel.borders.get(kind, [])
-        if kind in KINDS and len(lines) > MAX_HALOED:
-            _draw_lines(ax, lines, border_style(kind) | THIN, halo=0.0)
-        else:
-            _draw_lines(ax, lines, border_style(kind), halo=HALO)
+        if kind in panel.borders:
+            style = border_style(kind, panel)
+            _draw_lines(ax, panel.borders[kind], style, halo=0.0 if style | THIN == style else HALO)
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)), halo=HALO)
 

@@ -157,7 +157,7 @@ class View:
                 image = cells.draw_values(ax, array.copy(data=self.exponents), self.edges, exponents)
         for which, is_log in zip("xy", self.log, strict=False):
             cells.set_axis(ax, which, is_log, inner=inner and which == "x")
-        if not self.is_points and (self.flags or not self.is_curve):
+        if not self.is_points:
             cells.draw_overlay(ax, self.panel, self.edges, self.families)
         return image
 
@@ -229,6 +229,12 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
         shown_labels = [*labels, "" if flags else label][:2]
         views.append(
             view(dims, shown_labels, label, log, shown_edges, panel, notes, families, texts, exponents)
+        )
+    if any(view.panel.crowded for view in views):
+        logging.getLogger("atlas").warning(
+            "%s: the grid is coarser than the lines of theory: many of its cells have two, with a region between them that may have"
+            " no point; a finer grid or [refine] shows it",
+            name,
         )
     return views
 
@@ -456,8 +462,10 @@ def map_legend(views: Sequence[View]) -> tuple[Entries, list[str]]:
             entries[text] = sample
         elif count and text != SLOW:
             too_small.append(f"{text}, {count} of {total} points")
-    for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
-        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
+    for panel in panels:
+        for kind in panel.borders:
+            text, style = f"{as_math(kind)} (theory)", cells.border_style(kind, panel)
+            entries.setdefault(text, Line2D([], [], **style))
     for view in views:
         for name in view.panel.families:
             style = cells.family_style(view.families.index(name))

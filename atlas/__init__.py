@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from .faces import *  # noqa: F403
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
+    from .plotting.maps import figure as figure
+    from .plotting.style import style as style
     from .runs.backend import open_atlas as open_atlas
     from .runs.execution import run as run
     from .scene.examples import example as example
@@ -39,6 +41,8 @@ _MODULES = {
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
     "concat": "store.joined",
+    "figure": "plotting.maps",
+    "style": "plotting.style",
     "equilibria": "analysis.equilibria",
     "register": "systems",
     "BadInput": "errors",

@@ -40,15 +40,9 @@ class Atlas(Questions):
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
-        self._ds = ds
-        if "atlas_parts" in ds.attrs:
-            from .store.joined import part_of
+        from .store.joined import subject_of
 
-            self._ds = ds = part_of(ds)
-        dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
-        names = {*dims, *ds.variables, *ds.attrs}
-        if len(dims) == len(ds.dims) == 1 and names.isdisjoint({"point", "atlas_parts"}):
-            self._ds = ds.rename({dims[0]: "point"})  # a list of points under another name
+        self._ds = subject_of(ds)
 
     def __repr__(self) -> str:
         """The questions, one in a line."""

@@ -49,9 +49,8 @@ class Extension:
     lines : mapping of str to str, optional
         Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind; of one or two
         axes, all lines that these maps show.
-    samples : mapping of str to str, optional
-        Name of a variable -> function of a dataset that returns, by flag, functions of a colour that make the samples in the
-        legends of its maps.
+    flag_texts : mapping of str to str, optional
+        Name of a variable -> function of a dataset that returns texts of its flags for the legends of its maps.
     line_styles : mapping of str to str, optional
         Kind of these lines -> colour, linestyle and linewidth, as Matplotlib has them; others are thin and black.
     stress_cases : mapping of str to str, optional
@@ -70,7 +69,7 @@ class Extension:
     instruments: Mapping[str, Reference] = field(default_factory=dict)
     families: Mapping[str, Reference] = field(default_factory=dict)
     lines: Mapping[str, Reference] = field(default_factory=dict)
-    samples: Mapping[str, Reference] = field(default_factory=dict)
+    flag_texts: Mapping[str, Reference] = field(default_factory=dict)
     line_styles: Mapping[str, Reference] = field(default_factory=dict)
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)

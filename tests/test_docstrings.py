@@ -19,12 +19,14 @@ CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpy
 FUNCTIONS = (
     "concat",
     "equilibria",
+    "figure",
     "label_points",
     "load_scene",
     "example",
     "open_atlas",
     "register",
     "run",
+    "style",
     "trajectory",
 )
 SYSTEM = "atlas.systems.base.System."

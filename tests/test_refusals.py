@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 from refusals import assert_refused, assert_refused_in_shell, unchanged_folder
 from scenes import GIVEN, SAMPLE, SAMPLED, SMALL
 
@@ -355,6 +356,19 @@ CALLS = [
     (lambda ds, points: points.atlas.trajectory(), "trajectory: these are several points; name the point by values of its parameters"),
     (lambda ds, points: xr.Dataset().atlas.cite(), "not an atlas: the attribute atlas_system is missing"),
     (lambda ds, points: atlas.systems.describe("satelite"), "system = 'satelite': there is no such system; did you mean 'satellite'? allowed: satellite, fixed_point"),
+    (lambda ds, points: atlas.figure([]), "panels: must have at least one atlas"),
+    (lambda ds, points: atlas.figure(3), "panels: 0 = 3: must be an atlas, or an atlas and a variable"),
+    (lambda ds, points: atlas.figure({"a": (ds, "label", 2)}), "panels: a = ...: must be an atlas, or an atlas and a variable"),
+    (lambda ds, points: atlas.figure([(ds, "lable")]), "lable: not a variable of this atlas; did you mean 'label'? allowed: ..."),
+    (lambda ds, points: atlas.figure([ds] * 13), "these are 13 panels; allowed: at most 12"),
+    (lambda ds, points: atlas.figure([ds, ds], ax=Figure().subplots()), "ax: 2 panels do not fit into one; choose one by select"),
+    (lambda ds, points: atlas.figure([ds], columns=0), "columns = 0: must be a whole number from 1 to 12"),
+    (lambda ds, points: atlas.figure([ds], row="theta0", columns=2), "columns: not together with row, whose panels are below each other"),
+    (lambda ds, points: atlas.figure([ds, (ds, "theta_max")], labels={"mu": "x"}), "labels: 'mu': allowed: ..."),
+    (lambda ds, points: atlas.style("poster"), "width = 'poster': allowed: column, page, or 20 to 2000 mm"),
+    (lambda ds, points: ds.atlas.map(width=5), "width = 5: allowed: column, page, or 20 to 2000 mm"),
+    (lambda ds, points: ds.expand_dims(run=2).atlas.map(), "run: has no numbers as coordinate; choose one by isel, or draw names by col='run'"),
+    (lambda ds, points: ds.expand_dims(run=list("abcdefghijklm")).atlas.map(col="run"), "run are 13 panels; allowed: at most 12"),
     (lambda ds, points: ds.atlas.compare(3), "other = 3: must be the dataset of an atlas"),
     (lambda ds, points: ds.atlas.compare(ds.isel(sigma=slice(3))), "these atlases are not on the same grid: sigma has 9 and 3 values"),
     (lambda ds, points: ds.atlas.compare(ds.isel(sigma=0)), "these atlases are not on the same grid: sigma has 9 and 0 values"),

@@ -164,6 +164,12 @@ def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
             roles[name] = role
 
 
+def check_panels(what: str, count: int) -> None:
+    """Raise BadInput for more panels than a figure may have."""
+    if count > MAX_PANELS:
+        raise BadInput(f"{what} are {count} panels; allowed: at most {MAX_PANELS}")
+
+
 def plane_of(
     ds: xr.Dataset,
     x: str | None,
@@ -182,9 +188,14 @@ def plane_of(
     plane = nearest_on_axes(ds, select, degrees).squeeze()
     axes = [str(d) for d in plane.dims if is_numeric_axis(plane, d)]
     check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
-    if not axes or set(map(str, plane.dims)) - set(axes):
+    unnumbered = [str(dim) for dim in plane.dims if dim not in axes]
+    if not axes or unnumbered:
         scene_of(ds)  # BadInput of joined atlases
-        raise BadInput("this dataset has no axes to draw a map over: single points, or all axes selected")
+        raise BadInput(
+            f"{unnumbered[0]}: has no numbers as coordinate; choose one by isel, or draw names by col={unnumbered[0]!r}"
+            if axes
+            else "this dataset has no axes to draw a map over: single points, or all axes selected"
+        )
     by_length = sorted((d for d in axes if d not in (x, y, row, col)), key=lambda d: -plane.sizes[d])
     n_free = (x is None) + (y is None)
     chosen, others = sorted(by_length[:n_free], key=axes.index), by_length[n_free:]
@@ -195,8 +206,7 @@ def plane_of(
                 f"{dim} has {plane.sizes[dim]} values here: choose one by {option('select', {dim: 'VALUE'})}"
             )
     panel_dims = panel_dims or others
-    if (count := math.prod(plane.sizes[dim] for dim in panel_dims)) > MAX_PANELS:
-        raise BadInput(f"{' x '.join(panel_dims)} are {count} panels; allowed: at most {MAX_PANELS}")
+    check_panels(" x ".join(panel_dims), math.prod(plane.sizes[dim] for dim in panel_dims))
     dims = [name or chosen.pop(0) for name in (x, y) if name or chosen]
     for dim in dims:
         if not 0 < np.ptp(plane[dim].values) < np.inf:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,16 +26,15 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from .. import extension
 from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, ZERO_RATES
+from ..analysis.metadata import scene_of
 from ..flags import Regularity
-from ..scene.model import Scene
 from ..systems.base import Mask
 from .content import NOT_YET, SLOW, Panel
-from .options import MapOptions
 from .style import COLOURS
 
 
 def draw_values(
-    ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale, label: str
+    ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
 ) -> ScalarMappable | None:
     """Draw the cells of an array over two axes, or its curve over one; returns the cells."""
     ax.set_xlim(edges[0][0], edges[0][-1])
@@ -47,7 +46,6 @@ def draw_values(
             ax.set_ylim(0.5 * low, 2 * high)
             values = np.where(values > 0, values, np.nan)
         ax.plot(array[array.dims[0]].values, values, color=COLOURS["regular_precession"])
-        ax.set_ylabel(label)
         return None
     image = ax.pcolormesh(
         *edges, scale.as_drawn(array.values), cmap=scale.colormap, norm=scale.norm, rasterized=True
@@ -56,16 +54,37 @@ def draw_values(
     return image
 
 
-def draw_levels(ax: Axes, array: xr.DataArray, colours: Mapping[str, str], levels: Sequence[int]) -> None:
+def draw_levels(
+    ax: Axes, array: xr.DataArray, texts: Sequence[str], colours: Sequence[str], levels: Sequence[int]
+) -> None:
     """Draw flags over one axis as a curve whose levels are these flags, with a dot in its colour at each point."""
     x, heights = array[array.dims[0]].values, np.searchsorted(levels, array.values)
     ax.step(x, heights, where="mid", color="0.35", linewidth=0.6)
-    ax.scatter(
-        x, heights, c=np.array(list(colours.values()))[array.values.astype(int)], s=9, marker="s", zorder=2.2
-    )
-    ax.set_yticks(range(len(levels)), np.array(list(colours))[levels])
+    ax.scatter(x, heights, c=np.array(colours)[array.values.astype(int)], s=9, marker="s", zorder=2.2)
+    ax.set_yticks(range(len(levels)), np.array(texts)[levels])
     ax.set_ylim(-0.6, len(levels) - 0.4)
     ax.tick_params(axis="y", length=0)
+
+
+# Area of a dot in square points, within limits: all dots of a panel cover it about once.
+PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
+
+
+def draw_dots(
+    ax: Axes, array: xr.DataArray, places: list[np.ndarray], scale: ColorScale, *, rare_on_top: bool
+) -> ScalarMappable:
+    """Draw the values at single points as dots; returns them."""
+    values = array.values.astype(np.int8) if array.dtype == bool else array.values
+    order = np.arange(values.size)
+    if rare_on_top:
+        order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")
+    area = float(np.clip(PANEL_AREA / max(values.size, 1), MIN_DOT, MAX_DOT))
+    ax.margins(0.03)
+    return ax.scatter(
+        places[0][order], places[1][order], c=scale.as_drawn(values)[order], s=area, cmap=scale.colormap,
+        norm=scale.norm, edgecolors="0.35", linewidths=0.25 if area > 2 else 0, rasterized=True,
+        plotnonfinite=False,
+    )  # fmt: skip
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
@@ -104,13 +123,14 @@ class ColorScale:
         return np.where(values <= 0, 0.5 * self.log_range[0], values)
 
 
-def color_scale(array: xr.DataArray, options: MapOptions) -> ColorScale:
-    """Colour scale of a variable by its values, with the colours that the caller chose."""
-    if colours := list(options.flag_colours(array).values()):
-        edges = np.arange(len(colours) + 1) - 0.5
-        return ColorScale(ListedColormap(colours), BoundaryNorm(edges, len(colours)))
-    colormap = colormaps.get_cmap("viridis" if options.cmap is None else options.cmap)
-    finite = array.values[np.isfinite(array.values)]
+def color_scale(
+    values: np.ndarray, flags: Sequence[str] = (), cmap: str | Colormap | None = None
+) -> ColorScale:
+    """Colour scale of a variable by its values, of flags by their colours."""
+    if flags:
+        return ColorScale(ListedColormap(flags), BoundaryNorm(np.arange(len(flags) + 1) - 0.5, len(flags)))
+    colormap = colormaps.get_cmap("viridis" if cmap is None else cmap)
+    finite = values[np.isfinite(values)]
     if not finite.size:
         return ColorScale(colormap, Normalize(0, 1))
     low, high = float(finite.min()), float(finite.max())
@@ -121,7 +141,7 @@ def color_scale(array: xr.DataArray, options: MapOptions) -> ColorScale:
     if low < 0 < high:
         # Cividis is blue below, grey at and yellow above its middle, and its luminance shows the sign.
         bound = max(-low, high)
-        signed = colormaps["cividis"] if options.cmap is None else colormap
+        signed = colormaps["cividis"] if cmap is None else colormap
         return ColorScale(signed, Normalize(-bound, bound))
     if high > 0 and high > MIN_LOG_RATIO * float(finite[finite > 0].min()):
         return _log_scale(colormap, finite, MAX_DECADES)
@@ -157,32 +177,29 @@ _COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205",
 MAX_EXPONENT_DECADES = 3  # of the colour scale
 
 
-def exponent_scale(ds: xr.Dataset, name: str) -> ColorScale | None:
-    """Colours of the exponents of the chaotic points of a map of regularity; None where there are none to draw."""
-    if name != "regularity" or "lyapunov" not in ds or ds["lyapunov"].dims != ds[name].dims:
+def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
+    """Exponents of the chaotic points of a map of regularity, else nan, in the order of its flags; None of another map."""
+    if flags.name != "regularity" or "lyapunov" not in ds or {*ds["lyapunov"].dims} != {*flags.dims}:
         return None
-    values = ds["lyapunov"].values[ds[name].values == Regularity.CHAOTIC]
+    exponents = ds["lyapunov"].transpose(*flags.dims).values
+    return np.where(flags.values == Regularity.CHAOTIC, exponents, np.nan)
+
+
+def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
+    """Colours of the exponents of chaotic points; None where there are none to draw."""
+    values = np.concatenate([np.empty(0), *(each.ravel() for each in exponents if each is not None)])
     values = values[values > 0]
     if not values.size or values.max() == values.min():
         return None
     return _log_scale(_COLOURS, values, MAX_EXPONENT_DECADES)
 
 
-def draw_exponents(
-    ax: Axes, part: xr.Dataset, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
-) -> ScalarMappable:
-    """Draw the exponents of the chaotic cells over the cells of the map; returns them for a colour bar."""
-    exponents = part["lyapunov"].transpose(*array.dims).values
-    chaotic = np.where(array.values == Regularity.CHAOTIC, exponents, np.nan)
-    return ax.pcolormesh(
-        *edges, np.atleast_2d(chaotic), cmap=scale.colormap, norm=scale.norm, rasterized=True, zorder=1.1
-    )
-
-
-def regularity_texts(scene: Scene | None) -> Mapping[str, str]:
+def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:
     """Texts of flags of regularity in the legend; "regular" and "chaotic" state the length of the runs of a scene."""
     length = (
-        {} if scene is None else {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
+        {}
+        if (scene := scene_of(ds)) is None
+        else {name: f"{name} up to {scene.duration}" for name in ("regular", "chaotic")}
     )
     return {"hyperbolic": "hyperbolic (unstable)"} | length
 
@@ -204,7 +221,7 @@ PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# One of KINDS with more than MAX_HALOED lines is THIN and has no halo: as wide as others it would cover the cells between them.
+# One of KINDS with more than MAX_HALOED lines, or crowded ones, is THIN and has no halo: else it would cover the cells between them.
 MAX_HALOED = 40
 THIN = {"linestyle": "-", "linewidth": 0.5}
 
@@ -227,9 +244,11 @@ HATCHES = {
 }
 
 
-def border_style(kind: str) -> dict[str, Any]:
-    """Line of a kind of border of the core or of an extension."""
-    return {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
+def border_style(kind: str, panel: Panel | None = None) -> dict[str, Any]:
+    """Line of a kind of border of the core or of an extension, on a panel maybe thin."""
+    style = {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
+    is_thin = panel and kind in KINDS and (len(panel.borders[kind]) > MAX_HALOED or kind in panel.crowded)
+    return style | THIN if is_thin else style
 
 
 def family_style(number: int) -> dict[str, Any]:
@@ -243,11 +262,9 @@ def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequ
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
-        lines = panel.borders.get(kind, [])
-        if kind in KINDS and len(lines) > MAX_HALOED:
-            _draw_lines(ax, lines, border_style(kind) | THIN, halo=0.0)
-        else:
-            _draw_lines(ax, lines, border_style(kind), halo=HALO)
+        if kind in panel.borders:
+            style = border_style(kind, panel)
+            _draw_lines(ax, panel.borders[kind], style, halo=0.0 if style | THIN == style else HALO)
     for name, lines in panel.families.items():
         _draw_lines(ax, lines, family_style(families.index(name)), halo=HALO)
 

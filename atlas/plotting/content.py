@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,6 +31,8 @@ MIN_VISIBLE = 1e-3
 # Hatching narrower than this share of the frame's side is not visible, nor are lines nearer to the frame.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
+# A border with a larger share of `crowding` is drawn thin. Sides of cells between samples of a line, and until it counts as returned.
+CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
@@ -46,6 +48,7 @@ class Panel:
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
+    crowded: Collection[str] = ()  # kinds of borders whose lines are often less than a cell apart
 
     def in_degrees(self, degrees: bool | None) -> Panel:
         """The panel as it is shown, see `analysis.degrees`."""
@@ -55,7 +58,7 @@ class Panel:
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """A panel without the hatching and the lines of theory that nobody could see within the edges of its cells."""
+    """A panel without the hatching and the lines of theory that nobody could see within its cells, and where these crowd."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -73,7 +76,27 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
         {kind: lines for kind, lines in group.items() if any(map(is_inside, lines))}
         for group in (panel.borders, panel.families)
     )
-    return replace(panel, slow=slow & is_visible, borders=borders, families=families)
+    crowded = [kind for kind, lines in borders.items() if kind in KINDS and crowding(lines, edges) > CROWDED]
+    return replace(panel, slow=slow & is_visible, borders=borders, families=families, crowded=crowded)
+
+
+def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
+    """Share of the cells with a line to which another line comes, or the same line again: so often are tongues narrower than a cell."""
+    if len(edges) == 1:
+        return 0.0
+    samples, start = [], 0.0
+    for line in lines:
+        places = [np.interp(v, e, np.arange(e.size)) for v, e in zip(line.T, edges, strict=True)]
+        along = start + np.cumsum(np.hypot(*np.diff(places, axis=1, prepend=np.array(places)[:, :1])))
+        even = np.arange(along[0], along[-1], SAMPLING)
+        samples.append([even, *(np.floor(np.interp(even, along, place)) for place in places)])
+        start = along[-1] + 2 * RETURN
+    along, *cell = np.concatenate(samples, axis=1)
+    order = np.lexsort([along, *cell])
+    same = (np.diff(np.array(cell)[:, order]) == 0).all(0)
+    returns = np.r_[False, same & (np.diff(along[order]) > RETURN)]
+    first = np.cumsum(~np.r_[False, same])[returns]  # number of the cell
+    return float(np.unique(first).size / (1 + (~same).sum()))
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:

@@ -1,14 +1,12 @@
-"""Maps of an atlas with theory drawn over the measurements."""
+"""Maps of atlases with theory drawn over the measurements, on one panel or several."""
 
 from __future__ import annotations
 
 import logging
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from math import prod
 from typing import Any
 
 import numpy as np
@@ -25,6 +23,7 @@ from .. import extension
 from ..analysis.degrees import factor, in_degrees
 from ..analysis.metadata import (
     axes_of,
+    flag_names,
     is_logarithmic,
     map_variable,
     numeric_coordinates,
@@ -33,56 +32,175 @@ from ..analysis.metadata import (
     scene_problem,
     system_of,
 )
-from ..analysis.select import cell_edges, check_axes, nearest_on_axes, plane_of
-from ..errors import BadInput, allowed_text, attribute_text
+from ..analysis.select import cell_edges, check_axes, check_panels, nearest_on_axes, plane_of
+from ..errors import BadInput, allowed_text, attribute_text, shown
 from ..flags import Regularity
+from ..store.joined import subject_of
 from ..systems.base import Mask, families_of
 from ..variables import POINT
 from . import cells
+from .cells import ColorScale
 from .content import MIN_VISIBLE, NO_VALUE, SLOW, Panel, panel_of, remarks, visible
-from .options import MapOptions
-from .style import STYLE, SYMBOLS, PrintFigure, axis_label, caption, drawable, unit_text, variable_label
+from .options import MapOptions, takes_map_options
+from .style import (
+    STYLE,
+    SYMBOLS,
+    PrintFigure,
+    axis_label,
+    caption,
+    drawable,
+    flag_colours,
+    unit_text,
+    variable_label,
+    wrapped,
+)
 
 Entries = dict[str, Artist]  # text of the legend -> sample
-# name of a flag -> function of a colour that makes its sample in the legend
-Samples = Mapping[str, Callable[[str], Artist]]
+
+
+@takes_map_options
+def figure(
+    panels: Sequence[xr.Dataset | tuple[xr.Dataset, str]] | Mapping[str, xr.Dataset | tuple[xr.Dataset, str]],
+    **options: Any,
+) -> Figure:
+    """Figure of several atlases, or of several variables, with one legend for all panels.
+
+    Panels of one variable have one colour scale, and panels over the same axes share them.
+
+    Parameters
+    ----------
+    panels : sequence or mapping of str to Dataset or (Dataset, str)
+        Atlases, each alone or with the name of a variable; the keys of a mapping are written above the panels.
+    **options
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        With the panels row by row.
+
+    Examples
+    --------
+    >>> atlas.figure({"radius": a, "velocity": b}, width="page").savefig("both.pdf")
+    """
+    listed = panels if isinstance(panels, list | tuple) else [panels]
+    by_title = dict(panels) if isinstance(panels, dict) else dict(enumerate(listed))
+    chosen, views = MapOptions(**options), list[View]()
+    for title, panel in by_title.items():
+        ds, variable = panel if isinstance(panel, tuple) and len(panel) == 2 else (panel, None)
+        if not isinstance(ds, xr.Dataset):
+            raise BadInput(f"panels: {title} = {shown(panel)}: must be an atlas, or an atlas and a variable")
+        for view in views_of(subject_of(ds), variable, chosen):
+            texts = [drawable(title), *view.texts] if isinstance(title, str) else view.texts
+            views.append(replace(view, texts=[", ".join(texts)] if texts else []))
+    if not views:
+        raise BadInput("panels: must have at least one atlas")
+    return draw(views, chosen)
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
     """Map of one variable of an atlas with theory drawn over it, as `Atlas.map`; a scatter map of single points."""
-    system_of(ds)
     chosen = MapOptions(**options)
-    if chosen.title:
-        chosen = replace(chosen, title=drawable(chosen.title))
+    return draw(views_of(ds, variable, chosen), chosen)
+
+
+@dataclass(frozen=True)
+class View:
+    """What one panel shows: a variable over one or two axes, or at single points."""
+
+    name: str  # of the variable
+    flags: Mapping[str, str]  # name of each flag -> its colour, in the order of the values; empty for numbers
+    flag_texts: Mapping[str, str]
+    axes: list[str]  # x first
+    labels: list[str]  # of the axes, x first; the second one of a curve describes the variable
+    bar_label: str
+    log: list[bool]  # whether each axis is logarithmic
+    edges: list[np.ndarray]  # of the cells along each axis, x first; of single points their places
+    panel: Panel  # as it is shown
+    notes: list[str]  # sentences below the figure
+    families: list[str] = field(default_factory=list)  # of the system, in the order of their flags
+    texts: list[str] = field(
+        default_factory=list
+    )  # what distinguishes the panel: one, or of its row and of its column
+    exponents: np.ndarray | None = None  # of chaotic cells, else nan
+
+    @property
+    def is_points(self) -> bool:
+        """Whether the panel shows single points."""
+        return self.panel.array.dims == (POINT,)
+
+    @property
+    def is_curve(self) -> bool:
+        """Whether the map has a single axis."""
+        return len(self.edges) == 1
+
+    def extent(self, axis: int) -> str:
+        """What panels have in common that share the axis x (0) or y (1)."""
+        edges = [] if self.is_points else [edge[[0, -1]].tolist() for edge in self.edges[axis : axis + 1]]
+        return f"{self.labels[axis]} {edges} {self.log[axis : axis + 1] or self.name}"
+
+    def draw(
+        self, ax: Axes, scale: ColorScale, exponents: ColorScale | None, levels: list[int], *, inner: bool
+    ) -> ScalarMappable | None:
+        """Draw the panel, inner if it has neighbours in its row; returns what the colour bar explains."""
+        array, image = self.panel.array, None
+        if self.is_points:
+            image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
+        elif self.flags and self.is_curve:
+            cells.draw_levels(ax, array, list(self.flag_texts.values()), list(self.flags.values()), levels)
+        else:
+            image = cells.draw_values(ax, array, self.edges, scale)
+        if self.name == "regularity" and len(array.dims) == 2:
+            undecided = array.values == Regularity.UNDECIDED
+            if undecided.any():
+                cells.draw_hatching(ax, undecided, self.edges, cells.HATCHES[cells.UNDECIDED])
+            if exponents is not None:
+                image = cells.draw_values(ax, array.copy(data=self.exponents), self.edges, exponents)
+        for which, is_log in zip("xy", self.log, strict=False):
+            cells.set_axis(ax, which, is_log, inner=inner and which == "x")
+        if not self.is_points:
+            cells.draw_overlay(ax, self.panel, self.edges, self.families)
+        return image
+
+
+def views_of(ds: xr.Dataset, variable: str | None, options: MapOptions) -> list[View]:
+    """The panels of one variable of an atlas, row by row."""
+    system_of(ds)
+    for role in ("row", "col"):
+        dim, is_row = getattr(options, role), role == "row"
+        if dim in ds.dims and dim in ds.coords and ds[dim].dtype.kind in "OSTU":
+            check_panels(dim, ds.sizes[dim])
+            parts, rest = list[list[View]](), replace(options, **{role: None})  # type: ignore[arg-type]
+            for i, value in enumerate(ds[dim].values):
+                part, text = subject_of(ds.isel({dim: i})), [drawable(str(value))]
+                variable = map_variable(part) if variable is None else variable
+                views = views_of(part, variable, rest)
+                parts.append([replace(v, texts=text + v.texts if is_row else v.texts + text) for v in views])
+            return [view for row in (parts if is_row else zip(*parts, strict=True)) for view in row]
     name = map_variable(ds) if variable is None else variable
     if name not in list(ds.data_vars):
         raise BadInput(
             f"{name}: not a variable of this atlas; {allowed_text(name, list(map(str, ds.data_vars)))}"
         )
-    samples_of = extension.load("samples", name)
-    samples = samples_of(ds) if samples_of else {}
+    texts_of = cells.regularity_texts if name == "regularity" else extension.load("flag_texts", name)
+    texts = texts_of(ds) if texts_of else {}
     ds = positions_as_flags(ds, name)
-    with nullcontext() if chosen.ax is not None else rc_context(STYLE):
-        draw = draw_scatter if ds[name].dims == ("point",) else draw_map
-        return draw(ds, name, chosen, samples)
+    flags = {
+        flag: (options.colors or {}).get(flag, c) for flag, c in flag_colours(flag_names(ds[name])).items()
+    }
+    texts = {flag: text_of(options, flag, texts.get(flag, flag.replace("_", " "))) for flag in flags}
+    views_over = points_view if ds[name].dims == (POINT,) else axes_views
+    return views_over(ds, options, partial(View, name, flags, texts))
 
 
-def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -> Figure:
-    """Draw a variable over its axes, see `atlas_map`."""
+def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
+    """The panels of a variable over its axes, of which `view` has the name and the flags."""
+    name, flags = view.args[:2]
     ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
-    select = options.select or {}
-    in_input = options.degrees is True  # a scene asks for degrees in figures only
+    select, degrees = options.select or {}, options.degrees
+    in_input = degrees is True  # a scene asks for degrees in figures only
     plane, dims, panel_dims = plane_of(
         ds, options.x, options.y, select, options.row, options.col, degrees=in_input
     )
-    options.check_for(ds[name], dims)
-    counts = tuple(plane.sizes[dim] for dim in panel_dims)
-    if panel_dims and options.ax is not None:
-        raise BadInput(
-            f"ax: {' x '.join(panel_dims)} has {prod(counts)} values here, and a panel for each; choose one by select"
-        )
-    shown = in_degrees(plane[[name]], options.degrees)
-    array = shown[name].transpose(*panel_dims, *dims[::-1]).load()
     scene = scene_of(ds)
     log = [is_logarithmic(scene, dim, plane[dim].values) for dim in dims]
     edges = [cell_edges(plane[dim].values, is_log) for dim, is_log in zip(dims, log, strict=True)]
@@ -90,147 +208,63 @@ def draw_map(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -
     if options.boundary and has_axes and (problem := scene_problem(ds, plane)):
         logging.getLogger("atlas").warning("no theory on this map: %s", problem)
         scene = None
-    parts = [plane.isel(dict(zip(panel_dims, index, strict=True))) for index in np.ndindex(counts)]
-    panels = [visible(panel_of(part, name, dims, scene, options.boundary), edges) for part in parts]
-    panels = [panel.in_degrees(options.degrees) for panel in panels]
-    edges = [edge * factor(plane[dim].attrs, options.degrees) for edge, dim in zip(edges, dims, strict=True)]
-    if name == "regularity":
-        options = replace(options, labels={**cells.regularity_texts(scene), **(options.labels or {})})
-    flags = options.flag_colours(array)
-    drawing = Drawing(
-        name=name,
-        label=options.text(name, variable_label(array)),
-        edges=edges,
-        log=log,
-        scale=cells.color_scale(array, options),
-        exponents=cells.exponent_scale(plane, name) if len(dims) == 2 else None,
-        flags={options.text(flag, flag.replace("_", " ")): colour for flag, colour in flags.items()},
-        levels=np.unique(array.values.astype(int)).tolist() if flags else [],
-        families=list(families_of(system_of(ds))),
-    )
-    entries, notes = map_legend(panels, {} if drawing.is_curve else flags, options, drawing.families, samples)
-    notes += remarks(ds, filled=not drawing.flags)
+    notes = remarks(ds, filled=not flags)
     if options.caption:
         notes.append(caption(nearest_on_axes(ds, select, in_input)))
-    columns = 1 if options.row else min(prod(counts), 2 if options.size_mm[0] < 130 else 4)
-    columns = counts[-1] if options.row and options.col else columns
-    sheet = Sheet(options, len(panels), columns, drawing.curve_height(options.size_mm[0] / columns))
-    figure, axes = sheet.figure(entries, notes)
-    for i, (part, panel, ax) in enumerate(zip(parts, panels, axes, strict=True)):
-        image = drawing.draw(ax, part, panel, inner=columns > 1)
-        place = in_degrees(part[panel_dims], options.degrees)
-        name_panel(ax, place, panel_dims, top=i < columns, end=(i + 1) % columns == 0)
-    sheet.label_axes(axes, [options.text(dim, axis_label(shown, dim)) for dim in dims], entries)
-    if image is not None and drawing.exponents is not None:
-        label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
-        cells.add_color_bar(figure, axes, image, drawing.exponents, label)
-    elif image is not None and not drawing.flags:
-        cells.add_color_bar(figure, axes, image, drawing.scale, drawing.label)
-    return figure
+    labels = [text_of(options, dim, axis_label(in_degrees(plane[[dim]], degrees), dim)) for dim in dims]
+    label = text_of(options, name, variable_label(in_degrees(plane[name], degrees)))
+    shown_edges = [e * factor(plane[dim].attrs, degrees) for e, dim in zip(edges, dims, strict=True)]
+    views = []
+    for index in np.ndindex(*(plane.sizes[dim] for dim in panel_dims)):
+        part, texts = plane.isel(dict(zip(panel_dims, index, strict=True))), []
+        place = in_degrees(part[panel_dims], degrees)
+        for dim in panel_dims:
+            value = f"{float(place[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
+            unit = unit_text(attribute_text(place[dim].attrs, "units"))
+            texts.append(drawable(f"{axis_label(place, dim, unit=False)} = {value} {unit}".strip()))
+        panel = visible(panel_of(part, name, dims, scene, options.boundary), edges).in_degrees(degrees)
+        families, exponents = list(families_of(system_of(ds))), cells.chaotic_exponents(part, panel.array)
+        if exponents is not None:
+            label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
+        shown_labels = [*labels, "" if flags else label][:2]
+        views.append(
+            view(dims, shown_labels, label, log, shown_edges, panel, notes, families, texts, exponents)
+        )
+    if any(view.panel.crowded for view in views):
+        logging.getLogger("atlas").warning(
+            "%s: the grid is coarser than the lines of theory: many of its cells have two, with a region between them that may have"
+            " no point; a finer grid or [refine] shows it",
+            name,
+        )
+    return views
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """Colours, texts and axes that the panels of a map over one or two axes share."""
-
-    name: str  # of the variable
-    label: str  # name and unit of the variable, or the caller's text
-    edges: list[np.ndarray]  # of the cells along each axis, x first
-    log: list[bool]  # whether each axis is logarithmic
-    scale: cells.ColorScale
-    exponents: cells.ColorScale | None  # scale of the Lyapunov exponents over cells of regularity
-    flags: Mapping[str, str]  # text of each flag -> its colour, in the order of the values; empty for numbers
-    levels: list[int]  # values of the flags that occur
-    families: list[str]  # of the system, in the order of their flags
-
-    @property
-    def is_curve(self) -> bool:
-        """Whether the map has a single axis."""
-        return len(self.edges) == 1
-
-    def curve_height(self, width: float) -> float | None:
-        """Height in mm of a panel of this width, None for cells over two axes."""
-        if not self.is_curve:
-            return None
-        return 8.0 + 7.0 * len(self.levels) if self.flags else 0.6 * width
-
-    def draw(self, ax: Axes, part: xr.Dataset, panel: Panel, *, inner: bool) -> ScalarMappable | None:
-        """Draw a panel, inner if it has neighbours in its row; returns the cells that the colour bar explains."""
-        image = None
-        if self.flags and self.is_curve:
-            cells.draw_levels(ax, panel.array, self.flags, self.levels)
-        else:
-            image = cells.draw_values(ax, panel.array, self.edges, self.scale, self.label)
-        if self.name == "regularity" and not self.is_curve:
-            undecided = panel.array.values == Regularity.UNDECIDED
-            if undecided.any():
-                cells.draw_hatching(ax, undecided, self.edges, cells.HATCHES[cells.UNDECIDED])
-            if self.exponents is not None:
-                image = cells.draw_exponents(ax, part, panel.array, self.edges, self.exponents)
-        for which, is_log in zip("xy", self.log, strict=False):
-            cells.set_axis(ax, which, is_log, inner=inner and which == "x")
-        if self.flags or not self.is_curve:
-            cells.draw_overlay(ax, panel, self.edges, self.families)
-        return image
-
-
-def name_panel(ax: Axes, part: xr.Dataset, dims: Sequence[str], *, top: bool, end: bool) -> None:
-    """Write the values of the axes of panels: of one axis above each panel; of two above the top row and at the ends of rows."""
-    texts = []
-    for dim in dims:
-        value = f"{float(part[dim]):.4g}".replace("-", "\N{MINUS SIGN}")
-        unit = unit_text(attribute_text(part[dim].attrs, "units"))
-        texts.append(drawable(f"{axis_label(part, dim, unit=False)} = {value} {unit}".strip()))
-    if len(texts) == 1 or (texts and top):
-        ax.set_title(texts[-1])
-    if len(texts) == 2 and end:
-        ax.annotate(texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
-
-
-# Area of a dot in square points, within limits: all dots of a panel cover it about once.
-PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
-
-
-def draw_scatter(ds: xr.Dataset, name: str, options: MapOptions, samples: Samples) -> Figure:
-    """Draw a variable of single points as dots, see `atlas_map`."""
+def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
+    """The panel of a variable of single points, of which `view` has the name and the flags."""
     for option in ("select", "row", "col"):
         if getattr(options, option):
             raise BadInput(
                 f"{option}: these are single points without axes; choose some by ds.atlas.select or ds.sel"
             )
     axes = scatter_axes(ds, options.x, options.y)
-    options.check_for(ds[name], axes)
-    captions = [caption(ds)] if options.caption else []
+    notes = [caption(ds)] if options.caption else []
+    (name, flags), log = view.args[:2], list[bool]()
     ds = in_degrees(ds[[name, *axes]].load(), options.degrees)
-    array = ds[name]
-    flags = options.flag_colours(array)
+    array, places = ds[name], [np.asarray(ds[axis].values, float) for axis in axes]
     missing = np.zeros(array.shape, bool) if flags else ~np.isfinite(array.values)
     panel = Panel(array, {NO_VALUE: missing} if missing.any() else {}, np.zeros(array.shape, bool))
-    entries, notes = map_legend([panel], flags, options, [], samples)
-    sheet = Sheet(options)
-    figure, (ax,) = sheet.figure(entries, notes + captions)
-    columns = [np.asarray(ds[axis].values, float) for axis in axes]
-    scale = cells.color_scale(array, options)
-    values = array.values.astype(np.int8) if array.dtype == bool else array.values
-    order = np.arange(values.size)
-    if flags:  # rare ones on top
-        order = np.argsort(-np.bincount(values, minlength=1)[values], kind="stable")
-    area = float(np.clip(PANEL_AREA / max(values.size, 1), MIN_DOT, MAX_DOT))
-    image = ax.scatter(
-        columns[0][order], columns[1][order], c=scale.as_drawn(values)[order], s=area, cmap=scale.colormap,
-        norm=scale.norm, edgecolors="0.35", linewidths=0.25 if area > 2 else 0, rasterized=True,
-        plotnonfinite=False,
-    )  # fmt: skip
-    for which, column in zip("xy", columns, strict=True):
+    for column in places:
         # Positive values get a logarithmic axis if it spreads them more evenly.
-        log = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
-        log = log and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1)
-        cells.set_axis(ax, which, log, inner=False)
-    ax.margins(0.03)
-    sheet.label_axes([ax], [options.text(axis, axis_label(ds, axis)) for axis in axes], entries)
-    if not flags:
-        cells.add_color_bar(figure, [ax], image, scale, options.text(name, variable_label(array)))
-    return figure
+        spread = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
+        log.append(spread and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1))
+    labels = [text_of(options, axis, axis_label(ds, axis)) for axis in axes]
+    label = text_of(options, name, variable_label(array))
+    return [view(axes, labels, label, log, places, panel, notes)]
+
+
+def text_of(options: MapOptions, name: str, default: str) -> str:
+    """Text for a flag, an axis or a variable: the caller's, or the default."""
+    return drawable(str((options.labels or {}).get(name, default)))
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
@@ -252,8 +286,68 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
     return [str(name) for name in chosen]
 
 
+def draw(views: list[View], options: MapOptions) -> Figure:
+    """Draw panels, row by row, with one legend."""
+    check_options(views, options)
+    options = replace(options, title=options.title and drawable(options.title))
+    columns = options.columns or (1 if options.row else min(len(views), 2 if options.size_mm[0] < 130 else 4))
+    if len(views[0].texts) == 2:
+        columns = sum(view.texts[0] == views[0].texts[0] for view in views)
+    together, levels = dict[str, np.ndarray](), dict[str, list[int]]()
+    for view in views:
+        values = [each.panel.array.values.ravel() for each in views if each.name == view.name]
+        together[view.name] = np.concatenate(values)
+        levels[view.name] = np.unique(together[view.name].astype(int)).tolist() if view.flags else []
+    exponents = cells.exponent_scale(view.exponents for view in views)
+    width = options.size_mm[0] / columns
+    heights = [8.0 + 7.0 * len(levels[v.name]) if v.flags else 0.6 * width for v in views if v.is_curve]
+    height = max(heights) if len(heights) == len(views) else None
+    shared = [len({view.extent(axis) for view in views}) == 1 for axis in (0, 1)]
+    with nullcontext() if options.ax is not None else rc_context(STYLE):
+        entries, notes = map_legend(views)
+        sheet = Sheet(options, len(views), columns, height, *shared)
+        fig, axes = sheet.figure(entries, notes)
+        bars: dict[int, tuple[Callable[[list[Axes]], None], list[Axes]]] = {}
+        for i, (view, ax) in enumerate(zip(views, axes, strict=True)):
+            scale = cells.color_scale(together[view.name], list(view.flags.values()), options.cmap)
+            image = view.draw(ax, scale, exponents, levels[view.name], inner=columns > 1)
+            if len(view.texts) == 1 or (view.texts and i < columns):
+                ax.set_title(wrapped(view.texts[-1], 0.75 * width, 8))
+            if len(view.texts) == 2 and (i + 1) % columns == 0:
+                ax.annotate(view.texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
+            of_bar = scale if not view.flags else exponents if view.exponents is not None else None
+            if image is not None and of_bar is not None:
+                bar = partial(cells.add_color_bar, fig, image=image, scale=of_bar, label=view.bar_label)
+                bars.setdefault(i if len(together) > 1 else -1, (bar, []))[1].append(ax)
+        sheet.label_axes(axes, [view.labels for view in views], entries)
+        for add_bar, beside in bars.values():
+            add_bar(beside)
+    return fig
+
+
+def check_options(views: list[View], options: MapOptions) -> None:
+    """Raise BadInput for options that suit none of the panels, and for too many panels."""
+    if options.ax is not None and len(views) > 1:
+        raise BadInput(f"ax: {len(views)} panels do not fit into one; choose one by select")
+    check_panels("these", len(views))
+    flags = list(dict.fromkeys(flag for view in views for flag in view.flags))
+    if options.cmap is not None and all(view.flags for view in views):
+        raise BadInput(
+            f"cmap: {views[0].name} has flags, each with a colour of its own; choose them by colors"
+        )
+    if options.colors and not flags:
+        raise BadInput(f"colors: {views[0].name} has no flags; choose its colours by cmap")
+    others = dict.fromkeys(name for view in views for name in [*view.axes, view.name])
+    for name, names, allowed in (
+        ("colors", options.colors, flags),
+        ("labels", options.labels, [*flags, *others]),
+    ):
+        for each in names or {}:
+            if each not in allowed:
+                raise BadInput(f"{name}: {shown(each)}: {allowed_text(each, allowed)}")
+
+
 TEXT_ROW = 2.8  # height in mm
-SAMPLE = 2.6  # side of a sample in the legend that an extension makes, in sizes of the font
 LEGEND_SHARE = 0.97  # of the width that a legend may take; screens of few dots draw letters wider than print
 
 
@@ -265,6 +359,8 @@ class Sheet:
     panels: int = 1  # how many panels
     columns: int = 1  # panels in a row
     panel_height: float | None = None  # mm; default: that of a map over two axes
+    share_x: bool = True
+    share_y: bool = True
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -285,7 +381,7 @@ class Sheet:
         figure = PrintFigure(
             figsize=(width / 25.4, (height or width) / 25.4), layout="constrained", dpi=float(options.dpi)
         )
-        text = drawable(textwrap.fill(" ".join(notes), int(0.78 * width))) if notes else ""
+        text = wrapped(drawable(" ".join(notes)), width - 3.0, 6.5)
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
         head = self._draw_legend(figure, legend)
         rows = -(-self.panels // self.columns)
@@ -300,81 +396,82 @@ class Sheet:
         engine.set(rect=(0, foot / height, 1, 1 - foot / height), w_pad=0.02, h_pad=0.02)  # type: ignore[call-arg]
         if text:
             figure.text(1.5 / width, 1.0 / height, text, fontsize=6.5, va="bottom", ha="left")
-        axes = list(figure.subplots(rows, self.columns, sharex=True, sharey=True, squeeze=False).ravel())
+        grid = figure.subplots(rows, self.columns, sharex=self.share_x, sharey=self.share_y, squeeze=False)
+        axes = list(grid.ravel())
         for unused in axes[self.panels :]:
             unused.remove()
         return figure, axes[: self.panels]
 
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
         """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
-        has_samples = any(type(sample) not in (Polygon, Line2D) for sample in legend.values())
+        width = self.options.size_mm[0]
+        texts = [wrapped(text, width - 9.0, 7) for text in legend]
+        title = wrapped(self.options.title, width, 9) if self.options.title else None
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
-                list(legend.values()), list(legend), loc="outside upper center",
+                list(legend.values()), texts, loc="outside upper center",
                 ncols=columns, frameon=False, columnspacing=0.8,
-                **({"handlelength": SAMPLE, "handleheight": SAMPLE} if has_samples else {"handlelength": 1.8}),
-                borderaxespad=0.2, borderpad=0, title=self.options.title, title_fontsize=9,
+                handlelength=1.8, borderaxespad=0.2, borderpad=0, title=title, title_fontsize=9,
             )  # fmt: skip
             box = drawn.get_window_extent()
             if columns == 1 or box.width < LEGEND_SHARE * figure.bbox.width:
                 return box.height / figure.dpi * 25.4
             drawn.remove()
-        if self.options.title:
-            figure.suptitle(self.options.title, fontsize=9)
-        return 5.0 if self.options.title else 0.0
+        if title is None:
+            return 0.0
+        figure.suptitle(title, fontsize=9)
+        return 1.0 + 4.0 * (title.count("\n") + 1)
 
-    def label_axes(self, axes: list[Axes], labels: list[str], entries: Entries) -> None:
-        """Label the axes, of several panels once for all of them; entries: the legend, which the caller may draw again."""
+    def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:
+        """Label the axes, once for all panels where their labels agree; entries: the legend, which the caller may draw again."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)
         figure = axes[0].get_figure(root=True)
         assert figure is not None
-        setters: list[Callable[[str], object]] = [figure.supxlabel, figure.supylabel]
-        if self.panels == 1:
-            setters = [axes[0].set_xlabel, axes[0].set_ylabel]
-        for set_label, label in zip(setters, labels, strict=False):
-            set_label(label)
+        width = self.options.size_mm[0]
+        for which, share, own in zip("xy", (0.7, 0.6), zip(*labels, strict=True), strict=True):
+            if len(axes) > 1 and len(set(own)) == 1:
+                getattr(figure, f"sup{which}label")(wrapped(own[0], share * width, 8))
+            else:
+                for ax, text in zip(axes, own, strict=True):
+                    ax.set(**{f"{which}label": wrapped(text, share * width / self.columns, 8)})
         for ax in axes[-self.columns :]:  # nothing is below them
             ax.tick_params(labelbottom=True)
 
 
-def map_legend(
-    panels: Sequence[Panel],
-    flags: Mapping[str, str],
-    options: MapOptions,
-    families: Sequence[str],
-    samples: Samples,
-) -> tuple[Entries, list[str]]:
-    """Legend (text -> sample of colour, hatching or line), and notes about regions too small to see."""
+def map_legend(views: Sequence[View]) -> tuple[Entries, list[str]]:
+    """Legend of all panels (text -> sample of colour, hatching or line), and the sentences below the figure."""
+    regions: dict[str, tuple[Artist, list[Mask]]] = {}  # text -> sample, and its cells in panels
+    panels = [view.panel for view in views]
+    for view, panel in zip(views, panels, strict=True):
+        white = sum(panel.white.values(), np.zeros(panel.array.shape, bool))
+        for value, (flag, colour) in enumerate({} if view.is_curve else view.flags.items()):
+            mask = (panel.array.values == value) & ~white
+            regions.setdefault(view.flag_texts[flag], (_sample(flag, colour), []))[1].append(mask)
+    for panel in panels:
+        for reason, mask in panel.white.items():
+            regions.setdefault(reason, (_sample(reason), []))[1].append(mask)
+    for panel in panels:
+        regions.setdefault(SLOW, (_sample(SLOW), []))[1].append(panel.slow)
     entries: Entries = {}
-    too_small: list[str] = []
-    total = sum(panel.array.size for panel in panels)
-
-    def add(text: str, masks: list[Mask], sample: Artist) -> None:
-        """Add a region, its cells in each panel, if it is visible; else a sentence with its number of points."""
+    too_small, total = [], sum(panel.array.size for panel in panels)
+    for text, (sample, masks) in regions.items():
         count = sum(int(mask.sum()) for mask in masks)
         if any(mask.mean() >= MIN_VISIBLE for mask in masks):
             entries[text] = sample
         elif count and text != SLOW:
             too_small.append(f"{text}, {count} of {total} points")
-
-    white = [sum(panel.white.values(), np.zeros(panel.array.shape, bool)) for panel in panels]
-    for value, (name, colour) in enumerate(flags.items()):
-        masks = [(panel.array.values == value) & ~mask for panel, mask in zip(panels, white, strict=True)]
-        sample = samples.get(name, partial(_sample, name))
-        add(options.text(name, name.replace("_", " ")), masks, sample(colour))
-    for reason in dict.fromkeys(reason for panel in panels for reason in panel.white):
-        masks = [panel.white[reason] for panel in panels if reason in panel.white]
-        add(reason, masks, _sample(reason))
-    add(SLOW, [panel.slow for panel in panels], _sample(SLOW))
-    for kind in dict.fromkeys(kind for panel in panels for kind in panel.borders):
-        entries[f"{as_math(kind)} (theory)"] = Line2D([], [], **cells.border_style(kind))
-    for name in dict.fromkeys(name for panel in panels for name in panel.families):
-        entries[f"{name.replace('_', ' ')} (exact)"] = Line2D(
-            [], [], **cells.family_style(families.index(name))
-        )
-    return entries, [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
+    for panel in panels:
+        for kind in panel.borders:
+            text, style = f"{as_math(kind)} (theory)", cells.border_style(kind, panel)
+            entries.setdefault(text, Line2D([], [], **style))
+    for view in views:
+        for name in view.panel.families:
+            style = cells.family_style(view.families.index(name))
+            entries[f"{name.replace('_', ' ')} (exact)"] = Line2D([], [], **style)
+    notes = [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
+    return entries, list(dict.fromkeys([*notes, *(note for view in views for note in view.notes)]))
 
 
 def as_math(kind: str) -> str:

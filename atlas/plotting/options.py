@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..errors import BadInput, allowed_text, shown, similar_text
-from ..scene.checks import boolean, choice
+from ..errors import BadInput, shown, similar_text
+from ..scene.checks import boolean, whole_number
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
 
-Width = Literal["column", "page"]
+Width = Literal["column", "page"] | float
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
 MIN_DPI, MAX_DPI = 10.0, 2400.0
@@ -59,8 +58,10 @@ class MapOptions:
         atlas, and hatch unstable motions that had no time to drift.
     legend : bool, optional
         Draw the legend.
-    width : {"column", "page"}, optional
-        88 mm or 180 mm.
+    columns : int, optional
+        Panels in a row; default 2, on wide figures 4, of `row` alone 1.
+    width : {"column", "page"} or float, optional
+        88 mm or 180 mm, or mm.
     size : (float, float), optional
         Width and height in mm, instead of `width`.
     dpi : float, optional
@@ -90,6 +91,7 @@ class MapOptions:
     )
     boundary: bool = option(True, "draw no theory")
     legend: bool = option(True, "draw no legend")
+    columns: int | None = option(None, "panels in a row", type=int, metavar="N")
     width: Width = option("column", "journal width", choices=tuple(WIDTHS))  # noqa: RUF009 - a field
     size: tuple[float, float] | None = option(None, "size in mm, such as 120x90", metavar="WIDTHxHEIGHT")
     dpi: float = option(300, "resolution (default: 600)", default=None, type=float, metavar="N")
@@ -101,7 +103,11 @@ class MapOptions:
         from matplotlib.axes import Axes
         from matplotlib.colors import Colormap, is_color_like
 
-        choice("width", self.width, WIDTHS)
+        width_mm(self.width)
+        if self.columns is not None:
+            whole_number("columns", self.columns, 1, 12)
+            if self.row is not None:
+                raise BadInput("columns: not together with row, whose panels are below each other")
         if self.degrees is not None:
             boolean("degrees", self.degrees)
         if self.ax is not None and not isinstance(self.ax, Axes):
@@ -130,39 +136,18 @@ class MapOptions:
     @property
     def size_mm(self) -> tuple[float, float | None]:
         """Width of the figure in mm, and its height if the caller chose one."""
-        return self.size if self.size is not None else (WIDTHS[self.width], None)
+        return self.size if self.size is not None else (width_mm(self.width), None)
 
-    def check_for(self, array: xr.DataArray, axes: Iterable[str]) -> None:
-        """Raise BadInput for options that do not suit a variable over some axes."""
-        from ..analysis.metadata import flag_names
 
-        flags = flag_names(array)
-        if flags and self.cmap is not None:
-            raise BadInput(
-                f"cmap: {array.name} has flags, each with a colour of its own; choose them by colors"
-            )
-        if self.colors and not flags:
-            raise BadInput(f"colors: {array.name} has no flags; choose its colours by cmap")
-        for name, names, allowed in (
-            ("colors", self.colors, flags),
-            ("labels", self.labels, [*flags, *axes, str(array.name)]),
-        ):
-            for each in names or {}:
-                if each not in allowed:
-                    raise BadInput(f"{name}: {shown(each)}: {allowed_text(each, allowed)}")
-
-    def text(self, name: str, default: str) -> str:
-        """Text for a flag, an axis or a variable: the caller's, or the default."""
-        from .style import drawable
-
-        return drawable(str((self.labels or {}).get(name, default)))
-
-    def flag_colours(self, array: xr.DataArray) -> dict[str, str]:
-        """Colours of the flags of a variable in the order of their values; empty for a variable of numbers."""
-        from ..analysis.metadata import flag_names
-        from .style import flag_colours
-
-        return flag_colours(flag_names(array)) | dict(self.colors or {})
+def width_mm(width: Width) -> float:
+    """Width of a figure in mm; BadInput for none."""
+    if isinstance(width, str) and width in WIDTHS:
+        return WIDTHS[width]
+    if not _is_number(width, MIN_SIZE, MAX_SIZE):
+        raise BadInput(
+            f"width = {shown(width)}: allowed: {', '.join(WIDTHS)}, or {MIN_SIZE:g} to {MAX_SIZE:g} mm"
+        )
+    return float(width)
 
 
 def _is_number(value: object, low: float, high: float) -> bool:

@@ -7,6 +7,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ import xarray as xr
 from matplotlib import colormaps, rc_context
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.font_manager import findfont, get_font
+from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.mathtext import MathTextParser
+from matplotlib.textpath import text_to_path
 
 from ..analysis.degrees import DEGREE
 from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import FIGURES, atomic_write, writable
 from ..systems.base import families_of
+from .options import Width, width_mm
 
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
@@ -61,6 +64,10 @@ _FLAGS_OF_COLOUR = {
     "#1f4a36": ("linearly_stable",),
 }
 COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}
+# White for none, then colours without an order, for positions in a list; after Tol, "muted".
+QUALITATIVE = (
+    "#ffffff", "#88ccee", "#cc6677", "#117733", "#ddcc77", "#332288", "#aa4499", "#44aa99", "#882255", "#999933",
+)  # fmt: skip
 # Flags for which one colour map from blue to yellow has enough shades.
 MAX_EVEN_SHADES = 11
 SYMBOLS = {
@@ -74,9 +81,35 @@ SYMBOLS = {
 }
 
 
+def style(width: Width = "column") -> AbstractContextManager[None]:
+    """Fonts, lines and size of the figures of this package, for figures of one's own made and saved in this context.
+
+    Parameters
+    ----------
+    width : {"column", "page"} or float, optional
+        Width of new figures: 88 mm or 180 mm, one or two columns of a journal, or mm.
+
+    Returns
+    -------
+    contextlib.AbstractContextManager
+        It changes the settings of Matplotlib, and sets them back at its end.
+
+    Examples
+    --------
+    >>> with atlas.style("column"):
+    ...     figure, ax = plt.subplots()
+    ...     ax.plot(motion.time, motion.theta)
+    ...     figure.savefig("theta.pdf")
+    """
+    size = width_mm(width) / 25.4
+    return rc_context(STYLE | {"figure.figsize": (size, 0.72 * size), "figure.constrained_layout.use": True})
+
+
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Colours of flags, in order of value: COLOURS, then even steps of luminance from white."""
+    """Colours of flags, in order of value: COLOURS, then even steps of luminance from white, of few positions QUALITATIVE."""
     names = list(meanings)
+    if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
+        return dict(zip(names, QUALITATIVE, strict=False))
     # Both maps begin with white, beyond their light end; the second has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
@@ -154,6 +187,21 @@ def drawable(text: str) -> str:
                 _PARSER.parse(line)
             except (ValueError, RecursionError):
                 lines[i] = line.replace("$", r"\$")
+    return "\n".join(lines)
+
+
+def wrapped(text: str, width: float, size: float) -> str:
+    """A drawable text in lines of at most some mm in letters of this size in pt, without breaks in formulas."""
+    font, lines = FontProperties(family=FONT, size=size), list[str]()
+    for line in text.split("\n"):
+        lines.append("")
+        for word in re.findall(r"(?:\\\$|\$[^$]*\$|[^\s$])+", line):
+            longer = f"{lines[-1]} {word}".strip()
+            extent = text_to_path.get_text_width_height_descent(longer, font, "$" in longer)[0] * 25.4 / 72
+            if lines[-1] and extent > width:
+                lines.append(word)
+            else:
+                lines[-1] = longer
     return "\n".join(lines)
 
 

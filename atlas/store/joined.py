@@ -113,3 +113,12 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
             f"{dim}: joined atlases ({names}) have a scene each; choose one by .sel({dim}=NAME) first"
         )
     return ds
+
+
+def subject_of(ds: xr.Dataset) -> xr.Dataset:
+    """The dataset that questions to another are about: a part of joined atlases, points along "point", or the same."""
+    ds = part_of(ds)
+    dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
+    if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):
+        return ds.rename({dims[0]: POINT})  # a list of points under another name
+    return ds

@@ -147,8 +147,7 @@ PICTURES = (
     Picture(
         "capture",
         "In which of four attitudes the gravity gradient captures a damped satellite, by the rates at the start about the"
-        " normal and about the third axis. Small drawings show the attitudes, the third axis thick, the normal up: in 0 and 2 the"
-        " satellite is upside down. Every end is proved by the energy.",
+        " normal and about the third axis. In 0 and 2 the satellite is upside down. Every end is proved by the energy.",
     ),
     Picture(
         "capture_damping",

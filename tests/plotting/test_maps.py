@@ -114,6 +114,16 @@ def test_flags_differ_in_grey_and_for_the_colour_blind(vision):
 
 
 @pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
+def test_positions_differ_for_the_colour_blind(vision):
+    names = ["none", *(f"place_{i}" for i in range(len(style.QUALITATIVE)))]
+    for count in range(2, len(names) + 1):
+        assert len(set(style.flag_colours(names[:count]).values())) == count
+    colours = lab(list(style.QUALITATIVE), vision)
+    i, j = np.triu_indices(len(colours), 1)
+    assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 7
+
+
+@pytest.mark.parametrize("vision", COLOUR_VISION, ids=("full", "protan", "deutan", "tritan"))
 def test_labels_differ_clearly_for_the_colour_blind(vision):
     colours = lab(list(style.flag_colours(Label.meanings()).values()), vision)
     i, j = np.triu_indices(len(colours), 1)
@@ -264,7 +274,8 @@ def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     for variable in ("label", "psi_dot_mean"):
         figure = ds.atlas.map(variable, title=bad, caption=True)
         figure.savefig(io.BytesIO())
-        assert drawn in {label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())}
+        labels = [label for ax in figure.axes for label in (ax.get_xlabel(), ax.get_ylabel())]
+        assert drawn in {label.replace("\n", " ") for label in labels}
     assert figure.axes[-1].get_ylabel() == rf"mean $\dot\psi$ ({drawn})"
     assert style.drawable("$k_3$") == "$k_3$"
     assert style.drawable("$k_3$\n$\\bad$") == "$k_3$\n\\$\\bad\\$"
@@ -641,6 +652,66 @@ def test_a_border_of_many_lines_is_thin_and_without_halo():
         )
         assert [line.get_linewidth() for line in ax.lines] == pytest.approx(widths)
         assert all(np.isnan(line.get_xdata()).sum() == count for line in ax.lines)
+
+
+@pytest.mark.parametrize(("count", "is_crowded"), [(20, True), (200, False)])
+def test_tongues_narrower_than_a_cell_are_thin(count, is_crowded):
+    """A tongue of the width 0.02 on a grid of 20 or 200 cells, and a wedge that ends in a point."""
+    x = np.linspace(0, 1, 100)
+    tongue = [np.stack([x, 0.3 + 0.2 * x**2 + offset], -1) for offset in (0.0, 0.02)]
+    wedge = [np.stack([x, 0.7 + sign * 0.1 * x], -1) for sign in (-1, 1)]
+    edges = [np.linspace(0, 1, count + 1)] * 2
+    array = xr.DataArray(np.zeros((count, count)), dims=("y", "x"))
+    lines = {boundary.STABILITY: tongue, boundary.LABEL: wedge}
+    panel = content.visible(content.Panel(array, {}, array.values > 0, lines), edges)
+    assert panel.crowded == [boundary.STABILITY] * is_crowded
+    ax = Figure(figsize=(3, 3)).subplots()
+    cells.draw_overlay(ax, panel, edges, [])
+    haloes = [line for line in ax.lines if line.get_color() == "white"]
+    assert len(haloes) == 2 - is_crowded
+    assert content.crowding(tongue[:1], edges) == 0
+
+
+def test_a_map_warns_once_that_its_grid_is_coarser_than_the_lines(small, caplog, monkeypatch):
+    maps.atlas_map(small)
+    assert not caplog.records
+    monkeypatch.setattr(content, "CROWDED", -1.0)
+    figure = maps.atlas_map(small)
+    (record,) = caplog.records
+    assert record.getMessage().startswith("label: the grid is coarser than the lines of theory: ")
+    assert figure.legends[0].legend_handles[-1].get_linewidth() == cells.THIN["linewidth"]
+
+
+def line_styles(lines) -> set:
+    """Colour, width and dashes of lines that are no haloes."""
+    drawn = [line for line in lines if line.get_color() != "white"]
+    return {(line.get_color(), line.get_linewidth(), line.get_linestyle()) for line in drawn}
+
+
+def test_every_line_and_hatching_is_in_the_legend(small, solid):
+    unfinished = small.copy(deep=True).assign_attrs(atlas_run="1 of 3 tiles; 1 by one process")
+    unfinished["label"][3:] = Label.NOT_COMPUTED
+    cases = [(small, {}), (small, {"theta0": 0.8}), (solid, {"n": 0.0}), (unfinished, {})]
+    maps_drawn = [
+        ds.atlas.map(variable, select=select)
+        for ds, select in cases
+        for variable in ("label", "predicted", "growth_rate", "status")
+    ]
+    assert sum(len(figure.axes[0].lines) for figure in maps_drawn) > 20
+    for figure in maps_drawn:
+        samples = figure.legends[0].legend_handles if figure.legends else []
+        in_legend = line_styles(
+            each for each in samples if hasattr(each, "get_linestyle") and hasattr(each, "get_xdata")
+        )
+        panels = [ax for ax in figure.axes if ax.get_label() != "<colorbar>"]
+        curve = {
+            (style.COLOURS["regular_precession"], 1.0, "-"),
+            ("0.35", 0.6, "-"),
+        }  # the variable of a map over one axis
+        drawn = line_styles(line for ax in panels for line in ax.lines if len(line.get_xdata()))
+        assert drawn - curve == in_legend - curve
+        hatches = {c.get_hatch() for ax in panels for c in ax.collections if c.get_hatch()}
+        assert hatches <= {each.get_hatch() for each in samples if hasattr(each, "get_hatch")}
 
 
 def test_integers_have_a_colour_each(small):

@@ -11,5 +11,5 @@ EXTENSION = Extension(
         ("end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by"), "ends:ENDS"
     )
     | {"settling_time": "ends:SETTLING"},
-    samples={"end_equilibrium": "attitude:samples"},
+    flag_texts={"end_equilibrium": "attitude:texts"},
 )

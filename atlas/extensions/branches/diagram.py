@@ -96,7 +96,7 @@ def diagram(
             points = np.stack([ds[f"fold_{along}"].values, points], -1)
             symbol = SYMBOLS.get(variable.removesuffix("0"))
             label = f"{symbol} (rad)" if symbol else variable_label(ds[variable])
-            sheet.label_axes([ax], [axis_label(ds, along), label], entries)
+            sheet.label_axes([ax], [[axis_label(ds, along), label]], entries)
             ax.set_xlim(ds[along].values.min(), ds[along].values.max())
         for kind, style in LINES.items():
             for line in lines.get(kind, []):

@@ -39,7 +39,6 @@ from ...plotting import cells
 from ...plotting.cells import ColorScale, color_scale
 from ...plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, remarks
 from ...plotting.maps import as_math, scatter_axes
-from ...plotting.options import MapOptions
 from ...plotting.style import axis_label, caption, flag_colours, unit_text, variable_label
 from ...scene.model import Scene
 from ...systems.base import System, derived_variables, families_of
@@ -170,11 +169,11 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
         added = store.add(float_array(values))
-        return {"values": added, "scale": store.add_scale(color_scale(array, MapOptions()))}
+        return {"values": added, "scale": store.add_scale(color_scale(array.values))}
     variable = data_variables(layout.system).get(name)
     registered = {} if variable is None or variable.flags is None else dict(variable.flags)
     sentences = registered if list(registered) == flags else {}
-    texts = cells.regularity_texts(layout.scene) if name == "regularity" else {}
+    texts = cells.regularity_texts(layout.ds) if name == "regularity" else {}
     table: dict[str, Any] = {
         "flags": [
             {
@@ -188,7 +187,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
         ],
         "values": store.add(values.astype(np.int8)),
     }
-    scale = cells.exponent_scale(layout.ds, name)
+    scale = cells.exponent_scale([cells.chaotic_exponents(layout.ds, array)])
     if scale is not None:
         shaded = {"flag": int(Regularity.CHAOTIC), "by": "lyapunov", "scale": store.add_scale(scale)}
         table["shaded"] = shaded

@@ -9,12 +9,14 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import to_hex
 
 import atlas
 from atlas.analysis.metadata import positions_as_flags
 from atlas.analysis.trust import BOX
 from atlas.cli import main
-from atlas.extensions.basins.attitude import Attitude, samples
+from atlas.extensions.basins.attitude import texts
+from atlas.plotting import style
 from atlas.runs.run import RunFolder
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -123,19 +125,41 @@ def test_tools_of_flags_take_positions(ds):
     np.testing.assert_allclose(trust["border_entropy"], entropy.mean())
 
 
-def test_a_map_shows_the_attitudes(ds):
-    frames = {flag: sample.args[0] for flag, sample in samples(ds).items()}
+def test_a_map_names_the_attitudes(ds):
     equilibria = atlas.equilibria(
         "satellite", {name: float(ds[name]) for name in ("A", "B", "C", "k1", "k2", "k3")}
     )
-    assert [*frames] == ["equilibrium_0", "equilibrium_1"]
-    for i, frame in enumerate(frames.values()):
-        np.testing.assert_allclose(frame[0], equilibria["alpha"][i], atol=1e-9)
-        np.testing.assert_allclose(frame[2], equilibria["gamma"][i], atol=1e-9)
     (legend,) = ds.atlas.map().legends
-    assert [text.get_text() for text in legend.get_texts()] == ["equilibrium 0", "equilibrium 1"]
-    assert len(legend.findobj(Attitude)) == 0  # drawn by lines
+    shown = [text.get_text() for text in legend.get_texts()]
+    assert shown == list(texts(ds).values())
+    assert list(texts(ds)) == ["equilibrium_0", "equilibrium_1"]
+    for i, text in enumerate(shown):
+        alpha, gamma = (equilibria[name][i].values for name in ("alpha", "gamma"))
+        beta, senses = np.cross(gamma, alpha), []
+        for axis in (2, 0):  # nearest to one of the directions of the frame
+            components = np.array([alpha[axis], beta[axis], gamma[axis]])
+            nearest = np.abs(components).argmax()
+            degrees = round(np.degrees(np.arccos(abs(components[nearest]))))
+            sense = "on" if components[nearest] > 0 else "against"
+            senses.append((f"{sense} the {['radius', 'velocity', 'normal'][nearest]}", degrees))
+        (third, degrees), (first, _) = senses
+        assert degrees > 0
+        assert text == f"{i}: third axis {third}, {degrees} deg, first {first}"
+    colours = style.flag_colours(["not_settled", "equilibrium_0", "equilibrium_1"])
+    assert [to_hex(each.get_facecolor()) for each in legend.legend_handles] == list(colours.values())[1:]
     assert positions_as_flags(ds, "label") is ds
+
+
+def test_the_first_axis_tells_attitudes_apart_that_the_third_does_not(ds):
+    angles = {"theta0": [0.0, 0.0, np.pi], "psi0": [0.0, np.pi, 0.0], "phi0": [0.0] * 3}
+    ends = xr.Dataset({"end_equilibrium": ("point", [0, 1, 2])}, attrs=ds.attrs)
+    ends = ends.assign({f"end_{name}": ("point", values) for name, values in angles.items()})
+    assert list(texts(ends).values()) == [
+        "0: third axis on the normal, first on the radius",
+        "1: third axis on the normal, first against the radius",
+        "2: third axis against the normal",
+    ]
+    assert texts(ends.assign(end_equilibrium=("point", [0, 0, 2]))).keys() == {"equilibrium_2"}
 
 
 def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path, monkeypatch):

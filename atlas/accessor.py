@@ -208,8 +208,8 @@ class Atlas(Questions):
         Dataset
             Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
             of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
-            `atlas.analysis.boundary.KINDS`. Lines close or end at the edge of the atlas. Lines of
-            theory reach half a cell beyond the outermost points, as maps do. Lines of a region run halfway
+            `atlas.analysis.boundary.KINDS`. Lines close or end with the axes. Attributes are the parameters that all points
+            have in common, angles in rad. Lines of a region run halfway
             between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
         """

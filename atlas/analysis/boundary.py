@@ -19,10 +19,28 @@ from ..systems.base import Array, Mask, derived_variables
 from ..systems.gyrostat.variables import FREQUENCIES
 from ..variables import variables
 from .degrees import in_degrees
-from .metadata import axes_of, flag_values, is_logarithmic, resolved_scene, scene_of, system_of
+from .metadata import (
+    axes_of,
+    common_values,
+    flag_values,
+    is_logarithmic,
+    resolved_scene,
+    scene_of,
+    system_of,
+)
 from .plane import IN_SPACE, Plane, Theory
 from .select import plane_of
-from .tracer import Classes, Lines, cached_lines, class_borders, contours, crossings, on_axes, values_at
+from .tracer import (
+    Classes,
+    Lines,
+    cached_lines,
+    class_borders,
+    contours,
+    crossings,
+    on_axes,
+    values_at,
+    within,
+)
 
 
 def boundary(
@@ -42,27 +60,31 @@ def boundary(
             f"boundary: needs two axes, found {', '.join(map(str, plane.dims))}; use select for the others"
         )
     scene = scene_of(ds) if label is not None else resolved_scene(ds, plane)
+    log = np.array([is_logarithmic(scene, dim, plane[dim].values) for dim in dims])
+    columns = [
+        np.log(plane[d].values) if is_log else plane[d].values for d, is_log in zip(dims, log, strict=True)
+    ]
     if label is None:
         if scene is None:
             raise BadInput(
                 "boundary: these points come from no scene, so that theory has no plane; name a label for the border"
                 " of its region"
             )
-        lines = theory_lines(scene, plane, dims, variable)
+        low, high = (np.array([extreme(column) for column in columns]) for extreme in (np.min, np.max))
+        lines = {
+            kind: [
+                part for line in group for part in within(np.log(line, out=line.copy(), where=log), low, high)
+            ]
+            for kind, group in theory_lines(scene, plane, dims, variable).items()
+        }
     else:
         (flag,) = flag_values(ds, variable, label)
         inside = (plane[variable].transpose(dims[1], dims[0]) == flag).values.astype(float)
-        log = np.array([is_logarithmic(scene, dim, plane[dim].values) for dim in dims])
-        along, across = (
-            np.log(plane[dim].values) if is_log else plane[dim].values
-            for dim, is_log in zip(dims, log, strict=True)
-        )
-        generator = contourpy.contour_generator(along, across, inside, line_type="Separate")
+        generator = contourpy.contour_generator(columns[0], columns[1], inside, line_type="Separate")
         lines = {f"{variable} = {label}": [np.asarray(line) for line in generator.lines(0.5)]}
-        for line in lines[f"{variable} = {label}"]:
-            line[:, log] = np.exp(line[:, log])
     numbered = [(kind, line) for kind, group in lines.items() for line in group]
-    vertices = np.concatenate([line for _, line in numbered]) if numbered else np.zeros((0, len(dims)))
+    vertices = np.concatenate([np.zeros((0, len(dims))), *(line for _, line in numbered)])
+    vertices[:, log] = np.exp(vertices[:, log])
     lengths = [len(line) for _, line in numbered]
     numbers = np.repeat(np.arange(len(numbered)), lengths)
     kinds = np.repeat(np.array([kind for kind, _ in numbered], str), lengths)
@@ -72,7 +94,8 @@ def boundary(
             "line": ("vertex", numbers, {"long_name": "number of the line to which the vertex belongs"}),
             "kind": ("vertex", kinds, {"long_name": "what changes at the line"}),
         },
-        attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"},
+        attrs={"title": f"borders in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"}
+        | ({} if scene is None else common_values(plane, scene)),
     )
     return in_degrees(result, degrees)
 

@@ -160,6 +160,12 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
     return {axis.dim: axis for axis in scene.axes.values()}
 
 
+def common_values(ds: xr.Dataset, scene: Scene) -> dict[str, float | str]:
+    """What a scene gives all points of a part of its atlas: parameters, ties as texts, and axes of one value."""
+    single = {dim: float(ds[dim]) for dim in axes_of(scene) if dim in ds.coords and ds[dim].ndim == 0}
+    return {**scene.fixed, **{name: tie.text for name, tie in scene.ties.items()}, **single}
+
+
 def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
     """Whether the scene spaces this axis logarithmically and all values are positive; maps do the same."""
     axis = None if scene is None else axes_of(scene).get(dim)

@@ -220,6 +220,22 @@ def shown_parts(line: Array, shown: Mask) -> list[Array]:
     return [line[part] for part in parts if shown[part[0]]]
 
 
+def within(line: Array, low: Array, high: Array) -> list[Array]:
+    """The parts of a line in a box, which end on its sides."""
+    for axis, side in product(range(line.shape[1]), (low, high)):
+        beyond = line[:, axis] - side[axis]
+        i = np.flatnonzero(beyond[:-1] * beyond[1:] < 0)
+        share = (beyond[i] / (beyond[i] - beyond[i + 1]))[:, np.newaxis]
+        crossing = line[i] + share * (line[i + 1] - line[i])
+        crossing[:, axis] = side[axis]
+        line = np.insert(line, i + 1, crossing, axis=0)
+    shown = np.all((line >= low) & (line <= high), axis=1)
+    parts = shown_parts(line, shown)
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a ring that begins inside
+        parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
+    return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
+
+
 def values_at(positions: Array, axes: list[Array]) -> Array:
     """Axis values at positions (vertices, axes) that are indices of values, or fractions between them."""
     columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps, rc_context
+from matplotlib.cbook import is_math_text
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
@@ -21,7 +22,7 @@ from matplotlib.mathtext import MathTextParser
 from matplotlib.textpath import text_to_path
 
 from ..analysis.degrees import DEGREE
-from ..analysis.metadata import axes_of, number_attribute, scene_of, scene_problem, system_of
+from ..analysis.metadata import axes_of, common_values, number_attribute, scene_of, scene_problem, system_of
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import FIGURES, atomic_write, writable
 from ..systems.base import families_of
@@ -193,15 +194,17 @@ def drawable(text: str) -> str:
 def wrapped(text: str, width: float, size: float) -> str:
     """A drawable text in lines of at most some mm in letters of this size in pt, without breaks in formulas."""
     font, lines = FontProperties(family=FONT, size=size), list[str]()
-    for line in text.split("\n"):
-        lines.append("")
-        for word in re.findall(r"(?:\\\$|\$[^$]*\$|[^\s$])+", line):
-            longer = f"{lines[-1]} {word}".strip()
-            extent = text_to_path.get_text_width_height_descent(longer, font, "$" in longer)[0] * 25.4 / 72
-            if lines[-1] and extent > width:
-                lines.append(word)
-            else:
-                lines[-1] = longer
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        for line in text.split("\n"):
+            lines.append("")
+            for word in re.findall(r"(?:\\\$|\$[^$]*\$|[^\s$])+", line):
+                longer = f"{lines[-1]} {word}".strip()
+                extent = text_to_path.get_text_width_height_descent(longer, font, is_math_text(longer))[0]
+                if lines[-1] and extent * 25.4 / 72 > width:
+                    lines.append(word)
+                else:
+                    lines[-1] = longer
     return "\n".join(lines)
 
 
@@ -294,10 +297,9 @@ def caption(ds: xr.Dataset) -> str:
             for dim in dims
             if dim in ds.dims
         ]
-        parameters = [f"{name} = {value:.6g}" for name, value in scene.fixed.items()]
-        parameters += [f"{name} = {tie.text}" for name, tie in scene.ties.items()]
-        parameters += [
-            f"{dim} = {float(ds[dim]):.6g}" for dim in dims if dim in ds.coords and ds[dim].ndim == 0
+        parameters = [
+            f"{name} = {value if isinstance(value, str) else f'{value:.6g}'}"
+            for name, value in common_values(ds, scene).items()
         ]
         if axes:
             sentences.append(f"Axes: {', '.join(axes)}.")

@@ -187,6 +187,8 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     quantile = float(np.nanquantile(magnitude, 0.9))
     if np.nanmax(magnitude) > CLIP_ABOVE * quantile > 0:
         rate_ax.set_ylim(-CLIP_AT * quantile, CLIP_AT * quantile)
+        text = f"clipped at $\\pm${CLIP_AT * quantile:.2g}; largest magnitude {np.nanmax(magnitude):.2g}"
+        rate_ax.set_title(text, loc="right", fontsize=6.5, pad=2)
     figure.supxlabel(NOTE, fontsize=6.5)
 
 

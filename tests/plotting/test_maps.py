@@ -883,13 +883,47 @@ def test_straight_lines_have_few_vertices_and_bent_ones_as_many_as_they_need():
     assert len(circle) < 300
 
 
-def test_borders_reach_the_frame_of_coarse_maps(small):
+def test_borders_reach_the_frame_of_coarse_maps_and_as_data_the_ends_of_the_axes(small):
+    edges = select.cell_edges(small.theta0.values)
+    drawn = maps.atlas_map(small).axes[0].lines[0].get_xydata()
     lines = small.atlas.boundary()
     assert set(lines.kind.values) == {boundary.STABILITY}
-    edges = select.cell_edges(small.theta0.values)
-    vertical = lines.where(np.abs(lines.sigma - 1) < 1e-3, drop=True)
-    assert float(vertical.theta0.min()) == pytest.approx(edges[0], abs=1e-6)
-    assert float(vertical.theta0.max()) == pytest.approx(edges[-1], abs=1e-6)
+    vertices = np.stack([lines.sigma, lines.theta0], -1)
+    ends = small.theta0.values[[0, -1]]
+    for places, (low, high) in ((drawn, edges[[0, -1]]), (vertices, ends)):
+        vertical = places[np.abs(places[:, 0] - 1) < 1e-3]
+        assert vertical[:, 1].min() == pytest.approx(low, abs=1e-6)
+        assert vertical[:, 1].max() == pytest.approx(high, abs=1e-6)
+    assert (vertices >= [small.sigma.min(), ends[0]]).all()
+    assert (vertices <= [small.sigma.max(), ends[1]]).all()
+    table = {tuple(vertex) for vertex in np.round(drawn, 9)}
+    inside = ((vertices > [small.sigma.min(), ends[0]]) & (vertices < [small.sigma.max(), ends[1]])).all(1)
+    assert {tuple(vertex) for vertex in np.round(vertices[inside], 9)} <= table
+
+
+def test_borders_have_units_and_the_parameters_of_all_points(small, solid):
+    borders = small.atlas.boundary()
+    assert (borders.theta0.units, borders.sigma.units) == ("rad", "1")
+    given = {name: borders.attrs[name] for name in ("A", "m", "B", "C", "psi0")}
+    assert given == {"A": 1.0, "m": 0.5, "B": "A", "C": "sigma * A", "psi0": "pi / 2"}
+    assert solid.atlas.boundary(select={"n": 0.1}).n == 0.1
+    assert small.atlas.boundary("drifting").A == 1.0
+    assert small.atlas.boundary(degrees=True).theta0.max() == pytest.approx(np.degrees(small.theta0.max()))
+
+
+def test_lines_are_cut_at_the_sides_of_a_box():
+    angle = np.linspace(0, 2 * np.pi, 400)
+    ring = np.stack([np.cos(angle), np.sin(angle)], -1)
+    ring[-1] = ring[0]
+    low, high = np.array([-0.5, -2.0]), np.array([2.0, 2.0])
+    (part,) = tracer.within(ring, low, high)
+    assert part[[0, -1], 0].tolist() == [-0.5, -0.5]
+    assert sorted(part[[0, -1], 1]) == pytest.approx([-np.sqrt(0.75), np.sqrt(0.75)], abs=1e-4)
+    assert len(tracer.within(ring, np.array([-0.5, -2.0]), np.array([0.5, 2.0]))) == 2
+    assert tracer.within(ring, low + 4, high + 4) == []
+    np.testing.assert_array_equal(tracer.within(ring, -high, high)[0], ring)
+    point = np.array([[0.3]])
+    assert [tracer.within(point, np.array([low]), np.array([1.0])) for low in (0.0, 0.4)] == [[point], []]
 
 
 def drawn_plane(theory, dims):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image, ImageSequence
 
 import atlas
@@ -34,6 +35,24 @@ def test_a_trajectory_figure_shows_the_motion():
     assert (np.isfinite(near[:, 0]) ^ np.isfinite(far[:, 0])).all()
     assert np.nanmax(np.hypot(*np.where(np.isfinite(near), near, far).T)) <= 1 + 1e-9
     assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
+
+
+def test_the_panel_of_rates_says_where_it_is_clipped(tmp_path):
+    tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
+    rates = trajectory.trajectory_figure(tr).axes[2]
+    assert rates.get_title(loc="right") == ""
+    tr["psi_dot"][5] = -4321.0
+    figure = trajectory.trajectory_figure(tr)
+    rates = figure.axes[2]
+    high = rates.get_ylim()[1]
+    assert rates.get_title(loc="right") == f"clipped at $\\pm${high:.2g}; largest magnitude 4.3e+03"
+    figure.savefig(tmp_path / "motion.png", dpi=100)
+    figure.draw_without_rendering()
+    (title,) = [text for text in rates.findobj(Text) if text.get_text().startswith("clipped")]
+    box = title.get_window_extent()
+    assert box.x0 > figure.bbox.x0
+    assert not box.overlaps(figure.axes[1].get_window_extent())
+    assert not box.overlaps(rates.get_window_extent())
 
 
 def small_motion(theta0):

@@ -11,6 +11,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from scipy.interpolate import PchipInterpolator
 
 from ...errors import BadInput, allowed_text, shown
 from ...flags import BifurcationKind, StabilityKind
@@ -37,6 +38,9 @@ MARKERS: dict[BifurcationKind, Style] = {
     kind: {"marker": marker, "color": "black", "markerfacecolor": face, "linestyle": "", "markersize": 3.5}
     for kind, marker, face in zip(BifurcationKind, ("$?$", "o", "D", "x"), ("k", "k", "w", "k"), strict=True)
 }
+
+# Bifurcations at which a branch that ends there has a vertical tangent, and steps between neighbouring points of a branch.
+TURNS, SUBDIVISION = (BifurcationKind.FOLD, BifurcationKind.PITCHFORK), 12
 
 
 def diagram(
@@ -68,7 +72,8 @@ def diagram(
     -------
     matplotlib.figure.Figure
         Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
-        unstable; dots, diamonds and crosses are folds, pitchforks and exchanges.
+        unstable; dots, diamonds and crosses are folds, pitchforks and exchanges. Between the values of the parameter lines are
+        interpolated without corners, and are vertical at folds.
     """
     if not {"fold_kind", "stability_kind"} <= set(ds) or "branch" not in ds.dims:
         raise BadInput("diagram: this dataset has no branches; atlas.branches makes one")
@@ -107,7 +112,7 @@ def diagram(
 
 
 def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np.ndarray]]:
-    """Lines by stability: parameter and variable, or vectors, of each branch between bifurcations and changes."""
+    """Smooth lines by stability: parameter and variable, or vectors, of each branch between bifurcations and changes."""
     every, of_folds = ds[variable].values, ds.get(f"fold_{variable}")
     folds = np.full((ds.sizes["fold"], *every.shape[2:]), np.nan) if of_folds is None else of_folds.values
     lines: dict[int, list[np.ndarray]] = {}
@@ -116,15 +121,49 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
         position = np.concatenate([ds[along].values, ds[f"fold_{along}"].values[own]])
         value = np.concatenate([every[branch], folds[own]])
         flag = np.concatenate([kind, np.full(own.sum(), -1)])
+        turns = np.concatenate([0 * kind, np.isin(ds["fold_kind"].values[own], TURNS)]).astype(bool)
         order = np.argsort(position, kind="stable")
         order = order[np.isfinite(value[order]).reshape(order.size, -1).all(1)]
-        value, flag = value[order], flag[order]
+        position, value, flag = position[order], value[order], flag[order]
+        if order.size < 2:
+            continue
         segment = np.where(flag[:-1] >= 0, flag[:-1], flag[1:])
         if variable in ("psi0", "phi0"):  # no line is drawn across a jump
             segment[np.abs(np.diff(value)) > 0.9 * np.pi] = -1
-        if value.ndim == 1:
-            value = np.stack([position[order], value], -1)
+        fine = smooth(position, value, turns[order[0]], turns[order[-1]])
         for part in np.split(np.arange(segment.size), np.flatnonzero(np.diff(segment)) + 1):
-            if part.size and segment[part[0]] >= 0:
-                lines.setdefault(int(segment[part[0]]), []).append(value[part[0] : part[-1] + 2])
+            if segment[part[0]] >= 0:
+                line = fine[part[0] * SUBDIVISION : (part[-1] + 1) * SUBDIVISION + 1]
+                lines.setdefault(int(segment[part[0]]), []).append(line)
     return lines
+
+
+def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_last: bool) -> np.ndarray:
+    """Parameter and values, or unit vectors, of a branch with SUBDIVISION steps between its points and no corners.
+
+    At an end where the branch turns back, values change as the square root of the distance: there they are interpolated over this.
+    """
+    first, last = position[[0, -1]]
+    if turns_first and turns_last:
+        place = np.arccos(np.clip(1 - 2 * (position - first) / (last - first), -1, 1))
+    else:
+        place = (
+            -np.sqrt(last - position)
+            if turns_last
+            else np.sqrt(position - first)
+            if turns_first
+            else position
+        )
+    kept = np.unique(place, return_index=True)[1]
+    nodes, steps = np.arange(len(place)), np.linspace(0, len(place) - 1, (len(place) - 1) * SUBDIVISION + 1)
+    between = np.interp(steps, nodes, place)
+    fine = PchipInterpolator(place[kept], value[kept])(between)
+    along = np.interp(steps, nodes, position)
+    if turns_first and turns_last:
+        along = first + 0.5 * (last - first) * (1 - np.cos(between))
+    elif turns_first or turns_last:
+        along = last - between**2 if turns_last else first + between**2
+    fine[::SUBDIVISION], along[::SUBDIVISION] = value, position
+    return (
+        np.stack([along, fine], -1) if fine.ndim == 1 else fine / np.linalg.norm(fine, axis=-1, keepdims=True)
+    )

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 import atlas
 from atlas.cli import main
 from atlas.errors import BadInput
-from atlas.extensions.branches.diagram import LINES, MARKERS, branch_lines
+from atlas.extensions.branches.diagram import LINES, MARKERS, SUBDIVISION, branch_lines, smooth
 from atlas.flags import BifurcationKind, StabilityKind
 
 SCENE = """
@@ -50,6 +50,23 @@ def test_lines_end_at_the_bifurcations(arcs):
 def test_angles_are_not_joined_across_a_jump(ds):
     lines = branch_lines(ds, "psi0", "k3")
     assert max(np.abs(np.diff(line[:, 1])).max() for group in lines.values() for line in group) < 0.9 * np.pi
+
+
+@pytest.mark.parametrize("ends", [(True, False), (False, True), (True, True), (False, False)])
+def test_lines_are_smooth_and_vertical_where_branches_turn(ends):
+    """Arcs of a circle: a branch turns where the arc has a vertical tangent."""
+    low, high = (-1.0 if ends[0] else -0.6), (1.0 if ends[1] else 0.6)
+    position = np.linspace(low, high, 9)
+    line = smooth(position, np.sqrt(1 - position**2), *ends)
+    assert np.abs(np.hypot(*line.T) - 1).max() < 5e-3  # of the polygon 0.07
+    np.testing.assert_array_equal(line[::SUBDIVISION, 0], position)
+    step = np.diff(line, axis=0)
+    angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    assert np.abs(np.diff(angle)).max() < np.radians(
+        8
+    )  # 90 degrees at least in 96 steps; 20 and more at corners of the polygon
+    for end, is_vertical in zip((0, -1), ends, strict=True):
+        assert (abs(np.tan(angle[end])) > 10) == is_vertical
 
 
 def test_figure_marks_stability_and_bifurcations(ds):

@@ -79,7 +79,9 @@ def setup(app):
             # A prime is raised in the font already, and names of functions need a space before their argument.
             formula = re.sub(r"<msup>(<mi>[^<]*</mi>)<mi>(&#x0203[23];)</mi></msup>", PRIME, formula)
             formula = re.sub(r"(<mi>(?:sin|cos|tan|ln|log|exp)</mi>)(?=<m[in])", SPACE, formula)
-            translator.body.append(formula if display == "block" else breakable(formula))
+            if display == "inline":  # a word joiner keeps the punctuation beside it in the same line
+                formula = f"&#x2060;{breakable(formula)}&#x2060;"
+            translator.body.append(formula)
             raise nodes.SkipNode
 
         return visit, None

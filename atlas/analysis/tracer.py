@@ -62,7 +62,7 @@ ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# Vertices of the stretches into which a line is first divided; cells between a stretch that counts as straight and its chord.
+# Vertices in each of the first stretches of a line; largest distance, in cells, of a straight stretch from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
 # Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.

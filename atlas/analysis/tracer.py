@@ -107,7 +107,7 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, trisected, and the samples on either side; all as indices (vertices, axes).
+    """Lines between samples on both sides of a level, by trisection, and the samples next to them; all as indices (vertices, axes).
 
     Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
     """

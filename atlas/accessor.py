@@ -170,7 +170,7 @@ class Atlas(Questions):
         Dataset
             `probability`, `lower` and `upper`, the 95 % interval of Wilson for each cell by itself, over the other axes
             and a dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
-            draws one of them. All draws count, those without a motion as not_computed.
+            draws one of them. All draws count; a draw without a motion counts as not_computed.
         """
         from .analysis.trust import probability
 

@@ -26,7 +26,8 @@ from .process import PROCESS_NAME, is_running, process_name
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
 # A write that fails with fewer free bytes than this, more than a tile, means a full disk.
 MIN_FREE_BYTES = 1 << 25
-# Limits for files of unknown origin: bytes of JSON; beyond MIN_CLAIM bytes, bytes of numbers for each stored byte (compressed: 3000).
+# Limits for files of unknown origin: bytes of JSON; and, for numbers of more than MIN_CLAIM bytes, their bytes for each stored byte
+# (sound files reach 3000 by compression).
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")

@@ -63,7 +63,7 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float, array_like or DataArray
-        Parameter -> number; those left out take their defaults. Start values have no effect, except n
+        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n
         of the fixed_point, the rate of rotation in rad per time unit (default 0: rest). For many bodies, DataArrays of
         any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, as
         `label_points` takes one of points.

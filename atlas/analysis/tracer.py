@@ -62,7 +62,7 @@ ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# Vertices of the stretches into which a line is first divided; cells between a stretch that counts as straight and its chord.
+# Vertices in each of the first stretches of a line; largest distance, in cells, of a straight stretch from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
 # Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
@@ -107,7 +107,7 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, trisected, and the samples on either side; all as indices (vertices, axes).
+    """Lines between samples on both sides of a level, by trisection, and the samples next to them; all as indices (vertices, axes).
 
     Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
     """

@@ -134,7 +134,7 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 
 
 def file_of_scene(options: argparse.Namespace, what: str) -> Path:
-    """The file of what is computed from a scene, a dataset or its figure, which may be written."""
+    """The file for a dataset computed from a scene, or for its figure; BadInput if it must not be written."""
     from ..store import netcdf
 
     name = options.out or f"{default_name(options.scene)}_{what}.png"

@@ -152,7 +152,7 @@ def add_strobes(sums, strobes, state, constants, period, i, intervals):
 
 
 def compare_with_neighbours(sums, nodes, i, spacing):
-    """Extend the largest distance of node i - 1 from the cubic with the values and slopes of the nodes i - 2 and i."""
+    """Update the largest distance of a node from the Hermite cubic of its neighbours, here of node i - 1 from i - 2 and i."""
     before, middle, after = (i - 2) & 3, (i - 1) & 3, i & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + FIELDS * k + ROUGHNESS, OBSERVABLES + k

@@ -75,7 +75,7 @@ def label_points(
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
-        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and those named
+        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and columns named
         id, index, name, number or point, are kept anyhow.
     **other_settings
         cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.

@@ -145,7 +145,7 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
-    """Raise BadInput if so many missing points of a run, and, if it is joined, the file beside it, do not fit onto a disk."""
+    """Raise BadInput if the missing points of a run do not fit onto a disk, together with its joined file if it gets one."""
     scene, free = plan.scene, shutil.disk_usage(folder).free
     if 2 * scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values()) < free:
         return  # they fit even without compression

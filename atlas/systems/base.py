@@ -71,9 +71,9 @@ class Geometry(NamedTuple):
     """Where the third axis is, of steady motions."""
 
     text: str  # a sentence
-    # (measured variables, where the axis stayed on the vertical, rates and angles that count as zero) -> whether a motion has
-    # this geometry, if it has none before. axis_1, axis_2: means over the run of the third axis' components along the first
-    # two axes of the frame, of equations with axis_in_frame
+    # (measured variables, where the axis stayed on the vertical, largest rate and angle that count as zero) -> whether a motion
+    # has this geometry; the first that holds counts. With axis_in_frame, axis_1 and axis_2 are means over the run of the third
+    # axis' components along the first two axes of the frame.
     holds: Callable[[Mapping[str, Array], Mask, float, float], Mask]
 
 

@@ -129,7 +129,7 @@ _COLUMNS = {
         _EXACT,
     ),
 }
-# Line width, dash and gap in points, and share of white: of a single source, of the first and of the second of two. The
+# Line width, dash and gap in points, and share of white, for a panel with a single source and for the two sources of one. The
 # second is dashed and narrower, so that both are visible where they coincide.
 _SINGLE, _FIRST, _SECOND = (1.0, 8.0, 0.0, 0.0), (2.6, 8.0, 0.0, 0.55), (0.9, 3.5, 2.5, 0.0)
 # Curves closer than this share of the range of their panels are drawn as one line of alternating colours.

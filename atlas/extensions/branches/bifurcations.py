@@ -389,22 +389,22 @@ def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
 
 
 def on_segments(family: BodyFamily, start: Array, end: Array, count: int) -> tuple[Array, Array, Places]:
-    """Points at which the number of solutions changes on segments (segments, parameters), from so many values on each.
+    """Points at which the number of solutions changes on segments (segments, parameters), sought from `count` values on each.
 
     Returns the parameters (N, parameters), frames and numbers of the eigenvalues that vanish.
     """
 
-    def placed(values: Array) -> Array:
-        """The points of segment i for the values from 1.5 i on."""
+    def place(values: Array) -> Array:
+        """Parameters at values of a common axis, on which segment i lies from 1.5 i to 1.5 i + 1."""
         i = np.clip(np.rint((values[:, 0] - 0.5) / 1.5).astype(int), 0, len(start) - 1)
         return start[i] + (values - 1.5 * i[:, None]) * (end - start)[i]
 
     values = (1.5 * np.arange(len(start))[:, None] + np.linspace(0, 1, count)).ravel()
-    along = family._replace(points=lambda values: family.points(placed(values)), limits=values[[0, -1], None])
+    along = family._replace(points=lambda values: family.points(place(values)), limits=values[[0, -1], None])
     merging = BifurcationKind.FOLD, BifurcationKind.PITCHFORK
     points = follow(along, values, np.arange(values.size) // count).points
     points = [point for point in points if point.kind in merging]
-    where = placed(np.array([point.value for point in points]).reshape(-1, 1))
+    where = place(np.array([point.value for point in points]).reshape(-1, 1))
     frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
     return where, frames, np.abs(np.linalg.eigvalsh(family.linear(where, frames)[1])).argmin(1)
 

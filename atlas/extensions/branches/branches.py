@@ -53,7 +53,7 @@ def branches(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float
-        Parameter -> number; those left out take their defaults. Start values have no effect, except n of the fixed_point, the
+        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n of the fixed_point, the
         rate of rotation.
     along : mapping of str to sequence of float
         One parameter, or another name that `ties` refer to -> its values, two or more.

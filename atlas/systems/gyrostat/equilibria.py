@@ -56,13 +56,13 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
     """
     (flag,), _, columns = _at_once(system, points, stability=True, ordered=False)
     if flag == Completeness.NOT_LISTED:
-        flag, columns = _searched(system, points)
+        flag, columns = _list_by_search(system, points)
     if flag == Completeness.NEAR_BIFURCATION:
         raise BadInput(NOT_CERTAIN)
     return {name: columns[name] for name in _VARIABLES}
 
 
-def _searched(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
+def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
     """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new ones appear and the list is whole.
 
     Raises BadInput where no whole list is found.
@@ -177,7 +177,7 @@ def equilibria_of_bodies(
         for i in np.flatnonzero(flags == Completeness.NOT_LISTED):
             pause()
             try:
-                flags[i], solutions = _searched(system, subset(points, block[[i]]))
+                flags[i], solutions = _list_by_search(system, subset(points, block[[i]]))
             except BadInput:
                 continue
             parts.append({"row": np.full(solutions["index"].size, block[i]), **solutions})

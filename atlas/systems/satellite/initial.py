@@ -105,7 +105,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 
-    Damping D adds D I^-1 to the block of w, whose norm is D over the least moment, and D Omega I^(-1/2) to that from gamma.
+    Damping D adds D I^-1, of norm D over the least moment, to the block of w, and D Omega I^(-1/2) to the block of gamma.
     """
     inertia, k, mu = body_vectors(points)
     (A, B, C), Omega = inertia, np.abs(points["Omega"])

@@ -65,18 +65,25 @@ def stress(
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
     truths = [true_labels(system, part, Settings()) for part in parts]
-    for case in generic_cases(system) if cases is None and not own_cases else ():
-        part = case_points(system, case)
-        truth, known = generic_true_labels(system, part, Settings())
-        if known.any():
-            parts.append(part.subset(known))
-            truths.append(truth.subset(known))
+    if cases is None and not own_cases:
+        generic = [case_points(system, case) for case in generic_cases(system)]
+        truth, known = generic_true_labels(system, *_joined(system, generic), Settings())
+        ends = np.cumsum([part.duration.size for part in generic])
+        for part, members in zip(generic, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
+            if known[members].any():
+                parts.append(part.subset(known[members]))
+                truths.append(truth.subset(members[known[members]]))
     if not parts:
         raise BadInput(f"stress: the reference determines no label of the generic cases of {system.name}")
-    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
-    duration = np.concatenate([part.duration for part in parts])
+    points, duration = _joined(system, parts)
     results = _run_levels(system, points, duration, threads)
     return _dataset(system, parts, points, TrueLabels.join(truths), results)
+
+
+def _joined(system: System, parts: Sequence[CasePoints]) -> tuple[dict[str, Array], Array]:
+    """Points of all cases, and their durations."""
+    points = {name: np.concatenate([part.points[name] for part in parts]) for name in system.parameters}
+    return points, np.concatenate([part.duration for part in parts])
 
 
 def _run_levels(
@@ -353,17 +360,17 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
     return StressCase(name, meaning, np.where(usable, duration, 1.0), columns)
 
 
-def generic_true_labels(system: System, part: CasePoints, settings: Settings) -> tuple[TrueLabels, Mask]:
+def generic_true_labels(
+    system: System, points: Points, duration: Array, settings: Settings
+) -> tuple[TrueLabels, Mask]:
     """Labels by the reference integrator, and a mask of the points with a label, all of finite starts."""
-    size = part.duration.size
+    size = duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
     with np.errstate(all="ignore"):
-        start, frequency = system.initial_state(part.points), system.frequency_bound(part.points)
+        start, frequency = system.initial_state(points), system.frequency_bound(points)
     usable = np.flatnonzero(np.isfinite(start).all(0) & np.isfinite(frequency))
-    solution, computed = reference_where_possible(
-        system, subset(part.points, usable), part.duration[usable], settings
-    )
+    solution, computed = reference_where_possible(system, subset(points, usable), duration[usable], settings)
     known[usable] = False
     computed = usable[computed]
     if solution is not None:

@@ -28,7 +28,7 @@ def folder(small_scene, tmp_path, monkeypatch):
     return RunFolder.prepare(ScenePlan.of(load_scene(small_scene)), tmp_path / "run")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def living():
     """Name of another process that runs."""
     process = subprocess.Popen(

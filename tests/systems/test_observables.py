@@ -452,7 +452,7 @@ def test_bodies_in_a_frame_have_no_such_tolerances():
 
 
 def test_the_step_of_a_system_with_observables_is_taken_as_it_is(pendulum):
-    tr = atlas.trajectory("pendulum", {"x0": 1.0}, step=0.125, duration=50.0, samples=2)
+    tr = atlas.trajectory("pendulum", {"x0": 1.0}, step=0.125, duration=50.0, samples=2, method=METHOD)
     assert float(tr["step"]) == 0.125
 
 

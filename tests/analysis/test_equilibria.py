@@ -111,3 +111,14 @@ def test_lazy_equilibria_have_the_bits_of_eager_ones():
     with pytest.raises(atlas.BadInput, match="max_equilibria = 0"):
         atlas.equilibria("satellite", BODY, max_equilibria=0)
     assert atlas.equilibria("satellite", BODY, max_equilibria=30)["index"].shape == (30,)
+
+
+@pytest.mark.parametrize("has_coordinate", [True, False])
+def test_a_coordinate_of_the_bodies_is_kept(has_coordinate):
+    """A dimension without one takes the values of the only parameter along it."""
+    coords = {"case": [30, 10, 20]} if has_coordinate else None
+    ds = atlas.equilibria(
+        "satellite", BODY | {"C": xr.DataArray([1.5, 1.6, 1.7], dims="case", coords=coords)}
+    )
+    np.testing.assert_array_equal(ds.case, [30, 10, 20] if has_coordinate else [1.5, 1.6, 1.7])
+    np.testing.assert_array_equal(ds.C, [1.5, 1.6, 1.7])

@@ -217,11 +217,11 @@ def unit(text: str) -> str:
 
 def parameters(system: System) -> str:
     """Table of the parameters of a system."""
-    rows = [("parameter", "unit", "default", "allowed", "meaning")]
+    rows = [("parameter", "meaning", "unit", "default", "allowed")]
     for p in system.parameters.values():
         low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
         default = "" if np.isnan(p.default) else f"{p.default:g}"
-        rows.append((f"`{p.name}`", unit(p.unit), default, low, with_formulas(p.meaning)))
+        rows.append((f"`{p.name}`", with_formulas(p.meaning), unit(p.unit), default, low))
     return table(rows)
 
 

@@ -272,8 +272,8 @@ def amplitude_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """Rows of `claims.figure_table` as text to six digits, below a heading."""
     heading = (
         "body", "l1 = l2 = l3", "p2(0), (18)", "centre", "amplitude", "period", "waves in 4 pi", "max |p2|",
-        "mu1/Omega", "2 pi/Omega", "(15) printed: centre", "amplitude", "period",
-        "gamma2 amplitude", "period", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
+        "mu1/Omega", "2 pi/Omega", "centre, (15) printed", "amplitude, (15) printed", "period, (15) printed",
+        "amplitude of gamma2", "period of gamma2", "max |gamma2 - M3 cos tau|", "unit of p2, rad/s",
     )  # fmt: skip
     table: list[tuple[str, ...]] = [heading]
     for r in rows:
@@ -298,7 +298,7 @@ def periodic_solutions(rows: Sequence[PeriodicRow]) -> list[tuple[str, ...]]:
         (name, reading) for name in ("p1(0)", "period - 2 pi", "rho + 1/rho") for reading in readings
     ]
     heading = ("body", "l1 = l2 = l3", *(f"{name}, {reading}" for name, reading in quantities))
-    table: list[tuple[str, ...]] = [(*heading, "stable, printed", "exact")]
+    table: list[tuple[str, ...]] = [(*heading, "stable, printed", "stable, exact")]
     for r in rows:
         periods = ("< 1e-10" if abs(value) < 1e-10 else f"{value:.6g}" for value in r.period)
         stable = "yes" if r.stable_printed else "no", r.stability

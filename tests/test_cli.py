@@ -306,7 +306,7 @@ def test_cache_warm_skips_examples_of_missing_extensions(copied_package, folder)
     warmed = shell("cache", "--warm", cwd=package.parent, env=os.environ | environment)
     assert warmed.returncode == 0, warmed.stderr
     first, second, *_ = warmed.stdout.splitlines()
-    assert first == "first: skipped: the extension absent is not installed"
+    assert first.startswith("first: skipped: the extension absent is not installed")
     assert second.startswith("second: ")
 
 

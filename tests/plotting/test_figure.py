@@ -44,7 +44,6 @@ def assert_legible(figure, mm):
     assert figure.get_figwidth() * 25.4 == pytest.approx(mm)
     canvas = figure.bbox
     texts = [text for text in figure.texts if text.get_text()]
-    texts += [t for t in (figure._suptitle, figure._supxlabel, figure._supylabel) if t and t not in texts]
     boxes = {each: each.get_tightbbox() for each in [*figure.axes, *figure.legends]}
     boxes |= {each: each.get_window_extent() for each in texts}
     for what, box in boxes.items():

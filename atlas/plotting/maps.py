@@ -118,9 +118,7 @@ class View:
     panel: Panel  # as it is shown
     notes: list[str]  # sentences below the figure
     families: list[str] = field(default_factory=list)  # of the system, in the order of their flags
-    texts: list[str] = field(
-        default_factory=list
-    )  # what distinguishes the panel: one, or of its row and of its column
+    texts: list[str] = field(default_factory=list)  # to tell panels apart: one, or of its row and its column
     exponents: np.ndarray | None = None  # of chaotic cells, else nan
 
     @property
@@ -153,7 +151,7 @@ class View:
             undecided = array.values == Regularity.UNDECIDED
             if undecided.any():
                 cells.draw_hatching(ax, undecided, self.edges, cells.HATCHES[cells.UNDECIDED])
-            if exponents is not None:
+            if exponents is not None and self.exponents is not None:
                 image = cells.draw_values(ax, array.copy(data=self.exponents), self.edges, exponents)
         for which, is_log in zip("xy", self.log, strict=False):
             cells.set_axis(ax, which, is_log, inner=inner and which == "x")
@@ -442,13 +440,15 @@ class Sheet:
 
 def map_legend(views: Sequence[View]) -> tuple[Entries, list[str]]:
     """Legend of all panels (text -> sample of colour, hatching or line), and the sentences below the figure."""
-    regions: dict[str, tuple[Artist, list[Mask]]] = {}  # text -> sample, and its cells in panels
+    regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and its cells in panels
     panels = [view.panel for view in views]
     for view, panel in zip(views, panels, strict=True):
         white = sum(panel.white.values(), np.zeros(panel.array.shape, bool))
         for value, (flag, colour) in enumerate({} if view.is_curve else view.flags.items()):
-            mask = (panel.array.values == value) & ~white
-            regions.setdefault(view.flag_texts[flag], (_sample(flag, colour), []))[1].append(mask)
+            text, sample = view.flag_texts[flag], _sample(flag, colour)
+            if regions.get(text, (sample,))[0].get_facecolor() != sample.get_facecolor():
+                text += f" ({view.name.replace('_', ' ')})"  # another variable has a flag of this name
+            regions.setdefault(text, (sample, []))[1].append((panel.array.values == value) & ~white)
     for panel in panels:
         for reason, mask in panel.white.items():
             regions.setdefault(reason, (_sample(reason), []))[1].append(mask)

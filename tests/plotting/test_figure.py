@@ -120,6 +120,18 @@ def test_names_and_numbers_span_rows_and_columns(small, radius):
             np.testing.assert_array_equal(ax.lines[0].get_ydata(), values.where(values > 0))
 
 
+def test_flags_of_one_name_and_two_colours_have_an_entry_each(small):
+    values = np.full(small.label.shape, 2, np.int8)
+    for name, meanings in (("few", "none one two"), ("many", "none one two three four")):
+        attributes = {"long_name": f"{name} flags", "flag_meanings": meanings}
+        small = small.assign({name: (small.label.dims, values, attributes)})
+    figure = atlas.figure([(small, "few"), (small, "many"), (small, "label")], boundary=False)
+    assert legend(figure)[:2] == ["two", "two (many)"]
+    assert legend(figure)[2:] == legend(small.atlas.map("label", boundary=False))
+    colours = [each.get_facecolor() for each in figure.legends[0].legend_handles]
+    assert len(set(colours)) == len(colours)
+
+
 def test_flags_of_a_result_become_panels(small):
     fractions = small.expand_dims(draw=[0, 1]).atlas.probability(over="draw")
     figure = fractions.atlas.map("probability", col="label", columns=3, boundary=False)

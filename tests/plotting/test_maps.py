@@ -680,7 +680,11 @@ def test_a_map_warns_once_that_its_grid_is_coarser_than_the_lines(small, caplog)
     )  # the lines C/A = 1 and 4/3 are in one column of cells
     (record,) = caplog.records
     assert record.getMessage().startswith("label: the grid is coarser than the lines of theory: ")
-    assert figure.legends[0].legend_handles[-1].get_linewidth() == cells.THIN["linewidth"]
+    (drawn,) = figure.legends
+    widths = {
+        t.get_text(): h.get_linewidth() for t, h in zip(drawn.get_texts(), drawn.legend_handles, strict=True)
+    }
+    assert widths["stability limit (theory)"] == cells.THIN["linewidth"]
 
 
 def line_styles(lines) -> set:

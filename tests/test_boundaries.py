@@ -60,8 +60,8 @@ REPLACED = {
         analysis.catalogue.N_SAMPLES analysis.catalogue._max_residuals analysis.tracer.COARSE_SAMPLES
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._assembled extensions.page.page._fallback kernel.specialization.Specialization.of
-        label.plan.Plan.kernel plotting.style.STYLE.savefig.dpi runs.estimate.LONG runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compiled
-        validation.stress.generic_cases validation.stress.limits validation.stress.stress
+        label.plan.Plan.kernel label.plan.Plan.kernel_hash plotting.style.STYLE.savefig.dpi runs.estimate.LONG
+        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compiled validation.stress.generic_cases validation.stress.limits validation.stress.stress
         validation.work_precision.POINT_STEPS_TIMED
     """,
     "one of two ways to a result, so that the other is tested alone": """

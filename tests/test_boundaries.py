@@ -61,8 +61,8 @@ REPLACED = {
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._assembled extensions.page.page._fallback kernel.specialization.Specialization.of
         label.plan.Plan.kernel label.plan.Plan.kernel_hash plotting.style.STYLE.savefig.dpi runs.estimate.LONG
-        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compiled validation.stress.generic_cases validation.stress.limits validation.stress.stress
-        validation.work_precision.POINT_STEPS_TIMED
+        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compiled validation.stress.generic_cases
+        validation.stress.limits validation.stress.stress validation.work_precision.POINT_STEPS_TIMED
     """,
     "one of two ways to a result, so that the other is tested alone": """
         kernel.ensemble.np kernel.numeric_bound.OVERTONE label.theory.rounding_limit measure.circle.is_steady

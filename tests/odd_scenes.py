@@ -532,7 +532,7 @@ def _outcome(run: Any) -> str:
 
 
 def use_interpreted_kernels(monkeypatch: Any) -> None:
-    """Let the pipeline integrate with kernels that are not compiled: every specialisation takes a moment only."""
+    """Let the pipeline integrate with kernels that are neither compiled nor hashed: every specialisation takes a moment only."""
     modules: dict[Any, Any] = {}
 
     def kernel(plan: Plan) -> Any:
@@ -545,3 +545,4 @@ def use_interpreted_kernels(monkeypatch: Any) -> None:
         return modules[key]
 
     monkeypatch.setattr(Plan, "kernel", property(kernel))
+    monkeypatch.setattr(Plan, "kernel_hash", "0" * 16)

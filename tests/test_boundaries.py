@@ -65,9 +65,9 @@ REPLACED = {
         analysis.catalogue.N_SAMPLES analysis.catalogue._max_residuals analysis.tracer.COARSE_SAMPLES
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
-        label.plan.Plan.kernel plotting.style.STYLE.savefig.dpi runs.estimate.LONG runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile
-        validation.stress.generic_cases validation.stress.limits validation.stress.stress
-        validation.work_precision.POINT_STEPS_TIMED
+        label.plan.Plan.kernel label.plan.Plan.kernel_hash plotting.style.STYLE.savefig.dpi runs.estimate.LONG
+        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile validation.stress.generic_cases
+        validation.stress.limits validation.stress.stress validation.work_precision.POINT_STEPS_TIMED
     """,
     "one of two ways to a result, so that the other is tested alone": """
         kernel.ensemble.np kernel.numeric_bound.OVERTONE label.theory.rounding_limit measure.circle.is_steady

@@ -38,8 +38,9 @@ class MapOptions:
         Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
         parameters or other coordinates along them; default the two with the most values.
     row, col : str, optional
-        Axes whose values become panels, at most `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from
-        left to right. Default: one more axis than x and y becomes panels row by row.
+        Axes, or dimensions of names such as that of `atlas.concat`, whose values become panels, at most
+        `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from left to right. Default: one more axis than x
+        and y becomes panels row by row.
     select : mapping of str to float, optional
         Axis -> value for other axes; the nearest value is taken.
     ax : matplotlib.axes.Axes, optional

@@ -366,7 +366,8 @@ def test_the_pitch_about_the_normal_leaves_as_its_exact_motion_does():
     expected = np.where(spread > 1e-5, Label.DRIFTING, Label.PERMANENT_ROTATION)
     np.testing.assert_array_equal(result["label"][clear], expected[clear])
     assert set(expected[clear]) == {Label.DRIFTING, Label.PERMANENT_ROTATION}
-    assert ((result["status"] == Status.ROUNDOFF_DECIDED) <= (offset < 1e-12)).all()
+    # The largest of 8000 such offsets that rounding decides is 3.7e-12.
+    assert ((result["status"] == Status.ROUNDOFF_DECIDED) <= (offset < 1e-11)).all()
 
 
 def test_an_exact_sleeping_start_cannot_tilt():

@@ -291,11 +291,11 @@ def draw(views: list[View], options: MapOptions) -> Figure:
     columns = options.columns or (1 if options.row else min(len(views), 2 if options.size_mm[0] < 130 else 4))
     if len(views[0].texts) == 2:
         columns = sum(view.texts[0] == views[0].texts[0] for view in views)
-    together, levels = dict[str, np.ndarray](), dict[str, list[int]]()
+    by_variable, levels = dict[str, np.ndarray](), dict[str, list[int]]()
     for view in views:
         values = [each.panel.array.values.ravel() for each in views if each.name == view.name]
-        together[view.name] = np.concatenate(values)
-        levels[view.name] = np.unique(together[view.name].astype(int)).tolist() if view.flags else []
+        by_variable[view.name] = np.concatenate(values)
+        levels[view.name] = np.unique(by_variable[view.name].astype(int)).tolist() if view.flags else []
     exponents = cells.exponent_scale(view.exponents for view in views)
     width = options.size_mm[0] / columns
     heights = [8.0 + 7.0 * len(levels[v.name]) if v.flags else 0.6 * width for v in views if v.is_curve]
@@ -307,7 +307,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
         fig, axes = sheet.figure(entries, notes)
         bars: dict[int, tuple[Callable[[list[Axes]], None], list[Axes]]] = {}
         for i, (view, ax) in enumerate(zip(views, axes, strict=True)):
-            scale = cells.color_scale(together[view.name], list(view.flags.values()), options.cmap)
+            scale = cells.color_scale(by_variable[view.name], list(view.flags.values()), options.cmap)
             image = view.draw(ax, scale, exponents, levels[view.name], inner=columns > 1)
             if len(view.texts) == 1 or (view.texts and i < columns):
                 ax.set_title(wrapped(view.texts[-1], 0.75 * width, 8))
@@ -316,7 +316,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
             of_bar = scale if not view.flags else exponents if view.exponents is not None else None
             if image is not None and of_bar is not None:
                 bar = partial(cells.add_color_bar, fig, image=image, scale=of_bar, label=view.bar_label)
-                bars.setdefault(i if len(together) > 1 else -1, (bar, []))[1].append(ax)
+                bars.setdefault(i if len(by_variable) > 1 else -1, (bar, []))[1].append(ax)
         sheet.label_axes(axes, [view.labels for view in views], entries)
         for add_bar, beside in bars.values():
             add_bar(beside)

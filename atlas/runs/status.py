@@ -8,8 +8,9 @@ from pathlib import Path
 from ..errors import MAX_MESSAGE, MAX_TEXT, printable
 from ..files import check_name, remove_leftovers
 from ..store import finished, progress
-from ..store.place import located
+from ..store.place import located, place_at
 from .backend import open_atlas
+from .folder import folder_of
 from .run import RunFolder
 
 
@@ -19,7 +20,8 @@ def status(path: str | Path, *, verify: bool = False) -> str:
     if isinstance(place, Path):
         check_name(place)
     if not finished.is_finished(place):
-        return _status_of(RunFolder.open(path), verify)
+        run = folder_of(place)  # of a file or a store that is not there yet
+        return _status_of(RunFolder.open(run if place_at(run).names() else path), verify)
     with open_atlas(path) as ds:
         size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
         lines = [f"{printable(str(ds.attrs.get('title', '')), MAX_TEXT)}: finished atlas, {size}"]

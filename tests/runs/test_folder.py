@@ -647,6 +647,8 @@ def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene, monk
     output("run", "s.toml", "-o", "r/", "--shard", "1/2", "--quiet")
     assert "done 1, missing 0" in output("status", "r")
     assert "done 1, damaged 0, missing 0" in output("status", "r", "--verify")
+    shutil.copytree("r", "t.nc.run")  # the run of t.nc, which is not there yet
+    assert "done 1, missing 0" in output("status", "t.nc")
     output("join", "r", "-o", "s.nc")
     assert "finished atlas, sigma 9 x theta0 7" in output("status", "s.nc")
     assert "all of it is as it was written" in output("status", "s.nc", "--verify")

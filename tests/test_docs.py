@@ -226,7 +226,7 @@ def test_the_gallery_has_the_captions_and_commands_of_its_scenes(gallery):
         assert "\n".join(gallery.commands(picture)) in page, picture.scene
 
 
-@pytest.mark.usefixtures("whole_kernels", "coarse_figures", "folder_of_reader")
+@pytest.mark.usefixtures("whole_kernels", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("scene", ["conditions_k3", "capture_damping"])
 def test_the_python_of_the_gallery_draws_its_picture(scene, gallery, monkeypatch):
     """On a coarse grid; with an option of the map, and for a probability."""

@@ -199,6 +199,16 @@ def test_averages_of_flags_are_no_flags(three_axes):
             question(averaged.atlas)
 
 
+@pytest.mark.parametrize("has_coordinate", [True, False])
+def test_points_under_another_name_are_drawn_as_points(has_coordinate):
+    """Where the coordinate of their dimension is no number, or there is none."""
+    points = {"theta0": [0.2, 0.4, 0.6], "m": [0.1, 0.5, 0.2]}
+    ds = atlas.label_points("satellite", points, duration=1.0).rename(point="body")
+    ds = ds.assign_coords(body=["a", "b", "c"]) if has_coordinate else ds.drop_vars("body", errors="ignore")
+    ax = ds.atlas.map("theta_max", x="m", y="theta0").axes[0]
+    assert sum(len(each.get_offsets()) for each in ax.collections) == 3
+
+
 def test_the_nearest_of_points_without_some_parameters():
     start = xr.Dataset(coords={"a": ("point", [np.nan, 1.0, 2.0]), "b": ("point", [0.0, np.nan, 5.0])})
     assert float(start.atlas.nearest(a=1.1).a) == 1.0

@@ -198,6 +198,9 @@ def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
     configs = Path(__file__).parents[1] / "configs"
     assert main(["new", "--list"]) == 0
     assert re.search("stability_perp_radius .* conical permanent rotation", capsys.readouterr().out)
+    assert main(["new", "grioli", "--list"]) == 0
+    assert "stability_perp_radius" in capsys.readouterr().out
+    assert not (folder / "grioli.toml").exists()
     assert main(["new"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:-1]] == sorted(path.stem for path in configs.glob("*.toml"))

@@ -87,7 +87,7 @@ def test_corrected_sums_are_integrals(zeros, monkeypatch):
 
 @pytest.mark.parametrize("size", [1e-3, 0.1, 2.0])
 @pytest.mark.parametrize(
-    "zeros", [(1.4 + 0.2j, 2.1 - 0.6j), (1.7 - 0.5j, -3.0 + 1.0j), (1.45 + 0.0j, 1.5 + 1.2j)]
+    "zeros", [(1.4 + 0.2j, 2.1 - 0.6j), (1.7 - 0.5j, -3.5 + 1.0j), (1.45 + 0.0j, 1.5 + 1.2j)]
 )
 @pytest.mark.parametrize("phase", [0.0, 0.8, 2.3, 3.9, 5.5])
 def test_zeros_of_a_parabola_are_exact(size, zeros, phase):
@@ -106,6 +106,9 @@ def test_zeros_of_a_parabola_are_exact(size, zeros, phase):
         poles.approximate_zero(passages, 0, bool(farther))
         found = complex(passages[Passage.Z_REAL, 0], passages[Passage.Z_IMAG, 0])
         assert found == pytest.approx(zero, abs=1e-11)
+    assert passages[Passage.FARTHER, 0] == (
+        far.real > 0.0
+    )  # near: within REACH of the nodes and of the real axis
 
 
 def test_nothing_is_divided_by_zero():

@@ -27,6 +27,13 @@ def test_values_may_be_those_of_numpy(small_scene):
     assert load_scene(own).toml() == load_scene(plain).toml()
 
 
+def test_a_points_file_may_be_a_path(tmp_path):
+    (tmp_path / "points.csv").write_text("m,theta0\n0.1,0.2\n0.3,0.4\n")
+    table = {"schema": 1, "system": "satellite", "points": {"file": tmp_path / "points.csv"}}
+    text = table | {"points": {"file": str(tmp_path / "points.csv")}}
+    assert load_scene(table).toml() == load_scene(text).toml()
+
+
 def test_a_run_takes_a_dictionary(small_scene):
     table = tomllib.loads(small_scene)
     for axis in table["axes"].values():

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 STEP = 1e-30
 # Distance in time, in units of 1 / rate, of two neighbouring instants whose difference gives a derivative.
 DISTANCE = 1e-3
-# |J^POWER|^(1 / POWER) exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
+# |J^p|^(1/p), p = 2^SQUARINGS, exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
 # states differ by factors of up to 10^6, by 14 % (at most 25 %). The 16th power would give 69 % (135 %) there.
 SQUARINGS = 6
-POWER = 2**SQUARINGS
 CHUNK = 4096  # points whose matrices are in memory together
 
 

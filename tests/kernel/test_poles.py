@@ -210,3 +210,15 @@ def test_turning_points_are_roots_of_the_derivative_of_theta():
             assert 1.0 <= turns[Turn.TIME, 0] <= 2.0
     assert 20 < clipped < 100
     assert roots > 10
+
+
+@pytest.mark.parametrize("factor", [1.0, -2.5])
+@pytest.mark.parametrize(
+    ("roots", "expected"),
+    [((0.2, 0.6), 0.6), ((0.45, 0.9), 0.45), ((0.3, 2.0), 0.3), ((-1.0, 0.7), 0.7), ((0.25, 1e6), 0.25)],
+)
+def test_a_cubic_turns_at_the_root_of_its_slope_that_is_farther_from_both_nodes(roots, expected, factor):
+    slope = factor * Polynomial.fromroots(roots)
+    cubic = slope.integ()
+    place = poles.place_of_turn(*cubic([0.0, 1.0]), *slope([0.0, 1.0]))
+    assert place == pytest.approx(expected, rel=1e-6)

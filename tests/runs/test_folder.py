@@ -694,3 +694,14 @@ def test_parameters_of_many_values_are_lazy_and_can_be_joined(
     RunFolder.open(tmp_path / "run").join(tmp_path / "joined.nc")
     with atlas.open_atlas(tmp_path / "joined.nc") as joined:
         assert_same_bytes(whole, joined)
+
+
+@pytest.mark.parametrize("other", [None, "notes.txt"])
+def test_the_rest_of_a_removed_run_goes_unless_something_else_is_there(tmp_path, other):
+    place = tmp_path / "a.nc.run"
+    place.mkdir()
+    for name in filter(None, (folder.CREATION, folder.JOINING, other)):
+        (place / name).write_text("")
+    folder.remove_empty(place)
+    assert place.exists() == (other is not None)
+    assert other is None or (place / other).exists()

@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from ...errors import BadInput
-from .page import FRAME_HEIGHT, atlas_page
+from .page import atlas_page
 
 try:
     import anywidget
@@ -29,8 +29,7 @@ class PageWidget(anywidget.AnyWidget):
     """
 
     _esm = files(__package__).joinpath("widget.js").read_text(encoding="utf-8")
-    html = traitlets.Unicode().tag(sync=True)
-    height = traitlets.Int(FRAME_HEIGHT).tag(sync=True)
+    frame = traitlets.Unicode().tag(sync=True)
     point = traitlets.Dict(value_trait=traitlets.CFloat(), key_trait=traitlets.Unicode()).tag(sync=True)
 
 
@@ -47,4 +46,4 @@ def widget(ds: xr.Dataset, *, degrees: bool | None = None) -> PageWidget:
     PageWidget
         Jupyter shows it in the cell. It needs the package anywidget (the extra ``widget``).
     """
-    return PageWidget(html=atlas_page(ds, degrees=degrees).html)
+    return PageWidget(frame=atlas_page(ds, degrees=degrees)._repr_html_())

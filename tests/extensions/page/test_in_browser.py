@@ -28,11 +28,12 @@ def text(browser, name):
     return browser.evaluate(f"document.getElementById('{name}').textContent")
 
 
-def pixel(browser, index):
-    """Place of a point on the screen."""
+def pixel(browser, index, context=None):
+    """Place of a point on the screen, or in a frame by its context."""
     return browser.evaluate(
         f"(() => {{ const frame = marks.getBoundingClientRect(); const [x, y] = pixelOf({index});"
-        " return [frame.left + x, frame.top + y]; })()"
+        " return [frame.left + x, frame.top + y]; })()",
+        context,
     )
 
 
@@ -398,7 +399,7 @@ def test_scripts_that_need_a_browser_run(browser, small_scene, quick_page, tmp_p
 def widget_page(browser, small_page, tmp_path):
     """The widget in a page, with the model of a notebook, of which it uses get, set and save_changes; and its frame."""
     script = json.dumps((Path(page.__file__).parent / "widget.js").read_text())
-    texts = json.dumps({"html": small_page.html, "height": 900}).replace("<", "\\u003c")
+    texts = json.dumps({"frame": small_page._repr_html_()}).replace("<", "\\u003c")
     path = tmp_path / "widget.html"
     path.write_text(
         "<!DOCTYPE html><html><meta charset='utf-8'><body><div id='cell'></div><script type='module'>\n"
@@ -421,11 +422,7 @@ def test_a_click_in_the_widget_reaches_python(browser, widget_page, small_atlas)
     left, top = browser.evaluate(
         "(() => { const box = document.querySelector('iframe').getBoundingClientRect(); return [box.left, box.top]; })()"
     )
-    x, y = browser.evaluate(
-        "(() => { const frame = marks.getBoundingClientRect(); const [x, y] = pixelOf([2, 3]);"
-        " return [frame.left + x, frame.top + y]; })()",
-        context=widget_page,
-    )
+    x, y = pixel(browser, [2, 3], widget_page)
     browser.click(left + x, top + y)
     browser.wait("saved.length === 1")
     browser.evaluate("postMessage({ point: { sigma: 1 } }, '*')")

@@ -143,26 +143,27 @@ def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_las
 
     At an end where the branch turns back, values change as the square root of the distance: there they are interpolated over this.
     """
+    nodes = np.arange(len(position))
+    steps = np.linspace(0, nodes[-1], nodes[-1] * SUBDIVISION + 1)
     first, last = position[[0, -1]]
-    if turns_first and turns_last:
-        place = np.arccos(np.clip(1 - 2 * (position - first) / (last - first), -1, 1))
-    else:
-        place = (
-            -np.sqrt(last - position)
-            if turns_last
-            else np.sqrt(position - first)
-            if turns_first
-            else position
-        )
+    match bool(turns_first), bool(turns_last):
+        case True, True:
+            place = np.arccos(np.clip(1 - 2 * (position - first) / (last - first), -1, 1))
+            between = np.interp(steps, nodes, place)
+            along = first + 0.5 * (last - first) * (1 - np.cos(between))
+        case True, False:
+            place = np.sqrt(position - first)
+            between = np.interp(steps, nodes, place)
+            along = first + between**2
+        case False, True:
+            place = -np.sqrt(last - position)
+            between = np.interp(steps, nodes, place)
+            along = last - between**2
+        case _:
+            place = position
+            along = between = np.interp(steps, nodes, place)
     kept = np.unique(place, return_index=True)[1]
-    nodes, steps = np.arange(len(place)), np.linspace(0, len(place) - 1, (len(place) - 1) * SUBDIVISION + 1)
-    between = np.interp(steps, nodes, place)
     fine = PchipInterpolator(place[kept], value[kept])(between)
-    along = np.interp(steps, nodes, position)
-    if turns_first and turns_last:
-        along = first + 0.5 * (last - first) * (1 - np.cos(between))
-    elif turns_first or turns_last:
-        along = last - between**2 if turns_last else first + between**2
     fine[::SUBDIVISION], along[::SUBDIVISION] = value, position
     return (
         np.stack([along, fine], -1) if fine.ndim == 1 else fine / np.linalg.norm(fine, axis=-1, keepdims=True)

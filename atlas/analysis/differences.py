@@ -15,6 +15,7 @@ from ..kernel.tableaux import METHODS
 from ..measure import circle
 from ..measure.instrument import Variable
 from ..scene.checks import choice, whole_number
+from ..store.joined import part_of
 from ..variables import main_instrument
 from .compare import confusion, place
 from .degrees import factor, in_degrees
@@ -31,10 +32,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
     whole_number("worst", worst, 0)
     flags, numbers = _common_variables(first, second)
     shown = in_degrees(first.coords.to_dataset(), degrees)
-    if "atlas_parts" in second.attrs:
-        from ..store.joined import part_of
-
-        second = part_of(second)
+    second = part_of(second)
     lines = [f"{w}: {attribute_text(ds.attrs, 'title')}" for w, ds in (("first", first), ("second", second))]
     scenes = [scene_of(ds) for ds in (first, second)]
     texts = [[] if scene is None else scene.toml().split("\n") for scene in scenes]

@@ -25,11 +25,11 @@ COLOURS = 48
 
 def blocks() -> dict[str, str]:
     """The block of each question that has a picture, by the name of the picture, in the order of the page."""
-    found = {}
+    of_pictures = {}
     for section in SECTION.findall((DOCS / "how_to.md").read_text()):
         for picture in re.findall(r"\(how_to/(\w+)\.png\)", section):
-            found[picture] = re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)[0]
-    return found
+            of_pictures[picture] = re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)[0]
+    return of_pictures
 
 
 def draw(name: str, block: str, out: Path) -> None:

@@ -104,8 +104,8 @@ def test_zeros_of_a_parabola_are_exact(size, zeros, phase):
     passages[Passage.TIME, 0] = 1.5
     for farther, zero in enumerate(zeros):
         poles.approximate_zero(passages, 0, bool(farther))
-        found = complex(passages[Passage.Z_REAL, 0], passages[Passage.Z_IMAG, 0])
-        assert found == pytest.approx(zero, abs=1e-11)
+        approximation = complex(passages[Passage.Z_REAL, 0], passages[Passage.Z_IMAG, 0])
+        assert approximation == pytest.approx(zero, abs=1e-11)
     assert passages[Passage.FARTHER, 0] == (
         far.real > 0.0
     )  # near: within REACH of the nodes and of the real axis

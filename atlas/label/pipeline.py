@@ -59,6 +59,8 @@ def evaluate(
     runs = _prepare(plan, tile, halved, threads, progress or (lambda points: None))
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
+    for name, values in plan.proofs(tile.points).items():
+        columns[name] = np.where(values != 0, values, columns[name]) if name in columns else values
     added = dict[str, np.ndarray]()
     if "predicted" in columns:
         added["agreement"] = agreement(columns["label"], columns["predicted"])

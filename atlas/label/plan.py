@@ -6,13 +6,16 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
+from typing import Any
+
+from numpy.typing import NDArray
 
 from ..kernel import specialization, tangent
 from ..kernel.specialization import GENERIC, Specialization
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
 from ..scene.model import Scene, Settings, zero_and_equal
-from ..systems.base import System, derived_variables
+from ..systems.base import Points, System, derived_variables
 from ..variables import instruments, main_instrument
 
 
@@ -65,6 +68,11 @@ class Plan:
     @property
     def plugs(self) -> tuple[Instrument, ...]:
         return tuple(each for each in self.instruments if each.sums)
+
+    def proofs(self, points: Points) -> dict[str, NDArray[Any]]:
+        """What the instruments say of points without a run, see `Instrument.proofs`."""
+        each = (i.proofs(self.system, points, self.settings.tolerances) for i in self.instruments)
+        return {name: values for proofs in each for name, values in proofs.items()}
 
     @property
     def has_chaos(self) -> bool:

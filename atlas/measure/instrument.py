@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -191,6 +192,8 @@ class Instrument:
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether no run may end before its duration
+    # Label variable -> the variable of flags that is not 0 where the label is proved for every duration.
+    proofs_of: Mapping[str, str] = MappingProxyType({})
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         """Its variables in any system: no parameter may have such a name."""
@@ -203,6 +206,10 @@ class Instrument:
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
         """Whether a scene with these outputs needs it."""
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
+
+    def proofs(self, system: System, points: Points, tolerances: Tolerances) -> dict[str, NDArray[Any]]:
+        """Its variables that need no run, and of `proofs_of` the proved labels by their predicted names, 0 elsewhere."""
+        return {}
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
         """Measurements from the sums of a run; measured: by earlier instruments."""

@@ -20,7 +20,7 @@ from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, SharedValues, derived_values
 from ..variables import variables
 from .plan import Plan
-from .theory import Theory, agreement, departure_changes, predict_any_axis
+from .theory import Theory, agreement, departure_changes
 
 if TYPE_CHECKING:
     from ..measure.tangent_runs import TangentRuns
@@ -67,6 +67,8 @@ def evaluate(
     if runs.tangent is not None:
         added |= runs.tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
+        from .any_axis import predict_any_axis
+
         added |= predict_any_axis(
             plan.system, tile.base, tile.points, columns, plan.settings.tolerances,
             nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,

@@ -12,7 +12,6 @@ from ..kernel.ensemble import Ensemble
 from ..kernel.stepsize import StepSizes
 from ..measure import rates
 from ..measure.circle import CIRCLES
-from ..measure.circle import label as circle_label
 from ..measure.instrument import Measured, Run, Tolerances, could_change
 from ..scene.grid import Grid
 from ..scene.model import Settings
@@ -35,10 +34,8 @@ from ..systems.base import (
     within_range,
 )
 from ..systems.gyrostat.system import log_growth
-from ..systems.jacobian import derivatives
 from ..systems.steady import (
     FAR,
-    ROUNDING,
     Existence,
     SteadyMotion,
     condition_residual,
@@ -48,7 +45,7 @@ from ..systems.steady import (
     polynomial_degree,
     steady_motions,
 )
-from ..systems.vectors import cross, length
+from ..systems.vectors import length
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
@@ -62,8 +59,6 @@ ROUNDOFF = 1e-16
 ROUNDING_RESIDUAL = 1e-13
 # Residual of a start about the third axis and the vertical beyond which it is on no family about these.
 _NEARBY = 1e-6
-# Rates that change at first by more tolerances than this leave every circle.
-_FAR_CIRCLE = 10.0
 # A nudged start keeps the label of a stable motion up to this change of its rates, in tolerances.
 _KEPT = 1 / 3
 # Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
@@ -107,7 +102,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             where = np.flatnonzero((motion.answer != Existence.FAR) | (residual <= _NEARBY) | upright)
         part = base if where.size == duration.size else subset(base, where)
         family[where], family_residual[where] = _identify(system, part)
-        other = _about_other_axes(system, family)
+        other = on_other_axes(system, family)
         if motion is not None:
             in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
             motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
@@ -133,7 +128,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             bound = system.frequency_bound(subset(points, near))
             near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances)]
             motion.answer[near] = Existence.NEAR
-            for name in _frame_rates(system, base):
+            for name in predicted_frames(system, base):
                 variables[name][near] = Label.NOT_COMPUTED
     growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
     return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, growth)
@@ -168,7 +163,7 @@ class Theory:
         exact = ~prediction.pushed if plan.nudged else prediction.start_residual <= max_residual
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
         about_vertical = growth_about_vertical(system, tile.points) * tile.duration
-        frames = _frame_rates(system, tile.points)
+        frames = predicted_frames(system, tile.points)
         return cls(
             prediction,
             np.where(exact, prediction.log_growth, 0.0),
@@ -249,11 +244,11 @@ def predict(
     result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
     times = np.broadcast_to(duration, family.shape)
     if motion is None:
-        exact, others = family > 0, np.flatnonzero(_about_other_axes(system, family))
+        exact, others = family > 0, np.flatnonzero(on_other_axes(system, family))
         otherwise = np.full(family.shape, Label.NOT_COMPUTED, np.int8)
     else:
         exact = motion.answer == Existence.EXACT
-        others = np.flatnonzero(_turns_elsewhere(system, points, motion))
+        others = np.flatnonzero(turns_elsewhere(system, points, motion))
         otherwise = np.where(motion.answer == Existence.FAR, Label.DRIFTING, Label.NOT_COMPUTED)
     sine, n, m = system.steady_rates(points)
     zero, theta = np.zeros(family.shape), np.arcsin(np.minimum(np.abs(sine), 1.0))
@@ -265,26 +260,26 @@ def predict(
         sampled, error = _statistics(
             system, subset(points, others), motion.axes.subset(others), times[others]
         )
-    for name, frame_rate in _frame_rates(system, points).items():
+    for name, frame_rate in predicted_frames(system, points).items():
         label = rates.rule(tolerances, frame_rate).label(measured)
         label[others] = Label.DRIFTING
         if motion is not None and others.size:
             rule = rates.rule(tolerances, frame_rate[others])
             uncertain = could_change(rule, sampled, error)
             label[others] = np.where(uncertain, Label.NOT_COMPUTED, rule.label(sampled))
-        result[name] = np.where(exact, _after_nudge(label, stable, nudged), otherwise)
+        result[name] = np.where(exact, after_nudge(label, stable, nudged), otherwise)
     return result
 
 
-def _turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
+def turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
     """Whether a start is a steady motion about other axes than the third and the vertical."""
     others = (motion.axes.spin_axis[2] != 1.0) | (
-        motion.axes.fixed_axis != _frame_motion(system, points)[1]
+        motion.axes.fixed_axis != frame_motion(system, points)[1]
     ).any(0)
     return others & (motion.answer == Existence.EXACT)
 
 
-def _frame_motion(system: System, points: Points) -> tuple[Array, Array]:
+def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
     """The angular velocity in the frame and the frame's vertical at the start, in body axes, (3, points)."""
     motion = system.equations.frame_motion(system.initial_state(points), system.constants(points))
     return np.array(motion[:3]), np.array(motion[3:])
@@ -294,7 +289,7 @@ def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) 
     """Measurements of exact motions from which labels are decided, from samples, and their errors."""
     # Multiples of the golden section, which are even and resonate with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
-    u, g = motion_about_axes(axes, _frame_motion(system, points)[1], times)
+    u, g = motion_about_axes(axes, frame_motion(system, points)[1], times)
     sine = np.hypot(g[0], g[1])
     theta, psi_dot = np.arctan2(sine, g[2]), (u[0] * g[0] + u[1] * g[1]) / sine**2
     rms = np.sqrt((((g[0] * u[1] - g[1] * u[0]) / sine) ** 2).mean(0))
@@ -314,7 +309,7 @@ def _identify(system: System, points: Points) -> tuple[Flags, Array]:
     return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 
 
-def _frame_rates(system: System, points: Points) -> dict[str, Array]:
+def predicted_frames(system: System, points: Points) -> dict[str, Array]:
     """Rate of each frame, which is added to psi', by the names of the predicted labels."""
     frames = {"predicted": np.zeros(shape_of(points))}
     if system.frame_rate is not None:
@@ -322,12 +317,12 @@ def _frame_rates(system: System, points: Points) -> dict[str, Array]:
     return frames
 
 
-def _about_other_axes(system: System, family: Flags) -> Mask:
+def on_other_axes(system: System, family: Flags) -> Mask:
     """Whether a family's motion is about other axes than the third and the vertical."""
     return np.isin(family, [f.flag for f in families_of(system).values() if f.axes is not None])
 
 
-def _after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:
+def after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:
     """Predicted label of a steady motion that is nudged or not, see `predict`."""
     kept = np.logical_not(nudged) | (stable == Stability.STABLE) | (label == Label.DRIFTING)
     moved = np.where(stable == Stability.UNSTABLE, Label.DRIFTING, Label.NOT_COMPUTED)
@@ -347,114 +342,17 @@ def _take_away(
     The departure from a steady motion to first order is the least change of the rates; the oscillation may be some times as large,
     that of psi' by 1 / sin(theta). Inside the cone the tilt is no measure of it, but the change of the angular velocity.
     """
-    names = _frame_rates(system, points)
+    names = predicted_frames(system, points)
     steady = np.any([theory[name] != Label.DRIFTING for name in names], axis=0)
     where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & within_range(system, points))
     part = subset(points, where)
-    (u, vertical), (before, _) = _frame_motion(system, part), _frame_motion(system, subset(base, where))
+    (u, vertical), (before, _) = frame_motion(system, part), frame_motion(system, subset(base, where))
     moved = departure(system, part, duration[where], (tolerances.rate, tolerances.angle))
     sine = np.hypot(*vertical[:2])
     change = np.where(sine < tolerances.angle, length(u - before) / tolerances.rate, moved / sine)
     for label in (theory[name] for name in names):
         label[where[(change > _KEPT) & (label[where] != Label.DRIFTING)]] = Label.NOT_COMPUTED
         label[where[moved > FAR]] = Label.DRIFTING
-
-
-def predict_any_axis(
-    system: System,
-    base: Points,
-    points: Points,
-    theory: Mapping[str, np.ndarray],
-    tolerances: Tolerances,
-    *,
-    nudged: bool,
-    duration: Array | float = np.inf,
-    motion: SteadyMotion | None = None,
-) -> dict[str, np.ndarray]:
-    """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
-
-    `base` and `points` are the starts before and after a nudge, which along a family leads to another exact
-    start. Axes within the tolerance of angles count as parallel. Labels of starts that are no steady motion are drifting
-    where they are far from every circle of the angular velocity, else not_computed. motion: that of `base`, if it is known.
-    """
-    names = {own: own.replace("predicted", "predicted_any_axis") for own in _frame_rates(system, base)}
-    times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
-    with np.errstate(all="ignore"):
-        motion = steady_motions_of(system, base, times, tolerances) if motion is None else motion
-        if motion is None:
-            known = (theory["family"] > 0) & ~_about_other_axes(system, theory["family"])
-            return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
-        elsewhere = _turns_elsewhere(system, base, motion)
-        pushed = elsewhere & ~exact_starts(system, points, elsewhere) if nudged else False
-        # Beside a stable motion about the third axis a nudge may lead to one about other axes.
-        beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
-        decided = ((motion.answer == Existence.EXACT) & beside) | ~within_range(system, base)
-        # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
-        s, m, fixed, n = motion.axes
-        across, error = np.abs(n) * length(cross(s, fixed)), ROUNDING * (np.abs(n) + np.abs(m)) ** 2
-        rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
-        result = {}
-        for own, frame_rate in _frame_rates(system, base).items():
-            circle = _circle(system, base, motion.axes, frame_rate, times)
-            label = circle_label(circle, theory[own], tolerances)
-            label[np.isnan(circle["spin"]) | rounded] = Label.NOT_COMPUTED
-            label = np.where(elsewhere, _after_nudge(label, theory["stable"], pushed), theory[own])
-            close = (
-                ~decided
-                & (label == Label.DRIFTING)
-                & near_circle(system, points, times, tolerances.rate, frame_rate)
-            )
-            result[names[own]] = np.where(close, Label.NOT_COMPUTED, label)
-    return result
-
-
-def _circle(
-    system: System, points: Points, axes: TwoAxes, frame_rate: Array, duration: Array
-) -> dict[str, Array]:
-    """Statistics of the angular velocity of exact motions in a frame that turns at a rate about the vertical.
-
-    In a turning frame the axes must be that of the body and the vertical: a motion with a third rate has none, nan.
-    """
-    s, m, fixed, n = axes
-    vertical = _frame_motion(system, points)[1]
-    # One rotation is about an axis at rest in the body, so that the fixed axis is any, such as the vertical.
-    single, turning = (n == 0) | (m == 0), frame_rate != 0
-    s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
-    n = np.where(single, 0.0, n)
-    about_vertical = single | (length(fixed - vertical) <= FAMILY_TOLERANCE)
-    rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
-    sine = length(cross(s, np.where(turning & single, vertical, fixed)))
-    zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
-    arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
-    return {
-        "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
-        "spin": spin, "precession": np.abs(rate), "sine": sine,
-    }  # fmt: skip
-
-
-def near_circle(
-    system: System, points: Points, duration: Array, rate_tolerance: float, frame_rate: Array
-) -> Mask:
-    """Whether the angular velocity of a start may stay on a circle in the body, as it does along steady motions about any axes.
-
-    These have no linear theory. A start is far from all of them where in a radian of the bound the angular velocity changes by
-    more than it is allowed to, and deviates as much from the circle of its first derivatives: there v.v' = 0 and
-    v'' = -(|v'| / |v|)^2 v for v, the derivative of the angular velocity.
-    """
-    bound, place = system.frequency_bound(points), system.equations.STATE.index
-    state, constants = system.initial_state(points), system.constants(points)
-    values = derivatives(system.equations, state, constants, bound)
-    v, first, second = values[1:, [place(name) for name in system.rate_states]]
-    if system.frame_rate is not None:
-        vertical = values[1:, [place(name) for name in system.equations.FRAME_VECTORS[-1]]]
-        turn = system.frame_rate(points) - frame_rate
-        v, first, second = v - turn * vertical[0], first - turn * vertical[1], second - turn * vertical[2]
-    time, size = np.fmin(1.0, bound * duration), length(v)
-    change = size * time + length(first) * time**2 / 2
-    speed = np.abs((v * first).sum(0)) / size * time**2 / 2
-    bend = length(second + (length(first) / size) ** 2 * v) * time**3 / 6
-    return np.asarray(~(np.fmin(change, np.fmax(speed, bend)) > _FAR_CIRCLE * rate_tolerance))
 
 
 def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:

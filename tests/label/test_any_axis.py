@@ -25,6 +25,7 @@ from atlas import cli
 from atlas.flags import Label, Status
 from atlas.kernel import specialization
 from atlas.label import pipeline, theory
+from atlas.label.any_axis import predict_any_axis
 from atlas.label.plan import Plan
 from atlas.measure import circle as any_axis
 from atlas.runs import refine
@@ -406,7 +407,7 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
     assert prediction.pushed.tolist() == [False, True]
     # m^2 = q0^2 (C - B)(B - A) / (A C)
     np.testing.assert_allclose(prediction.log_growth, 300.0 * 0.9 * np.sqrt(0.4 * 0.3 / 1.7), rtol=1e-6)
-    about_any = theory.predict_any_axis(system, base, nudged, variables, Tolerances(1e-3, 1e-3), nudged=True)
+    about_any = predict_any_axis(system, base, nudged, variables, Tolerances(1e-3, 1e-3), nudged=True)
     assert list(about_any["predicted_any_axis"]) == [Label.PERMANENT_ROTATION, Label.DRIFTING]
     columns = pipeline.evaluate(plan, tile)
     # The first is left to rounding, the growth of the second is that of its nudge.

@@ -7,6 +7,7 @@ from strategies import random_satellites, select
 
 from atlas.flags import Agreement, Label
 from atlas.label import theory
+from atlas.label.any_axis import predict_any_axis
 from atlas.label.points import label_points
 from atlas.measure.instrument import Tolerances
 from atlas.systems.base import on_family
@@ -52,8 +53,6 @@ def test_measured_labels_about_any_axes_agree():
 def test_predictions_are_missing_where_the_catalogue_is_incomplete():
     points = random_satellites(np.random.default_rng(5), 9)
     result = theory.predict(SATELLITE, points, Tolerances(1e-5, 1e-5), False)
-    about_any = theory.predict_any_axis(
-        SATELLITE, points, points, result, Tolerances(1e-5, 1e-5), nudged=False
-    )
+    about_any = predict_any_axis(SATELLITE, points, points, result, Tolerances(1e-5, 1e-5), nudged=False)
     assert (about_any["predicted_any_axis"] == Label.NOT_COMPUTED).all()
     assert (about_any["predicted_any_axis_inertial"] == Label.NOT_COMPUTED).all()

@@ -1,9 +1,8 @@
-"""An atlas in plain text: the summary of its run, and its comparison with theory."""
+"""The comparison of an atlas with theory, in plain text."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
@@ -12,23 +11,16 @@ import xarray as xr
 from ..errors import BadInput, attribute_text, printable, text_table
 from ..flags import Agreement, Label, Regularity, Stability
 from ..label.theory import agreement
-from ..runs.plan import ScenePlan
 from ..scene import grid
 from ..scene.checks import whole_number
-from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
-from ..systems.base import Flags, families_of, on_family, unsteady
-from ..validation import half_step
+from ..systems.base import Flags, families_of, unsteady
 from .degrees import DEGREE, in_degrees
 from .metadata import (
-    chunks,
-    flag_names,
     flags_of,
     in_order,
     is_numeric_axis,
     neighbour_axes,
-    number_attribute,
     numeric_coordinates,
-    scene_of,
     scene_problem,
     system_of,
 )
@@ -39,7 +31,6 @@ BAND = 0.02
 # Largest growth_rate x duration that an unstable motion may survive: one nudged by 1e-4 and observed with a tolerance
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
-MAX_NEAREST = 10_000  # drifting points that are compared with families
 # Variations of the rates, of which the largest is the unsteadiness of a point.
 RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 # Variables by which motions in the plane are compared with the stability of theory.
@@ -192,84 +183,3 @@ def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
         ends = {name: " deg" if attribute_text(ds[name].attrs, "units") == DEGREE else "" for name in names}
         texts += [f"{printable(name)} = {float(ds[name][k]):.9g}{end}" for name, end in ends.items()]
     return ", ".join(texts)
-
-
-def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
-    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
-    names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
-    if tally is None:
-        tally = Tally()
-        for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
-            part = ds[names].isel(box).load()
-            columns = {name: part[name].transpose(*ds[names[0]].dims).values for name in names}
-            tally.add(**vars(Tally.of(columns)))
-    counts: dict[str, dict[str, int]] = {}
-    for name in (name for name in COUNTED if name in ds):
-        tallied = tally.counts.get(name, Counter())
-        flags = enumerate(flag_names(ds[name]))
-        counts[name] = {flag: n for value, flag in flags if (n := tallied.get(str(value), 0))}
-
-    def counts_text(name: str, *without: str) -> str:
-        return ", ".join(f"{flag} {n}" for flag, n in counts.get(name, {}).items() if flag not in without)
-
-    shown = [name for name in counts if verbose or name not in ("status", "agreement", "computed")]
-    lines = [f"{name}: {counts_text(name)}" for name in shown]
-    if not verbose:
-        agreement = counts.get("agreement", {})
-        if compared := sum(agreement.values()) - agreement.get("not_compared", 0):
-            share = 100 * agreement.get("agree", 0) / compared
-            lines.append(f"theory: {share:.2f} % of {compared} compared points agree")
-        lines.append(
-            f"in doubt: {counts_text('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}"
-        )
-    scene = scene_of(ds)
-    plan = None if scene is None else ScenePlan.of(scene)
-    if plan is not None:
-        lines += grid.not_computed(plan.scene, plan.sample)
-    lines += _nearest_family(ds)
-    if not verbose:
-        return "\n".join(lines)
-    lines += _error_lines(tally)
-    if "atlas_half_step_points" in ds.attrs:
-        lines.append(half_step.half_step_text(ds.attrs))
-    seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
-    lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
-    if plan is not None and not plan.has_chaos:
-        lines += plan.method_lines()
-    return "\n".join(lines)
-
-
-def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Of single points: a line that names the family of steady motions nearest to the drifting ones, if some drift."""
-    if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
-        return []
-    system = system_of(ds)
-    drifting = ds.isel(point=np.flatnonzero(ds["label"].values == Label.DRIFTING)[:MAX_NEAREST])
-    families = [f for f in families_of(system).values() if f.conditions and not (f.axes or f.rate_std)]
-    if not drifting.sizes["point"] or not families or not set(system.parameters) <= set(ds.coords):
-        return []
-    points = {n: np.broadcast_to(drifting[n].values, drifting.sizes["point"]) for n in system.parameters}
-    with np.errstate(all="ignore"):
-        residuals = [float(np.median(on_family(each, points))) for each in families]
-    name, residual = families[int(np.argmin(residuals))].name, min(residuals)
-    return [f"drifting points: nearest to the family {name}, residual {residual:.2g} (median)"]
-
-
-def _error_lines(tally: Tally) -> list[str]:
-    """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
-    lines, parts, remark = [], [], ""
-    for name in (name for name in GROUPS if name in tally.largest):
-        largest = tally.largest[name]
-        cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
-        median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-        # Known to a quarter of a decade.
-        median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
-        parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
-        if largest > 1:
-            remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
-    if parts:
-        lines.append(f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}")
-    if "integral_drift" in tally.largest:
-        largest = tally.largest["integral_drift"]
-        lines.append(f"largest relative change of a first integral (integral_drift): {largest:.2g}")
-    return lines

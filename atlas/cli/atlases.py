@@ -84,7 +84,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
             columns = tables.read_csv(file, "standard input", numeric)
     else:
         columns = tables.read(options.points, numeric)
-    from ..analysis.compare import summary
+    from ..analysis.summary import summary
 
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits

@@ -104,7 +104,7 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
         stop_after = float(sum(int(number) * SECONDS[unit] for number, unit in parts))
     scene = read_scene(options.scene)
     check_not_input(Path(out), input_files(options.scene))
-    from ..analysis.compare import summary
+    from ..analysis.summary import summary
     from ..runs.run import TALLY
     from ..store.dataset import HISTORY
 

@@ -11,6 +11,7 @@ from hypothesis.extra import numpy as hnp
 import atlas
 from atlas import BadInput, load_scene
 from atlas.analysis import compare
+from atlas.analysis.summary import summary
 from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
 from atlas.measure.instrument import Tolerances
@@ -187,7 +188,7 @@ def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(co
     estimates = xr.DataArray([*values, np.nan, 7.0], dims="point")
     labels = [Label.DRIFTING] * (count + 1) + [Label.REGULAR_PRECESSION]
     label = xr.DataArray(np.array(labels, np.int8), dims="point")
-    line = compare.summary(
+    line = summary(
         xr.Dataset(
             {"label": label, "error_estimate": estimates},
             attrs={"atlas_seconds": 1.0, "atlas_points_per_second": 1.0},
@@ -201,25 +202,25 @@ def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(co
 
 def test_a_run_ends_with_labels_agreement_and_points_in_doubt(small_scene):
     ds = atlas.run(load_scene(small_scene), progress=False)
-    lines = compare.summary(ds, verbose=False).splitlines()
+    lines = summary(ds, verbose=False).splitlines()
     agree = int((ds.agreement == Agreement.AGREE).sum())
     compared = int((ds.agreement != Agreement.NOT_COMPARED).sum())
     assert lines[2:] == [
         f"theory: {100 * agree / compared:.2f} % of {compared} compared points agree",
         "in doubt: no point",
     ]
-    assert lines[:2] == compare.summary(ds).splitlines()[:2]
+    assert lines[:2] == summary(ds).splitlines()[:2]
     ds["status"][0, 0] = 5
-    assert "in doubt: step_sensitive 1" in compare.summary(ds, verbose=False)
+    assert "in doubt: step_sensitive 1" in summary(ds, verbose=False)
 
 
 def test_drifting_points_are_told_the_nearest_family():
     bodies = {"C": np.array([1.2, 1.3]), "k3": 0.1, "theta0": np.array([0.4, 0.5]), "m": 0.5}
     ds = atlas.label_points("satellite", bodies, duration=20.0)
-    line = compare.summary(ds, verbose=False).splitlines()[-1]
+    line = summary(ds, verbose=False).splitlines()[-1]
     residual = float(re.search(r"nearest to the family perp_radius, residual (\S+) \(median\)", line)[1])
     assert residual == pytest.approx(0.14)
     # nearer to (17), Omega (A - C) cos(theta0) = C m + k3
     exact = (1 - bodies["C"]) * np.cos(bodies["theta0"]) - bodies["C"] * 0.5
     ds = atlas.label_points("satellite", bodies | {"k3": exact + 0.1}, duration=20.0)
-    assert "perp_radius, residual 0.011" in compare.summary(ds, verbose=False)
+    assert "perp_radius, residual 0.011" in summary(ds, verbose=False)

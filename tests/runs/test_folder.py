@@ -21,7 +21,7 @@ from truth import assert_same_bytes, state, tile_path, with_key
 
 import atlas
 from atlas import BadInput, cli, files, load_scene
-from atlas.analysis import compare
+from atlas.analysis.summary import summary
 from atlas.files import process_name
 from atlas.flags import Label
 from atlas.label.plan import Plan
@@ -86,8 +86,8 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
         assert_same_bytes(whole, joined)
         assert joined.attrs["atlas_scene"] == whole.attrs["atlas_scene"]
         assert set(joined.coords) == set(whole.coords)
-    counted = [compare.summary(ds, tally).splitlines()[:-2] for tally in (None, ds.encoding[folder.TALLY])]
-    assert counted == 2 * [compare.summary(whole).splitlines()[:-2]]
+    counted = [summary(ds, tally).splitlines()[:-2] for tally in (None, ds.encoding[folder.TALLY])]
+    assert counted == 2 * [summary(whole).splitlines()[:-2]]
     with atlas.run(scene, tmp_path / "one.nc", progress=False) as one_file:
         assert_same_bytes(whole, one_file)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["joined.nc", "one.nc", "run"]
@@ -137,7 +137,7 @@ def test_a_finished_run_is_opened_without_reading_its_tiles(
     assert opened == []
     assert cli.main(["run", f"{tmp_path}/small.toml", "-o", out, "--quiet"]) == 0
     assert sorted(opened) == list(range(9))
-    assert compare.summary(whole).splitlines()[0] in capsys.readouterr().out
+    assert summary(whole).splitlines()[0] in capsys.readouterr().out
     del opened[:]
     RunFolder.open(out).join(tmp_path / "joined.nc")
     assert sorted(opened) == list(range(9))

@@ -6,7 +6,7 @@ import pytest
 
 import atlas
 from atlas import load_scene
-from atlas.analysis.compare import summary
+from atlas.analysis.summary import summary
 from atlas.cli import main
 from atlas.kernel.tableaux import METHODS
 from atlas.runs.estimate import dry_run

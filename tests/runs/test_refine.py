@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import compare
+from atlas.analysis.summary import summary
 from atlas.flags import Label, Stability
 from atlas.runs import estimate, memory, refine
 from atlas.runs.plan import ScenePlan
@@ -206,7 +206,7 @@ def test_run_refines_into_memory_or_one_file(scene_text, tmp_path, both):
     scene = refined_scene(scene_text)
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)
     xr.testing.assert_equal(ds.load(), both[0])
-    assert "interpolated" in compare.summary(ds)
+    assert "interpolated" in summary(ds)
     xr.testing.assert_equal(atlas.run(scene, progress=False), both[0])
 
 

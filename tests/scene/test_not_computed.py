@@ -6,7 +6,7 @@ import xarray as xr
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis.compare import summary
+from atlas.analysis.summary import summary
 from atlas.flags import Agreement, Label, Status
 from atlas.runs.estimate import dry_run
 from atlas.scene import grid

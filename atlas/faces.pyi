@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import xarray as xr
 
-__all__ = ['branches']
+__all__ = ['borders', 'branches']
 
+def borders(system: 'str', body: 'Mapping[str, float]', ranges: 'Mapping[str, Sequence[float]]', *, ties: 'Mapping[str, str] | None' = None) -> 'xr.Dataset': ...
 def branches(system: 'str', body: 'Mapping[str, float]', *, along: 'Mapping[str, Sequence[float]]', ties: 'Mapping[str, str] | None' = None) -> 'xr.Dataset': ...
 
 class Questions:

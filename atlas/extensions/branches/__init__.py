@@ -8,7 +8,7 @@ EXTENSION = Extension(
     "branches",
     __name__,
     "branches of equilibria and their bifurcations; numbers of equilibria with lines on maps",
-    functions={"branches": "branches:branches"},
+    functions={"branches": "branches:branches", "borders": "borders:borders"},
     questions={"diagram": "diagram:diagram"},
     commands={"branches": "commands:draw_branches"},
     variables=dict.fromkeys(COUNTS, "counts:count_variables"),

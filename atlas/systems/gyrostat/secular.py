@@ -13,7 +13,7 @@ PLACES = 12  # columns of directions
 NEARLY = np.int8(-2)  # dimension of a direction at which two complex solutions are nearly one
 
 
-class _SecularEquation:
+class SecularEquation:
     """sum b_i^2 / (d_i - L)^2 = 1 for L, as origin + shift with the origin at a pole d_i; arrays (3, points)."""
 
     def __init__(self, d: Array, b: Array):
@@ -104,7 +104,7 @@ def critical_directions(
     towards = np.ones_like(d) if towards is None else np.take_along_axis(towards, order, 0)
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
-        _SecularEquation(d, b).write_directions(g, dimension)
+        SecularEquation(d, b).write_directions(g, dimension)
         for i in range(3):  # the solutions L = d_i, of which the components g_i are free, in columns 6 to 11
             group = d == d[i]
             free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)

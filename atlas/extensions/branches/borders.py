@@ -1,0 +1,295 @@
+"""Borders of relative equilibria over two parameters as curves: a dataset of their vertices and special points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from ...analysis.equilibria import attributes
+from ...analysis.metadata import is_logarithmic
+from ...analysis.plane import Plane
+from ...errors import BadInput
+from ...flags import Flag
+from ...measure.instrument import Variable
+from ...scene.checks import typed
+from ...scene.model import SCHEMA, Duration, Scene
+from ...scene.read import scene_from
+from ...store import dataset
+from ...systems.base import Array, Mask, Points, check_possible, possible_body
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.equilibria import described, frames_of
+from .continuation import Curve, Segments, lengths, zeros
+from .singular import Degenerate, Potential
+from .starts import Cell, all_curves, gain
+
+
+class BorderKind(Flag):
+    """Kinds of borders; 0 does not occur."""
+
+    NONE = 0, "no border"
+    FOLD = 1, "two solutions merge and vanish"
+    PITCHFORK = 2, "a solution of a symmetric body changes its stability, and two others merge with it"
+
+
+class SpecialKind(Flag):
+    """Kinds of special points of borders; 0 does not occur."""
+
+    NONE = 0, "no special point"
+    CUSP = 1, "two folds meet and end: the parameters turn back"
+    MEETING = 2, "a pitchfork meets a fold, or another pitchfork"
+
+
+_OWN = {
+    variable.name: variable.attributes()
+    for variable in (
+        Variable("curve", "int16", "1", "number of the curve to which the vertex belongs"),
+        Variable("kind", "int8", "1", "kind of border", BorderKind.meanings()),
+        Variable(
+            "arc", "float64", "1", "length of the curve in attitude and parameters, these over their ranges"
+        ),
+        Variable("index_below", "int8", "1", "Morse index of the solutions on one side of the border"),
+        Variable("index_above", "int8", "1", "Morse index on the other side, larger by 1"),
+        Variable(
+            "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"
+        ),
+        Variable(
+            "residual", "float64", "1", "largest residual of the equations, over the size of the potential"
+        ),
+        Variable("condition", "float64", "1", "condition number of the equations with the tangent"),
+        Variable("special_curve", "int16", "1", "curve on which the special point lies"),
+        Variable("special_kind", "int8", "1", "kind of special point", SpecialKind.meanings()),
+        Variable(
+            "cells", "int8", "1", "whether the curves explain the numbers of equilibria", Cell.meanings()
+        ),
+    )
+}
+
+
+class Borders(NamedTuple):
+    """All borders on a plane of parameters, in positions: fractions of its sides."""
+
+    plane: Plane
+    potential: Potential
+    lines: list[Curve]
+    gains: list[Array]  # at each vertex
+    axis: Array  # of the grid on which equilibria are counted, along both sides
+    cells: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, plane: Plane) -> Borders:
+        """The borders of the bodies on a plane; BadInput where it has none."""
+        system = plane.scene.system
+        if not isinstance(system, Gyrostat):
+            raise BadInput(f"borders: of the {system.name} no relative equilibria are known")
+
+        def points(positions: Array) -> Points:
+            return plane.points(plane.coordinates(positions)).base
+
+        check_possible(system, points(np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 9)]), -1).reshape(-1, 2)))
+        corners = points(np.array([[0.0, 0.0], [0.5, 0.5], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]))
+        if corners["damping"].any():
+            raise BadInput(
+                f"borders: damping = {corners['damping'].max():g}; the body has to be without damping"
+            )
+        potential = Potential.of(system, points)
+        for name, changes in zip(plane.extent, potential.terms[1:], strict=True):
+            if not changes.any():
+                raise BadInput(f"borders: {name} changes no equilibria; take a parameter of body or field")
+        lines, axis, cells = all_curves(system, potential, points)
+        parts = [
+            part for line in lines for part in _possible(line, lambda at: possible_body(system, points(at)))
+        ]
+        return cls(plane, potential, parts, [gain(part) for part in parts], axis, cells)
+
+    def values(self, positions: Array) -> Array:
+        """Values of the parameters, (N, 2)."""
+        return np.stack(list(self.plane.coordinates(positions).values()), -1)
+
+    def slopes(self, positions: Array, rates: Array) -> Array:
+        """Changes of the parameters at changes of positions, (N, 2)."""
+        values = self.values(positions)
+        for i, (dim, (low, high)) in enumerate(self.plane.extent.items()):
+            is_log = is_logarithmic(self.plane.scene, dim, (low, high))
+            values[:, i] = rates[:, i] * (values[:, i] * np.log(high / low) if is_log else high - low)
+        return values
+
+
+def _possible(line: Curve, possible: Callable[[Array], Mask]) -> list[Curve]:
+    """The parts of a curve on which bodies are possible, to their ends."""
+    inside = possible(line.points.parts[4])
+    if inside.all():
+        return [line]
+    changes = np.r_[inside[1:] != inside[:-1], False]
+    parts = Segments.of([line], [changes])
+    low, high, first = np.zeros(changes.sum()), np.ones(changes.sum()), inside[changes]
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        same = possible(parts.at(middle)[0].parts[4]) == first
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    ends, tangents = parts.at(np.where(first, low, high))
+    k = np.flatnonzero(changes) + 1
+    points = Degenerate(
+        ends.potential,
+        np.insert(line.points.unknowns, k, ends.unknowns, 0),
+        np.insert(line.points.pitchfork, k, False),
+    )
+    points.pitchfork[:] = line.points.pitchfork[0]
+    every, inside = np.insert(line.tangents, k, tangents, 0), np.insert(inside, k, True)
+    cuts = np.flatnonzero(np.diff(inside)) + 1
+    groups = [own for own in np.split(np.arange(inside.size), cuts) if inside[own[0]] and own.size > 1]
+    return [Curve(points.take(own), every[own], False, line.lost) for own in groups]
+
+
+@typed
+def borders(
+    system: str,
+    body: Mapping[str, float],
+    ranges: Mapping[str, Sequence[float]],
+    *,
+    ties: Mapping[str, str] | None = None,
+) -> xr.Dataset:
+    """Borders between regions with other relative equilibria, or permanent rotations, over two parameters, as curves.
+
+    On them equilibria merge or change their stability by the energy. They are continued by their arc length in attitude and
+    both parameters, in which cusps are regular points.
+
+    Parameters
+    ----------
+    system : str
+        "satellite" or "fixed_point".
+    body : mapping of str to float
+        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n of the fixed_point, the
+        rate of rotation.
+    ranges : mapping of str to sequence of float
+        Two parameters, or other names that `ties` refer to -> lowest and highest value.
+    ties : mapping of str to str, optional
+        Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
+
+    Returns
+    -------
+    Dataset
+        Over the dimension "vertex", curve by curve: both parameters by their names, curve, kind (flags), arc, the length of the
+        curve in attitude (rad) and parameters (over their ranges), ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
+        alpha and gamma of the solution, index_below and index_above, its Morse index on both sides, of which 0 is a minimum,
+        count_change, residual and condition. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
+        and special_kind (flags). cells (flags) is over a coarse grid, of which the coordinates ``cell_<parameter>`` are the middles: it
+        states where the curves explain the numbers of equilibria.
+
+    Raises
+    ------
+    BadInput
+        For names, values and ties that a scene would not take, for empty ranges, for a parameter that changes no equilibria, for
+        damping, and where no body is possible.
+
+    Notes
+    -----
+    Between two vertices a curve is the cubic through both with the tangents there times the difference of arc. Of equilibria
+    alpha and -alpha, where nothing acts along alpha, a curve is given once; other symmetries give a curve several times. A closed curve of
+    a satellite may be missed inside a cell that counts as explained.
+    """
+    if len(ranges) != 2:
+        raise BadInput(
+            f"borders: needs two parameters with a range each, found {', '.join(ranges) or 'none'}"
+        )
+    for name, values in ranges.items():
+        if len(values) != 2 or not values[0] < values[1]:
+            raise BadInput(f"ranges.{name} = {list(values)}: must be a lowest and a higher value")
+    table = {
+        "schema": SCHEMA, "title": "borders", "system": system, "fixed": dict(body), "ties": dict(ties or {}),
+        "axes": {name: {"values": [float(value) for value in values]} for name, values in ranges.items()},
+        "integration": {"duration": 1.0},
+    }  # fmt: skip
+    return borders_of_scene(scene_from(table, folder=None))
+
+
+def borders_of_scene(scene: Scene) -> xr.Dataset:
+    """The borders of the bodies of a scene over its two axes, as `borders`."""
+    if len(scene.axes) != 2:
+        raise BadInput(f"borders: needs two axes, found {', '.join(scene.axes)}")
+    extent = {axis.dim: (float(axis.values.min()), float(axis.values.max())) for axis in scene.axes.values()}
+    return borders_of_plane(Plane(replace(scene, duration=Duration(1.0), nudge={}), extent, {}))
+
+
+def borders_of_plane(plane: Plane) -> xr.Dataset:
+    """The borders on a plane of the axes of a scene, as `borders`."""
+    found, (first, second) = Borders.of(plane), plane.extent
+    columns = _vertices(found) | _special(found)
+    sides = [0.5 * (found.axis[1:] + found.axis[:-1])] * 2
+    centres = found.values(np.stack(sides, -1)).T
+    coordinates = {f"cell_{name}": centre for name, centre in zip((first, second), centres, strict=True)}
+    ds = dataset.dataset(replace(plane.scene, outputs=()), {})
+    own = {name: ds[name].attrs for name in (first, second)}
+    starts = {name for name, parameter in plane.scene.system.parameters.items() if parameter.start}
+    given = {*plane.scene.fixed, *plane.scene.ties}
+    ds = ds.drop_vars([*starts - given, first, second], errors="ignore")
+    ds = ds.assign(columns).assign(cells=(tuple(coordinates), found.cells)).assign_coords(coordinates)
+    for name in [*columns, *coordinates, "cells"]:
+        base = name.removeprefix("special_").removeprefix("tangent_").removeprefix("cell_")
+        ds[name].attrs = _OWN.get(name) or own.get(base) or attributes(base)
+    ds.attrs = {
+        "title": plane.scene.title,
+        "references": plane.scene.system.reference,
+        "atlas_system": plane.scene.system.name,
+    }
+    return ds
+
+
+def _vertices(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Variables over the vertices of all borders."""
+    points = Degenerate.joined([found.potential.none(), *(line.points for line in found.lines)])
+    rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in found.lines)])
+    sizes = [len(line.tangents) for line in found.lines]
+    index, *_ = points.character()
+    residual, matrix = points.equations()
+    condition = np.linalg.cond(np.concatenate([matrix, rows[:, None]], 1), 1)
+    columns = _attitudes(found, points) | {
+        "curve": np.repeat(np.arange(len(sizes), dtype=np.int16), sizes),
+        "kind": np.where(points.pitchfork, BorderKind.PITCHFORK, BorderKind.FOLD).astype(np.int8),
+        "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in found.lines)]),
+        "index_below": index.astype(np.int8),
+        "index_above": index.astype(np.int8) + np.int8(1),
+        "count_change": np.concatenate([np.zeros(0), *found.gains]).astype(np.int8),
+        "residual": np.abs(residual).max(1), "condition": condition,
+    }  # fmt: skip
+    slopes = found.slopes(points.parts[4], rows[:, -3:-1])
+    columns |= {f"tangent_{name}": slope for name, slope in zip(found.plane.extent, slopes.T, strict=True)}
+    return {name: (("vertex", "body_axis")[: column.ndim], column) for name, column in columns.items()}
+
+
+def _special(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Variables over the special points of all borders."""
+    points, curve, kind = found.potential.none(), [], []
+    for i, special in enumerate((SpecialKind.CUSP, SpecialKind.MEETING)):
+        for column in (0, 1):
+            chosen = [n for n, line in enumerate(found.lines) if line.points.pitchfork[0] == i]
+            lines = [found.lines[n] for n in chosen]
+            if lines and (i or not column):
+                number, at = zeros(lines, partial(_test, column))
+                points = Degenerate.joined([points, at])
+                curve += [chosen[n] for n in number]
+                kind += [special] * len(number)
+    columns = _attitudes(found, points) | {
+        "curve": np.array(curve, np.int16),
+        "kind": np.array(kind, np.int8),
+    }
+    return {
+        f"special_{name}": (("special", "body_axis")[: column.ndim], column)
+        for name, column in columns.items()
+    }
+
+
+def _test(column: int, points: Degenerate) -> Array:
+    """A function of `Degenerate.character` that vanishes at special points."""
+    return points.character()[1][:, column]
+
+
+def _attitudes(found: Borders, points: Degenerate) -> dict[str, np.ndarray]:
+    """Parameters and attitudes of points."""
+    values = dict(zip(found.plane.extent, found.values(points.parts[4]).T, strict=True))
+    return values | described(frames_of(*found.potential.attitudes(points.parts[0])))

@@ -1,0 +1,311 @@
+"""Curves of degenerate critical points by pseudo-arclength continuation from many points on them at once.
+
+From each point the curve is followed to the next one of these points, so that no part of it is followed twice however many there
+are; the parts are then joined. Lengths are of x and position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...systems.base import Array, Mask
+from ...systems.gyrostat.body import length
+from .singular import Degenerate
+
+_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-6, 4000  # lengths of steps, and their number
+_BEND = 0.15  # angle between the tangents at both ends of a step, rad
+_NONE = 1e-10  # share of the largest value that counts as 0
+_ILLINOIS = 14  # iterations, the secant method with brackets
+_MISSED = 3e-5  # distance of a predicted vertex, with which the cubic between two is wrong by less than 1e-6
+_ON_CURVE = 1e-6  # distance from a vertex within which a point is the same
+_SETTLED = 1e-11  # step of Newton's method that no other follows
+# Points near a vertex among which the next one is looked for, and the length after which these are others.
+_NEIGHBOURS, _LOOK = 32, 0.2
+_OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
+
+
+class Piece(NamedTuple):
+    """A part of a curve between two ends, numbers 2 i and 2 i + 1 of the point i; -1: the box ends there, -2: it is lost."""
+
+    length: float
+    first: int
+    last: int
+    mirrored: bool  # it leads to the mirror image of the last point
+    unknowns: Array  # of its vertices, (vertices, unknowns)
+    tangents: Array
+
+
+class Curve(NamedTuple):
+    """Vertices of a curve and its unit tangents by its length; a closed one ends where it begins."""
+
+    points: Degenerate
+    tangents: Array
+    closed: bool
+    lost: bool  # an end is not on the border of the box
+
+
+def curves(points: Degenerate, tangents: Array) -> list[Curve]:
+    """The curves through points with these tangents."""
+    kept = _apart(points, tangents)
+    points, tangents = points.take(kept), tangents[kept]
+    if not kept.size:
+        return []
+    pieces = list(_pieces(points, tangents, 2 * np.arange(kept.size)))
+    reached = {piece.last for piece in pieces}
+    others = np.array([end for end in 2 * np.arange(kept.size) + 1 if end not in reached], int)
+    pieces += _pieces(points, tangents, others)
+    of_end: dict[int, Piece] = {}
+    for piece in sorted(pieces, key=lambda piece: piece.length):
+        if piece.first not in of_end and piece.last not in of_end:
+            of_end[piece.first] = piece
+            if piece.last >= 0:
+                of_end[piece.last] = piece
+    return list(_joined(points, of_end))
+
+
+def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
+    """Points without those that are a short way ahead of or behind another one on the same curve."""
+    count, place, along = len(tangents), points.place, _of_place(points, tangents)
+    targets, _ = _with_images(points, tangents)
+    near = _nearest(place, targets)
+    ahead, across = _along_and_across(targets[near] - place[:, None], along)
+    ahead = np.abs(ahead)
+    same = (ahead < _FIRST) & (across < np.maximum(_BEND * ahead, _ON_CURVE) ** 2)
+    same &= points.pitchfork[near % count] == points.pitchfork[:, None]
+    kept = np.ones(count, bool)
+    for i, k in np.argwhere(same):
+        if kept[i] and near[i, k] % count > i:
+            kept[near[i, k] % count] = False
+    return np.flatnonzero(kept)
+
+
+def _along_and_across(gap: Array, along: Array) -> tuple[Array, Array]:
+    """Components of vectors along unit tangents, and the squares of those across."""
+    ahead = np.einsum("nki,ni->nk", gap, along)
+    return ahead, (gap**2).sum(-1) - ahead**2
+
+
+def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
+    """The _NEIGHBOURS nearest targets, or all of them, (places, targets)."""
+    distance = (targets**2).sum(1) - 2 * place @ targets.T
+    return np.argpartition(distance, min(_NEIGHBOURS, len(targets)) - 1, axis=1)[:, :_NEIGHBOURS]
+
+
+def _of_place(points: Degenerate, rows: Array) -> Array:
+    """Components along x and position of rows over the unknowns."""
+    return np.concatenate([rows[:, : points.potential.size], rows[:, -3:-1]], 1)
+
+
+def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
+    """x and position of points and then of their mirror images, and the tangents along these."""
+    place, along = points.place, _of_place(points, tangents)
+    if not points.potential.mirrored:
+        return place, along
+    signs = _of_place(points, points.potential.mirror()[None])
+    return np.concatenate([place, place * signs]), np.concatenate([along, along * signs])
+
+
+def _in_unknowns(points: Degenerate, rows: Array) -> Array:
+    """Rows over the unknowns with these components along x and position, 0 elsewhere."""
+    n, result = points.potential.size, np.zeros((len(rows), points.unknowns.shape[1]))
+    result[:, :n], result[:, -3:-1] = rows[:, :n], rows[:, n:]
+    return result
+
+
+def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
+    """The parts of curves that leave points by some of their ends."""
+    targets, target_along = _with_images(seeds, seed_tangents)
+    forks = np.resize(seeds.pitchfork, len(targets))
+    points = seeds.take(ends // 2)
+    tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
+    bend, step, active = np.zeros_like(tangents), np.full(ends.size, _FIRST), np.arange(ends.size)
+    around, looked = np.zeros((ends.size, min(_NEIGHBOURS, len(targets))), int), np.full(ends.size, -np.inf)
+    steps = [(active, points.unknowns.copy(), tangents.copy())]
+    last, total, mirrored = np.full(ends.size, -2), np.zeros(ends.size), np.zeros(ends.size, bool)
+    for _ in range(_STEPS):
+        if not active.size:
+            break
+        now, t = points.take(active), tangents[active]
+        along, place = _of_place(now, t), now.place
+        with np.errstate(all="ignore"):
+            gaps = np.where(along[:, -2:] > 0, 1 - place[:, -2:], -place[:, -2:]) / along[:, -2:]
+        gaps = np.where(along[:, -2:] == 0, np.inf, np.maximum(gaps, 0))
+        side, arc = gaps.argmin(1), step[active]
+        far = active[total[active] - looked[active] > _LOOK]
+        around[far], looked[far] = _nearest(points.take(far).place, targets), total[far]
+        near = around[active]
+        ahead, across = _along_and_across(targets[near] - place[:, None], along)
+        is_ahead = (ahead > _ON_CURVE) & (ahead < 1.5 * _LARGEST) & (across < (_OBLIQUE * ahead) ** 2)
+        ahead = np.where(is_ahead & (forks[near] == now.pitchfork[:, None]), ahead, np.inf)
+        choice = ahead.argmin(1)
+        target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
+        to_side = gaps.min(1)
+        leaves = (to_side <= arc) & (to_side <= to_target)
+        meets = (to_target <= arc) & ~leaves
+        arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
+        start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
+        row = _in_unknowns(now, along)
+        for i in (0, 1):
+            own = leaves & (side == i)
+            start.unknowns[own, i - 3] = np.where(along[own, i - 2] > 0, 1.0, 0.0)
+            row[own] = np.eye(row.shape[1])[i - 3] * np.sign(along[own, i - 2])[:, None]
+        new, error, ahead_t = start.corrected(row, 3)
+        new_along, moved = _of_place(now, ahead_t), new.place - place
+        cosine = np.clip((new_along * along).sum(1), -1, 1)
+        size = np.sqrt((moved**2).sum(1))
+        with np.errstate(invalid="ignore"):
+            accepted = (error < _SETTLED) & (cosine > np.cos(1.5 * _BEND)) & (size < 1.2 * arc + _ON_CURVE)
+        accepted &= np.abs(new.unknowns[:, -1]) < _ON_CURVE
+        first = ~bend[active].any(1)  # there the prediction is of lower order
+        missed = np.where(first, 0.0, length(new.place - start.place))
+        accepted &= missed < 3 * _MISSED
+        angle = np.arccos(cosine)
+        hit = accepted & meets & (np.abs(new.place - targets[target]).max(1) < _ON_CURVE)
+        chosen = active[accepted]
+        points.unknowns[chosen], total[chosen] = new.unknowns[accepted], total[chosen] + size[accepted]
+        bend[chosen] = (ahead_t - t)[accepted] / np.maximum(arc, _SMALLEST)[accepted, None]
+        bend[chosen] -= (_of_place(now, bend[active])[accepted] * new_along[accepted]).sum(1)[
+            :, None
+        ] * ahead_t[accepted]
+        tangents[chosen] = ahead_t[accepted]
+        growth = np.minimum(_BEND / np.maximum(angle, 1e-9), np.cbrt(_MISSED / np.maximum(missed, 1e-12)))
+        growth = np.clip(growth, 0.5, 1.6)
+        step[active] = np.where(
+            accepted, np.minimum(np.where(leaves | meets, step[active], arc) * growth, _LARGEST), 0.5 * arc
+        )
+        steps.append((chosen, new.unknowns[accepted], ahead_t[accepted]))
+        same_way = (new_along * target_along[target]).sum(1) > 0
+        last[active[hit]] = (2 * (target % len(seeds.unknowns)) + same_way)[hit]
+        mirrored[active[hit]] = target[hit] >= len(seeds.unknowns)
+        last[active[accepted & leaves]] = -1
+        active = active[~hit & ~(accepted & leaves) & (step[active] > _SMALLEST)]
+    owner, unknowns, rows = (np.concatenate(each) for each in zip(*steps, strict=True))
+    order = np.argsort(owner, kind="stable")
+    cuts = np.cumsum(np.bincount(owner, minlength=ends.size))[:-1]
+    for i, (vertices, own) in enumerate(
+        zip(np.split(unknowns[order], cuts), np.split(rows[order], cuts), strict=True)
+    ):
+        yield Piece(float(total[i]), int(ends[i]), int(last[i]), bool(mirrored[i]), vertices, own)
+
+
+def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
+    """Curves from pieces, each of which is kept under both of its ends."""
+    flip, left = seeds.potential.mirror(), set(of_end)
+    for seed in sorted({end // 2 for end in of_end}):
+        if not left & {2 * seed, 2 * seed + 1}:
+            continue
+        ahead, end, lost = _walk(2 * seed, of_end, left, flip)
+        closed = end == 2 * seed
+        behind, _, also = ([], None, False) if closed else _walk(2 * seed + 1, of_end, left, flip)
+        parts = [(y[::-1], -t[::-1]) for y, t in reversed(behind)] + ahead
+        unknowns, tangents = (np.concatenate(each) for each in zip(*parts, strict=True))
+        points = Degenerate(seeds.potential, unknowns, np.full(len(unknowns), seeds.pitchfork[seed]))
+        fresh = np.r_[True, np.abs(np.diff(points.place, axis=0)).max(1) > _ON_CURVE]
+        points, tangents = points.take(fresh), tangents[fresh]
+        v = points.parts[2]
+        same = np.cumprod(np.r_[1.0, np.where((v[1:] * v[:-1]).sum(1) < 0, -1.0, 1.0)])
+        for each in (points.unknowns, tangents):
+            each[:, flip.size // 2 - 1 : -3] *= same[:, None]
+        if (
+            len(tangents) > 1 and np.ptp(points.parts[4], axis=0).max() > _ON_CURVE
+        ):  # no line of equilibria of one body
+            yield Curve(points, tangents, closed, lost or also)
+
+
+def _walk(
+    begin: int, of_end: dict[int, Piece], left: set[int], flip: Array
+) -> tuple[list[tuple[Array, Array]], int | None, bool]:
+    """Vertices and tangents of the pieces that lead away from an end, the end that is reached, and whether it is lost."""
+    signs, parts, end = np.ones(flip.size), [], begin
+    while end in left:
+        piece = of_end[end]
+        left -= {piece.first, piece.last}
+        forward = piece.first == end
+        after = signs * flip if piece.mirrored else signs
+        y, t = (each * (signs if forward else after) for each in (piece.unknowns, piece.tangents))
+        parts.append((y, t) if forward else (y[::-1], -t[::-1]))
+        signs = after
+        if piece.last < 0 and forward:
+            return parts, None, piece.last == -2
+        end = (piece.last if forward else piece.first) ^ 1
+    return parts, end, end != begin
+
+
+class Segments(NamedTuple):
+    """Parts of curves between two vertices."""
+
+    curve: NDArray[np.int64]  # number of the curve
+    start: Degenerate
+    end: Degenerate
+    slopes: tuple[
+        Array, Array
+    ]  # derivatives of the unknowns at both ends by the share of the way, from the tangents
+
+    @classmethod
+    def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask]) -> Segments:
+        """The segments that begin at chosen vertices of each curve."""
+        where = [np.flatnonzero(mask) for mask in chosen]
+        number = np.repeat(np.arange(len(lines)), [k.size for k in where])
+        start = Degenerate.joined([line.points.take(k) for line, k in zip(lines, where, strict=True)])
+        end = Degenerate.joined([line.points.take(k + 1) for line, k in zip(lines, where, strict=True)])
+        rows = [
+            np.concatenate([line.tangents[k + i] for line, k in zip(lines, where, strict=True)])
+            for i in (0, 1)
+        ]
+        size = arcs(start.place, end.place, *(_of_place(start, row) for row in rows))[:, None]
+        return cls(number, start, end, (size * rows[0], size * rows[1]))
+
+    def cubic(self, share: Array) -> Degenerate:
+        """Points at these shares of the way, by the cubic through both ends with their tangents."""
+        w, (first, last) = share[:, None], self.slopes
+        unknowns = (1 + 2 * w) * (1 - w) ** 2 * self.start.unknowns + w * (1 - w) ** 2 * first
+        return self.start._replace(
+            unknowns=unknowns + w**2 * ((3 - 2 * w) * self.end.unknowns - (1 - w) * last)
+        )
+
+    def at(self, share: Array) -> tuple[Degenerate, Array]:
+        """Points of the curves at these shares of the way, and their tangents."""
+        points, chord = self.cubic(share), self.end.place - self.start.place
+        points, _, tangents = points.corrected(_in_unknowns(points, chord / length(chord)[:, None]), 3)
+        return points, tangents
+
+
+def lengths(line: Curve) -> Array:
+    """Length of a curve from its first vertex to each, (vertices,)."""
+    place, along = line.points.place, _of_place(line.points, line.tangents)
+    return np.r_[0.0, np.cumsum(arcs(place[:-1], place[1:], along[:-1], along[1:]))]
+
+
+def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
+    """Lengths of arcs between points with these unit tangents, (N, components)."""
+    bend = 0.5 * np.arccos(np.clip((first * last).sum(1), -1, 1))
+    return length(end - start) / np.sinc(bend / np.pi)
+
+
+def zeros(
+    lines: Sequence[Curve], function: Callable[[Degenerate], Array]
+) -> tuple[NDArray[np.int64], Degenerate]:
+    """The points of curves at which a function changes its sign, and the numbers of their curves."""
+    values = [function(line.points) for line in lines]
+    values = [np.where(np.abs(each) < _NONE * np.abs(each).max(), 0.0, each) for each in values]
+    parts = Segments.of(lines, [np.r_[each[:-1] * each[1:] < 0, False] for each in values])
+    at_low = np.concatenate([each[:-1][each[:-1] * each[1:] < 0] for each in values])
+    at_high = np.concatenate([each[1:][each[:-1] * each[1:] < 0] for each in values])
+    low, high = np.zeros(at_low.size), np.ones(at_low.size)
+    share = 0.5 * (low + high)
+    for _ in range(_ILLINOIS if share.size else 0):
+        share = high - at_high * (high - low) / (at_high - at_low)
+        value = function(parts.at(share)[0])
+        crossed = value * at_high < 0
+        low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
+        high, at_high = share, np.where(value == 0, 1e-300 * np.sign(at_high), value)
+    exact = [
+        np.flatnonzero(each[: len(each) - line.closed] == 0) for line, each in zip(lines, values, strict=True)
+    ]
+    number = np.repeat(np.arange(len(lines)), [k.size for k in exact])
+    vertices = [line.points.take(k) for line, k in zip(lines, exact, strict=True)]
+    return np.concatenate([parts.curve, number]), Degenerate.joined([parts.at(share)[0], *vertices])

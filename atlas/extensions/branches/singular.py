@@ -1,0 +1,361 @@
+"""Degenerate critical points of quadratic functions on quadrics, over two parameters.
+
+Relative equilibria are critical points of the amended potential, x.Qx / 2 + c.x with Q diagonal, on the x with
+x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, and the axis of symmetry of
+one that has such an axis. With multipliers l and m they are degenerate, with the null vector v, where
+
+    (Q + l.E) x + c = 0,    x.E x / 2 = e,    (Q + l.E) v + m.E x = 0,    x.E v = 0,    v.v = 1.
+
+These polynomials of degree 2 define curves of folds in (x, l, v, m) and both parameters, smooth at cusps too. At a pitchfork of
+a symmetric body their derivative is singular; there s v is added to the first of them with one more unknown s, 0 on the curve, and x
+moves across v, which leaves it in the plane of symmetry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebder, chebvander
+from numpy.typing import NDArray
+
+from ...errors import BadInput
+from ...systems.base import Array, Mask, Points
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.body import Body, across, length
+
+_NODES, _RESOLVED, _NO_TERM = (
+    (9, 33, 129),
+    1e-13,
+    1e-15,
+)  # of the interpolation by polynomials, and relative sizes of terms
+_DAMPING = 1e-14  # of least squares, relative
+_WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
+_MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
+_ITERATIONS, _EXACT, _NEAR, _NO_FORCE, _REGULAR = 10, 1e-9, 1e-2, 1e-2, 1e-7
+SPHERE = np.eye(3)[None]
+FRAMES = np.array(
+    [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
+)
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """Solutions of linear equations; where a matrix is singular to the last bit, of equations changed by rounding errors."""
+    with suppress(np.linalg.LinAlgError):
+        return np.asarray(np.linalg.solve(matrix, right))
+    size = np.abs(matrix).max((1, 2), keepdims=True)
+    noise = np.cos(np.arange(matrix.shape[1] ** 2).reshape(matrix.shape[1:]) ** 2)
+    return np.linalg.solve(matrix + 1e-15 * (size + (size == 0)) * noise, right)
+
+
+class Potential(NamedTuple):
+    """Amended potentials of bodies that depend on two parameters, at positions in a box: fractions of its sides."""
+
+    terms: tuple[
+        Array, Array, Array
+    ]  # Chebyshev coefficients of (Q, c) and of their derivatives, (a, b, 2 n)
+    forms: Array  # E_k, (m, n, n)
+    axis: int  # of symmetry of all bodies; -1: none
+    upright: bool  # nothing acts along alpha
+    mirrored: bool  # alpha -> -alpha leaves all potentials the same
+
+    @classmethod
+    def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
+        """The potentials of bodies whose parameters are functions of positions (N, 2); BadInput where these are not smooth."""
+        for count in _NODES:
+            nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+            grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
+            body = system.body_at_rest(points(0.5 + 0.5 * grid))
+            axes = [i for i in range(3) if body.symmetric_about(i).all()]
+            upright, axis = not body.acts_along(body.alpha).any(), axes[0] if len(axes) == 1 else -1
+            inverse = np.linalg.inv(chebvander(nodes, count - 1))
+            values = _coefficients(body, upright, axis).reshape(count, count, -1)
+            terms = np.einsum("ai,bj,ijk->abk", inverse, inverse, values)
+            size = np.abs(terms).max()
+            if not np.isfinite(size):
+                raise BadInput("borders: a part of the range has no body")
+            if size == 0:
+                raise BadInput("borders: without orbit and field these bodies rest in any orientation")
+            tails = np.abs(terms[count - count // 4 :]).max(), np.abs(terms[:, count - count // 4 :]).max()
+            if max(tails) <= _RESOLVED * size:
+                break
+        else:
+            raise BadInput(
+                "borders: the bodies are no smooth functions of these parameters in the whole range"
+            )
+        terms = np.where(np.abs(terms) > _NO_TERM * size, terms, 0.0) / size
+        used = [1 + np.flatnonzero(np.abs(terms).max(other))[-1] for other in ((1, 2), (0, 2))]
+        terms = terms[: used[0], : used[1]]
+        n = terms.shape[2] // 2
+        forms = FRAMES if n == 6 else np.eye(n)[None]
+        derivatives = 2 * chebder(terms, axis=0), 2 * chebder(terms, axis=1)
+        mirrored = n == 6 and not terms[..., n : n + 3].any()
+        return cls((terms, *derivatives), forms, axis, upright, mirrored)
+
+    @property
+    def size(self) -> int:
+        """Number n of components of x."""
+        return self.forms.shape[1]
+
+    def at(self, positions: Array) -> Array:
+        """Q and c, and their derivatives by both parameters, (3, 2, N, n)."""
+        u, w = (
+            chebvander(2 * side - 1, max(t.shape[i] for t in self.terms) - 1)
+            for i, side in enumerate(positions.T)
+        )
+        values = [np.einsum("na,nb,abk->nk", u[:, : t.shape[0]], w[:, : t.shape[1]], t) for t in self.terms]
+        return np.moveaxis(np.reshape(values, (3, len(positions), 2, self.size)), 2, 1)
+
+    def none(self) -> Degenerate:
+        """No point."""
+        return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, bool))
+
+    def mirror(self) -> Array:
+        """Signs of the unknowns of `Degenerate` after alpha -> -alpha, ones where this changes potentials."""
+        n, m = self.forms.shape[1], len(self.forms)
+        signs = np.ones(n + m)
+        if self.mirrored:
+            signs[[0, 1, 2, n + m - 1]] = -1.0
+        return np.concatenate([signs, signs, np.ones(3)])
+
+    def attitudes(self, x: Array) -> tuple[Array, Array]:
+        """alpha and gamma in body axes, (N, 3) each; alpha is any across gamma where nothing acts along it."""
+        if self.size == 6:
+            return x[:, :3], x[:, 3:]
+        if self.size == 2:
+            x = np.stack([x[:, 0], 0 * x[:, 0], x[:, 1]], -1)
+        if self.axis < 0:
+            return across(x)[:, 0], x
+        frames, columns = np.empty((len(x), 3, 3)), (self.axis + np.arange(3)) % 3
+        frames[..., columns] = np.swapaxes(np.concatenate([x[:, None], across(x)], 1), 1, 2)
+        return frames[:, 0], frames[:, 2]
+
+    def from_attitudes(self, alpha: Array, gamma: Array) -> Array:
+        """x of attitudes, (..., n); alpha has no meaning where nothing acts along it."""
+        if self.axis < 0:
+            return gamma if self.upright else np.concatenate([alpha, gamma], -1)
+        if self.size == 2:
+            return np.stack([length(np.delete(gamma, self.axis, -1)), gamma[..., self.axis]], -1)
+        return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)[..., self.axis]
+
+
+def _coefficients(body: Body, upright: bool, axis: int) -> Array:
+    """Q and c of bodies, (bodies, 2 n)."""
+    alpha, gamma = body.amended()
+    if axis < 0:
+        directions = [gamma] if upright else [alpha, gamma]
+        parts = [d.gradient[:, None] * body.inertia for d in directions] + [d.field for d in directions]
+        return np.concatenate(parts, 1)
+    excess, none = body.inertia[:, axis] - body.inertia[:, (axis + 1) % 3], np.zeros(len(body.inertia))
+    (p, r), (q, s) = zip(*((d.gradient * excess, d.field[:, axis]) for d in (alpha, gamma)), strict=True)
+    return np.stack([none, r, none, s] if upright else [p, none, r, q, none, s], -1)
+
+
+class Degenerate(NamedTuple):
+    """Degenerate critical points of potentials: the unknowns (x, l, v, m, position, s), (N, 2 n + 2 m + 3), and equations."""
+
+    potential: Potential
+    unknowns: Array
+    pitchfork: Mask  # which have s as an unknown and x moved across v; elsewhere s = 0, (N,)
+
+    @property
+    def parts(self) -> list[Array]:
+        """x, l, v, m, position and s, (N, components) each."""
+        (m, n, _), y = self.potential.forms.shape, self.unknowns
+        return np.split(y, np.cumsum([n, m, n, m, 2]), 1)
+
+    @property
+    def place(self) -> Array:
+        """x and position, in which distances and lengths of curves are measured, (N, n + 2)."""
+        x, _, _, _, position, _ = self.parts
+        return np.concatenate([x, position], 1)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Degenerate]) -> Degenerate:
+        """All points of several parts, one or more."""
+        return cls(
+            parts[0].potential,
+            *(np.concatenate(each) for each in zip(*(part[1:] for part in parts), strict=True)),
+        )
+
+    def take(self, where: Any) -> Degenerate:
+        """Some of the points."""
+        return Degenerate(self.potential, self.unknowns[where], self.pitchfork[where])
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Second derivatives in (x, l), those of (x, l) v in (x, l), and derivatives of the gradient by both parameters, (N, n + m, -1)."""
+        x, l, v, m, position, _ = self.parts
+        forms, (N, n) = self.potential.forms, x.shape
+        diagonal = self.potential.at(position)
+        first, second = np.zeros((2, N, n + l.shape[1], n + l.shape[1]))
+        first[:, :n, :n] = np.einsum("nk,kij->nij", l, forms)
+        first[:, range(n), range(n)] += diagonal[0, 0]
+        second[:, :n, :n] = np.einsum("nk,kij->nij", m, forms)
+        for matrix, vector in ((first, x), (second, v)):
+            matrix[:, n:, :n] = np.einsum("kij,nj->nki", forms, vector)
+            matrix[:, :n, n:] = np.swapaxes(matrix[:, n:, :n], 1, 2)
+        return first, second, diagonal
+
+    def equations(self) -> tuple[Array, Array]:
+        """Residuals, (N, 2 n + 2 m + 2), and their derivatives by the unknowns."""
+        x, l, v, m, position, s = self.parts
+        first, second, (now, *by) = self.matrices()
+        N, n, size = len(x), x.shape[1], first.shape[1]
+        levels = np.array([0.5, 0.5, 0.0])[: l.shape[1]]
+        residual = np.zeros((N, 2 * size + 2))
+        residual[:, :n] = np.einsum("nij,nj->ni", first[:, :n, :n], x) + now[1] + s * v
+        residual[:, n:size] = 0.5 * np.einsum("nij,nj->ni", first[:, n:, :n], x) - levels
+        residual[:, size : 2 * size] = np.einsum("nij,nj->ni", first, np.concatenate([v, m], 1))
+        residual[:, -2] = 0.5 * ((v**2).sum(1) - 1)
+        residual[:, -1] = np.where(self.pitchfork, 0.0, s[:, 0])
+        slopes = np.zeros((N, 2 * size + 2, 2 * size + 3))
+        slopes[:, :size, :size] = slopes[:, size : 2 * size, size : 2 * size] = first
+        slopes[:, size : 2 * size, :size] = second
+        slopes[:, range(n), range(size, size + n)] = s
+        for i, (q, c) in enumerate(by):
+            slopes[:, :n, 2 * size + i] = q * x + c
+            slopes[:, size : size + n, 2 * size + i] = q * v
+        slopes[:, :n, -1] = slopes[:, -2, size : size + n] = v
+        slopes[:, -1, -1] = ~self.pitchfork
+        slopes[:, -1, :n] = v * self.pitchfork[:, None]
+        return residual, slopes
+
+    def moved(self, change: Array) -> Degenerate:
+        """Points after a change of the unknowns."""
+        return self._replace(unknowns=self.unknowns + change)
+
+    def nearest(self, iterations: int) -> tuple[Degenerate, Array]:
+        """The nearest points of curves by Newton's method with damped least squares, and the size of the last steps."""
+        size = 2 * np.array(self.potential.forms.shape[:2]).sum()
+        n = self.potential.size
+        weight = np.ones(size + 3)
+        weight[n:size] = weight[-1] = _WEIGHT
+        points = self
+        for _ in range(iterations):
+            residual, slopes = points.equations()
+            weighted = slopes * weight
+            square = weighted @ np.swapaxes(weighted, 1, 2)
+            damping = _DAMPING * np.einsum("nii->n", square)
+            square += damping[:, None, None] * np.eye(size + 2)
+            change = -weight * np.einsum("nji,nj->ni", weighted, _solved(square, residual[..., None])[..., 0])
+            change /= np.maximum(1.0, length(change[:, [*range(n), size, size + 1]]) / _MAX_TURN)[:, None]
+            points = points.moved(change)
+        return points, np.abs(change).max(1)
+
+    def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array]:
+        """Points of the curves in the hyperplanes through these across a row, (N, unknowns), the last steps and the unit tangents."""
+        points = self
+        for i in range(iterations + 1):
+            residual, slopes = points.equations()
+            matrix = np.concatenate([slopes, row[:, None]], 1)
+            right = np.zeros((*row.shape, 2))
+            right[:, :-1, 0], right[:, -1, 1] = -residual, 1.0
+            solution = _solved(matrix, right)
+            change = solution[..., 0]
+            if i == iterations:
+                break
+            points = points.moved(change)
+        tangent = solution[..., 1]
+        n = self.potential.size
+        tangent = tangent / length(tangent[:, [*range(n), -3, -2]])[:, None]
+        return points, np.abs(change).max(1), tangent
+
+    def regular(self) -> tuple[Degenerate, Array]:
+        """The points at which curves are regular, polished, and their unit tangents."""
+        residual, slopes = self.equations()
+        _, sizes, right = np.linalg.svd(slopes)
+        good = sizes[:, -1] > _REGULAR * sizes[:, 0]
+        points, step, tangent = self.take(good).corrected(right[good, -1], 3)
+        good = (step < _EXACT) & (np.abs(points.unknowns[:, -1]) < _EXACT)
+        return points.take(good), tangent[good]
+
+    @classmethod
+    def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
+        """Unknowns at critical points and, where not solves, near complex ones, whose eigenvalues vanish within a reach to first order."""
+        n, (N, m) = potential.size, (len(x), len(potential.forms))
+        now, *by = potential.at(position)
+        B = np.einsum("kij,nj->nki", potential.forms, x)
+        onto = _solved(B @ np.swapaxes(B, 1, 2), B)  # multipliers of a vector, with the sign changed
+        gradient = now[0] * x + now[1]
+        l = -np.einsum("nki,ni->nk", onto, gradient)
+        first, *_ = cls(
+            potential, np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1), solves
+        ).matrices()
+        basis = np.linalg.svd(B)[2][:, m:]
+        kappa, vectors = np.linalg.eigh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
+        v = np.swapaxes(vectors, 1, 2) @ basis  # (N, eigenvalues, n)
+        mu = -np.einsum("nki,nij,nej->nek", onto, first[:, :n, :n], v)
+        forces = np.stack([q * x + c for q, c in by], -1)
+        moved = _solved(first + 1e-13 * np.eye(n + m), np.concatenate([forces, np.zeros((N, m, 2))], 1))
+        bent = (
+            np.einsum("nek,kij,nej->nei", 2 * mu, potential.forms, v),
+            np.einsum("nei,kij,nej->nek", v, potential.forms, v),
+        )
+        rates = np.stack([np.einsum("nei,ni,nei->ne", v, q, v) for q, _ in by], -1)
+        rates -= np.concatenate(bent, 2) @ moved
+        slope = np.einsum("nei,nif->nef", v, forces)
+        with np.errstate(all="ignore"):  # some vanish
+            of_solutions = 0.5 * np.abs(kappa) / length(rates)
+            of_others = np.abs(np.einsum("nei,ni->ne", v, gradient)) / length(slope)
+        distance = np.where(solves[:, None], of_solutions, of_others)
+        distance[~solves[:, None] & (np.abs(kappa) > np.abs(kappa).min(1, keepdims=True))] = np.inf
+        which, e = np.nonzero(distance < reach)
+        parts = [x[which], l[which], v[which, e], mu[which, e], position[which], np.zeros((which.size, 1))]
+        return cls(potential, np.concatenate(parts, 1), np.zeros(which.size, bool))
+
+    def settled(self, reach: float) -> Degenerate:
+        """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
+        points, step = self.nearest(_ITERATIONS)
+        inside = length(points.parts[4] - self.parts[4]) < reach
+        inside &= (np.abs(points.parts[4] - 0.5) <= 0.5).all(1) & (step < _NEAR)
+        points = points.take(inside)
+        force = points.force()
+        is_pitchfork = length(force) < _NO_FORCE
+        forks, _ = (
+            points.take(is_pitchfork)
+            ._replace(pitchfork=np.ones(is_pitchfork.sum(), bool))
+            .nearest(_ITERATIONS)
+        )
+        points = points.take(~is_pitchfork)
+        return Degenerate.joined([points, forks])
+
+    def force(self) -> Array:
+        """Derivatives of the gradient by both parameters along the null vector, (N, 2): 0 at pitchforks."""
+        x, _, v, _, position, _ = self.parts
+        _, *by = self.potential.at(position)
+        return np.stack([(v * (q * x + c)).sum(1) for q, c in by], -1)
+
+    def character(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, and a covector.
+
+        The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
+        product of the other eigenvalues, and that times the fourth derivative. The covector, (N, 2), points to the side of the curve where
+        two more solutions are.
+        """
+        x, _, v, m, position, _ = self.parts
+        forms, n = self.potential.forms, x.shape[1]
+        first, *_ = self.matrices()
+        _, *by = self.potential.at(position)
+        basis = np.linalg.svd(first[:, n:, :n])[2][:, len(forms) :]
+        values = np.linalg.eigvalsh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
+        values[range(len(x)), np.abs(values).argmin(1)] = 1.0
+        curved = np.einsum("ni,kij,nj->nk", v, forms, v)
+        third = 3 * (m * curved).sum(1)
+        slope = self.force()
+        fork = self.pitchfork
+        bordered = np.zeros((fork.sum(), first.shape[1] + 1, first.shape[1] + 1))
+        bordered[:, :-1, :-1] = first[fork]
+        bordered[:, -1, :-1] = bordered[:, :-1, -1] = np.concatenate([v, m], 1)[fork]
+        bent = np.concatenate([2 * np.einsum("nk,kij,nj->ni", m, forms, v), curved], 1)[fork]
+        right = np.zeros((len(bent), bordered.shape[1], 3))
+        right[:, :-1, 0] = bent
+        for i, (q, c) in enumerate(by):
+            right[:, :n, i + 1] = (q * x + c)[fork]
+        reaction = np.einsum("nj,njf->nf", bent, _solved(bordered, right)[:, :-1])
+        third[fork] = -3 * reaction[:, 0]
+        slope[fork] = np.stack([(q * v**2).sum(1) for q, _ in by], -1)[fork] - reaction[:, 1:]
+        product = values.prod(1)
+        tests = np.stack([np.where(fork, product, third), np.where(fork, product * third, 1.0)], -1)
+        return (values < 0).sum(1), tests, -np.sign(third)[:, None] * slope

@@ -1,0 +1,175 @@
+"""Points on the curves of degenerate critical points: from closed forms on the sphere, from all equilibria of satellites."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...analysis.tracer import contours
+from ...flags import Completeness, Flag
+from ...systems.base import Array, Points
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.secular import SecularEquation
+from .continuation import Curve, Segments, curves
+from .singular import Degenerate, Potential
+
+_LINES, _SAMPLES, _CONTOUR = (
+    4,
+    161,
+    97,
+)  # lines along each axis, samples on each, and of the grid for the zeros of a component
+_ZERO = 1e-20  # a component of c on the line of its zeros, where folds are limits of those beside it
+_ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
+CELLS = 12  # of the coarse grid of a satellite, along each axis
+_RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
+REACH = 1.5  # cells, within which curves are sought from an equilibrium
+
+_ON_SPHERE = 8  # iterations
+_SEARCHES, _BETWEEN, _DIVISIONS = (
+    2,
+    8,
+    4,
+)  # further searches, points on an interval in each, divisions of a segment
+
+
+class Cell(Flag):
+    """What is known of a cell of the coarse grid."""
+
+    COUNTED = 0, "the numbers of equilibria at its corners differ as the curves between them say"
+    NOT_CERTAIN = 1, "the number of equilibria at a corner is not certain, or they are not isolated"
+    UNEXPLAINED = (
+        2,
+        "the numbers of equilibria at its corners differ otherwise than the curves say: one is missed",
+    )
+
+
+def on_sphere(potential: Potential) -> Degenerate:
+    """Points near or on all curves in the box, on the sphere or circle of one vector.
+
+    With Q = d and c = b solutions are -b / (d - L), where F(L) = sum b_i^2 / (d_i - L)^2 is 1, and folds where F is 1 at its minimum
+    in a gap between two poles with b_i != 0; if a parameter moves one component of b alone, or only d by a common factor, every curve of folds leaves the
+    box or meets a line b_i = 0. Where b_i = 0 everywhere, pitchforks are where F without i is 1 at L = d_i.
+    """
+    n, sides, steps = potential.size, np.linspace(0, 1, _SAMPLES), np.linspace(0, 1, _CONTOUR)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1)
+    everywhere = potential.at(grid.reshape(-1, 2))[0, 1].reshape(*grid.shape[:2], n)
+    absent = np.flatnonzero(~everywhere.any((0, 1)))
+    across = [0.0, *(np.arange(_LINES) + 0.38) / _LINES, 1.0]
+    lines = [(np.stack([np.full(_SAMPLES, at), sides][::way], -1), -1) for at in across for way in (1, -1)]
+    for i in set(range(n)) - set(absent.tolist()):
+        lines += [(line / (_CONTOUR - 1), i) for line in contours(everywhere[..., i], 0.0)]
+    owner = np.repeat(np.arange(len(lines)), [len(line) for line, _ in lines])
+    position = np.concatenate([line for line, _ in lines])
+    d, b = np.moveaxis(potential.at(position)[0], -1, 1)
+    on_zero = np.array([i for _, i in lines])[owner] == np.arange(n)[:, None]
+    b = np.where(on_zero | (np.abs(b) < _ZERO), _ZERO, b)
+    b[absent] = 0.0
+    with np.errstate(all="ignore"):
+        equation = SecularEquation(d, b)
+        gaps = [(low, high - low, equation.minimum(low, high)) for low, high in pairwise(equation.poles)]
+        F = [np.where(width > 0, equation.sum(shift, low), np.inf) for low, width, shift in gaps]
+        F += [equation.sum(0 * d[i], d[i]) for i in absent]
+        level, L = np.log(F), np.array([*(low + shift for low, _, shift in gaps), *d[absent]])
+        crossed = (level[:, :-1] * level[:, 1:] <= 0) & (owner[:-1] == owner[1:])
+        which, k = np.nonzero(crossed)
+        k += np.abs(level[which, k + 1]) < np.abs(level[which, k])
+        d, b, L = d[:, k], b[:, k], L[which, k]
+        x = np.where(b == 0, 0.0, -b / (d - L))
+        v = np.where(b == 0, 0.0, x / (d - L))
+        forks = which >= len(gaps)
+        v[:, forks] = np.eye(n)[:, absent[which[forks] - len(gaps)]]
+        x, v = (each / np.sqrt((each**2).sum(0)) for each in (x, v))
+        m = -np.where(forks, 0.0, ((d - L) * v * x).sum(0))
+    unknowns = np.stack([*x, -L, *v, m, *position[k].T, 0 * L], -1)
+    usable = np.isfinite(unknowns).all(1)
+    return Degenerate(potential, unknowns[usable], forks[usable])
+
+
+def near_solutions(
+    system: Gyrostat, potential: Potential, points: Callable[[Array], Points], positions: Array, reach: float
+) -> tuple[Degenerate, Array]:
+    """Solutions of bodies, and nearly real ones, that may be degenerate within a reach, and the numbers of solutions, (bodies,).
+
+    A number is nan where it is not certain.
+    """
+    listed = system.equilibria_of_bodies(points(positions), lambda: None, False, ordered=True)
+    alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
+    x, solves = potential.from_attitudes(alpha, listed["gamma"]), listed["index"] >= 0
+    certain = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (potential.axis >= 0)
+    weight = 1 + (listed["circle"] & (potential.size == 2))  # a circle meets the plane of x twice
+    numbers = np.where(np.isin(listed["completeness"], certain), (solves * weight).sum(1), np.nan)
+    known = ~np.isnan(x[..., -1])
+    if potential.mirrored:
+        known &= x[..., :3] @ _ANY > 0
+    row, place = np.nonzero(known)
+    return Degenerate.near(potential, x[row, place], positions[row], solves[row, place], reach), numbers
+
+
+def all_curves(
+    system: Gyrostat, potential: Potential, points: Callable[[Array], Points]
+) -> tuple[list[Curve], Array, NDArray[np.int8]]:
+    """The curves of bodies over two parameters, the axis of a coarse grid, and what is known of its cells, values of `Cell`.
+
+    Where the numbers of equilibria at neighbouring corners differ otherwise than the curves between them say, more curves are
+    sought from points between the two.
+    """
+    axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
+    i, j = np.divmod(np.arange(axis.size**2), axis.size)
+    j = np.where(i % 2, CELLS - j, j)  # neighbours are solved from one another
+    numbers = np.empty((axis.size, axis.size))
+    near, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
+    found = [np.diff(numbers, axis=along) for along in (0, 1)]
+    seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential).nearest(_ON_SPHERE)[0]
+    for attempt in range(_SEARCHES + 1):
+        lines = curves(*seeds.regular())
+        expected = expected_differences(lines, axis)
+        wrong = [f != e for f, e in zip(found, expected, strict=True)]
+        ends = [np.argwhere(each & np.isfinite(f)) for each, f in zip(wrong, found, strict=True)]
+        if attempt == _SEARCHES or not any(map(len, ends)):
+            break
+        share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])
+        between = [
+            axis[each][:, None] + share[:, None] * side for each, side in zip(ends, np.eye(2), strict=True)
+        ]
+        more, _ = near_solutions(system, potential, points, np.concatenate(between).reshape(-1, 2), reach)
+        seeds = Degenerate.joined([seeds, more.settled(reach)])
+    unknown = np.isnan(numbers)
+    uncertain = unknown[1:, 1:] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[:-1, :-1]
+    missed = wrong[0][:, 1:] | wrong[0][:, :-1] | wrong[1][1:] | wrong[1][:-1]
+    cells = np.select([uncertain, missed], [Cell.NOT_CERTAIN, Cell.UNEXPLAINED], Cell.COUNTED)
+    return lines, axis, cells.astype(np.int8)
+
+
+def gain(line: Curve) -> Array:
+    """Number of solutions to the left of the direction of a curve less that to the right, at its vertices, (vertices,)."""
+    _, _, covector = line.points.character()
+    (along, across) = line.tangents[:, -3:-1].T
+    sign = np.sign(covector[:, 1] * along - covector[:, 0] * across)
+    if not line.points.pitchfork[0]:
+        sign = np.full(len(sign), np.sign(sign.sum()))
+    return 2 * (1 + line.points.potential.mirrored) * sign
+
+
+def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
+    """Differences of the number of solutions between neighbouring corners of a grid, along each axis, from the curves between."""
+    result = np.zeros((axis.size - 1, axis.size)), np.zeros((axis.size, axis.size - 1))
+    if not lines:
+        return result
+    parts = Segments.of(lines, [np.arange(len(line.tangents)) < len(line.tangents) - 1 for line in lines])
+    left = np.concatenate([gain(line)[:-1] for line in lines])
+    shares = np.arange(_DIVISIONS + 1) / _DIVISIONS
+    for start, end in pairwise(parts.cubic(np.full(left.size, share)).parts[4] for share in shares):
+        for along in (0, 1):  # of the intervals, on lines of the grid with a value of the other coordinate
+            low, high = start[:, 1 - along], end[:, 1 - along]
+            part, line = np.nonzero((low[:, None] > axis) != (high[:, None] > axis))
+            share = (axis[line] - low[part]) / (high - low)[part]
+            place = start[part, along] + share * (end - start)[part, along]
+            interval = np.searchsorted(axis, place) - 1
+            inside = (interval >= 0) & (interval < axis.size - 1)
+            where = (interval, line) if along == 0 else (line, interval)
+            change = np.sign(high - low)[part] * left[part] * (2 * along - 1)
+            np.add.at(result[along], tuple(each[inside] for each in where), change[inside])
+    return result

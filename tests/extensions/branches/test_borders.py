@@ -1,0 +1,90 @@
+"""Borders of equilibria as curves, against verified folds, pitchforks and cusps, closed forms and numbers of equilibria."""
+
+import json
+
+import numpy as np
+import pytest
+from refusals import assert_refused
+from truth import REFERENCE
+
+import atlas
+from atlas.extensions.branches.borders import BorderKind, SpecialKind
+from atlas.extensions.branches.starts import Cell
+
+CASES = json.loads((REFERENCE / "fold_curves.json").read_text())["cases"]
+
+
+def crossings(ds, name, value, other):
+    """Values of the other parameter where curves cross name = value, their kinds, and solutions to their left, seen towards larger `name`."""
+    found = []
+    for curve in np.unique(ds.curve):
+        line = ds.isel(vertex=np.flatnonzero(ds.curve.values == curve))
+        p, q, s = line[name].values - value, line[other].values, line.arc.values
+        slopes = [line[f"tangent_{each}"].values for each in (name, other)]
+        for k in np.flatnonzero(p[:-1] * p[1:] < 0):
+            h = s[k + 1] - s[k]
+
+            def cubic(w, values, slope, k=k, h=h):
+                ends = (1 + 2 * w) * (1 - w) ** 2 * values[k] + w**2 * (3 - 2 * w) * values[k + 1]
+                return ends + h * (w * (1 - w) ** 2 * slope[k] - w**2 * (1 - w) * slope[k + 1])
+
+            low, high = 0.0, 1.0
+            for _ in range(60):
+                middle = 0.5 * (low + high)
+                same = cubic(middle, p, slopes[0]) * p[k] > 0
+                low, high = (middle, high) if same else (low, middle)
+            change = np.sign(p[k + 1] - p[k]) * float(line.count_change[k])
+            found.append((cubic(low, q, slopes[1]), int(line.kind[0]), change))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case['system']}, {case['kind']}")
+def test_verified_borders(case):
+    """Every fold, pitchfork and cusp of the list and no other, at the accuracy of the cubics between vertices."""
+    first, second = case["parameters"]
+    body = {name: value for name, value in case["body"].items() if name not in case["parameters"]}
+    box = case["cusp_range"]
+    ds = atlas.borders(case["system"], body, box)
+    assert (ds.cells == Cell.COUNTED).all()
+    assert float(ds.residual.max()) < 1e-10
+    spans = {name: high - low for name, (low, high) in box.items()}
+    for line in case["lines"]:
+        ((name, value),) = line["fixed"].items()
+        other = line["vary"]
+        low, high = line["range"]
+        found = [each for each in crossings(ds, name, value, other) if low < each[0] < high]
+        values = np.array([each[0] for each in found])
+        expected = np.array([float(fold[0]) for fold in line["folds"]])
+        kinds = [BorderKind[fold[1].upper()] for fold in line["folds"]]
+        nearest = np.abs(values[:, None] - expected).argmin(1) if len(values) else np.zeros(0, int)
+        np.testing.assert_allclose(values, expected[nearest], rtol=0, atol=1e-6 * spans[other])
+        assert [each[1] for each in found] == [kinds[i] for i in nearest]
+        assert set(nearest) == set(range(len(expected)))
+        # Towards larger values of `first` the left side has the larger values of `second`.
+        way = 1 if name == first else -1
+        for i, fold in enumerate(line["folds"]):
+            change = sum(way * each[2] for each, own in zip(found, nearest, strict=True) if own == i)
+            assert change == fold[2][1] - fold[2][0]
+    cusps = ds.isel(special=np.flatnonzero(ds.special_kind.values == SpecialKind.CUSP))
+    found = np.stack([cusps[f"special_{name}"] for name in (first, second)], -1)
+    expected = np.array(case["cusps"], float)
+    distance = np.abs(found[:, None] - expected).max(-1)
+    assert max(distance.min(0).max(), distance.min(1).max()) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("body", "ranges", "sentence"),
+    [
+        ({}, {"k1": [0, 1]}, "borders: needs two parameters with a range each, found k1"),
+        ({}, {"k1": [0, 1], "k2": [1, 1]}, "ranges.k2 = [1, 1]: must be a lowest and a higher value"),
+        ({}, {"k1": [0, 1], "k2": [1]}, "ranges.k2 = [1]: must be a lowest and a higher value"),
+        ({}, {"k1": [0, 1], "mass": [0, 1]}, "axes.mass: ..."),
+        ({"mass": 1}, {"k1": [0, 1], "k2": [0, 1]}, "fixed.mass: not a parameter of the satellite, ..."),
+        ({}, {"k1": [0, 1], "theta0": [0, 1]}, "borders: theta0 changes no equilibria; take a parameter of body or field"),
+        ({"damping": 0.1}, {"k1": [0, 1], "k2": [0, 1]}, "borders: damping = 0.1; the body has to be without damping"),
+        ({"A": 5.0}, {"k1": [0, 1], "k2": [0, 1]}, "B + C = 2.2 is less than A = 5: no rigid body has these moments of inertia..."),
+        ({"Omega": 0.0}, {"k1": [0, 1], "k2": [0, 1]}, "borders: without orbit and field these bodies rest in any orientation"),
+    ],
+)  # fmt: skip
+def test_input_without_borders(body, ranges, sentence):
+    assert_refused(lambda: atlas.borders("satellite", body, ranges), sentence)

@@ -57,6 +57,8 @@ class Extension:
         Name of a system -> function of it that returns more of its stress cases; several extensions may have some.
     published : mapping of str to str, optional
         Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have some.
+    published_numbers : mapping of str to str, optional
+        Name of a system -> function of it that returns rows on printed numbers; several extensions may have some.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Extension:
     line_styles: Mapping[str, Reference] = field(default_factory=dict)
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
+    published_numbers: Mapping[str, Reference] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -154,12 +157,9 @@ def load(kind: str, name: str) -> Any:
 
 
 def of_each(kind: str, system: str) -> list[Any]:
-    """The stress cases or published rows of a system, from every extension that has some; BadInput if they cannot be loaded."""
-    return [
-        each.load(getattr(each, kind)[system])
-        for each in extensions().values()
-        if system in getattr(each, kind)
-    ]
+    """The part of a kind for a system, from every extension that has one; BadInput if one cannot be loaded."""
+    given = [(each, getattr(each, kind)) for each in extensions().values()]
+    return [each.load(of_system[system]) for each, of_system in given if system in of_system]
 
 
 def every(kind: str) -> list[Any]:

@@ -41,6 +41,7 @@ EXTENSIONS = {
     "docs/how_to.md": {"basins", "branches", "yehia2021"},
     "docs/new_system.md": {"lagrangian"},
     "docs/page.md": {"page"},
+    "docs/published.md": {"branches", "normal_form", "published"},
 }
 
 

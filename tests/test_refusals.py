@@ -270,6 +270,8 @@ COMMANDS = [
     ("map none.nc", "none.nc: there is no such file"),
     ("conditions sputnik", "system = 'sputnik': there is no such system; allowed: satellite, fixed_point"),
     ("conditions satellite --family banana", "family banana: unknown; allowed: ..."),
+    ("conditions --published --family conical", "--published: numbers of others belong to no family; leave out --family"),
+    ("conditions --published --errata", "atlas conditions: argument --errata: not allowed with argument --published (see atlas conditions --help)"),
     ("fly", "argument COMMAND: 'fly': allowed: ... (see atlas --help)"),
     ("rum", "argument COMMAND: 'rum': did you mean 'run'? allowed: ... (see atlas --help)"),
     ("", "the following arguments are required: COMMAND (see atlas --help)"),

@@ -155,6 +155,7 @@ def test_script(name, monkeypatch, tmp_path, capfd):
         assert (tmp_path / "variables.md").read_text() == (ROOT / "docs" / "variables.md").read_text()
 
 
+@pytest.mark.usefixtures("whole_kernels")
 def test_tables_are_those_of_the_registries(monkeypatch):
     start("make_docs", ["--check"], monkeypatch)
 

@@ -30,6 +30,12 @@ def published_equations(system: System) -> Sequence[PublishedEquation]:
     return [row for rows in extension.of_each("published", system.name) for row in rows]
 
 
+def published_numbers(system: System) -> list[dict[str, str]]:
+    """Rows on numbers that others have printed, beside ours, of all extensions."""
+    functions = extension.of_each("published_numbers", system.name)
+    return [row for function in functions for row in function(system.name)]
+
+
 def load(package: str) -> dict[str, Any]:
     """The content of the equations.toml in the package of a paper."""
     return tomllib.loads(resources.files(package).joinpath("equations.toml").read_text("utf-8"))

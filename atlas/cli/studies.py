@@ -9,10 +9,11 @@ import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import groupby
 from typing import Any
 
 from .. import systems
-from ..errors import say, text_table
+from ..errors import BadInput, say, text_table
 from ..files import FIGURES, atomic_write
 from ..systems.base import stress_cases_of
 from .options import (
@@ -35,13 +36,16 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # co
     "conditions",
     argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"),
     argument("--family", metavar="NAME", help="one family in detail"),
-    argument(
-        "--errata",
-        nargs="?",
-        const=True,
-        metavar="N",
-        help="only the paper's equations that are wrong; with a number this equation, right or wrong",
-    ),
+    [
+        argument(
+            "--errata",
+            nargs="?",
+            const=True,
+            metavar="N",
+            help="only the paper's equations that are wrong; with a number this equation, right or wrong",
+        ),
+        argument("--published", action="store_true", help="numbers that others have printed, beside ours"),
+    ],
     [
         argument("--csv", action="store_true", help="comma-separated values, one row for each"),
         argument("--json", action="store_true", help="JSON, with every printed equation"),
@@ -50,23 +54,27 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # co
 def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
     from ..analysis import catalogue
+    from ..analysis.published import published_numbers
 
+    if options.published and options.family is not None:
+        raise BadInput("--published: numbers of others belong to no family; leave out --family")
     if options.errata in systems.names():  # conditions --errata SYSTEM
         options.system, options.errata = options.errata, True
     system, number = systems.get(options.system), None
     if isinstance(options.errata, str):
         number, options.errata = options.errata, True
-    families = catalogue.families(system, options.family)
+    families = [] if options.published else catalogue.families(system, options.family)
     only_wrong = bool(options.errata) and number is None
     published = partial(catalogue.published, system, options.family, only_wrong, number)
     if options.json:
         content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
-        if not options.errata:
-            content["families"] = families
-        content["printed"] = published()
+        if options.published:
+            content["numbers"] = published_numbers(system)
+        else:
+            content |= ({} if options.errata else {"families": families}) | {"printed": published()}
         say(*json.dumps(content, indent=1).split("\n"))
         return
-    rows = published() if options.errata else families
+    rows = published_numbers(system) if options.published else published() if options.errata else families
     if options.csv:
         writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
         writer.writeheader()
@@ -74,6 +82,14 @@ def print_conditions(options: argparse.Namespace) -> None:
             {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
             for row in rows
         )
+    elif options.published:
+        for source, numbers in groupby(rows, lambda row: f"{row['source']}: {row['place']}"):
+            say(source)
+            for row in numbers:
+                remark = f" ({row['remark']})" if row["remark"] else ""
+                say(f"  {row['quantity']}: {row['printed']}, ours {row['ours']}: {row['verdict']}{remark}")
+        agreeing = sum(row["verdict"] == "agrees" for row in rows)
+        say(f"{agreeing} of {len(rows)} numbers of others on the system {system.name} agree with ours")
     elif options.errata:
         for row in map(_with_residuals, rows):
             say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")

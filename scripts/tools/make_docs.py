@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from atlas.analysis import catalogue
+from atlas.analysis.published import published_numbers
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
@@ -306,6 +307,25 @@ def claim_table(system: System) -> str:
     return table(rows)
 
 
+def numbers(system: System) -> str:
+    """Table of the numbers of each source beside ours."""
+    parts = []
+    for source, group in groupby(published_numbers(system), key=lambda row: row["source"]):
+        rows = list(group)
+        parts.append(
+            f"**{source}**: {with_formulas(rows[0]['place'])}. *Read: {with_formulas(rows[0]['reading'])}.*"
+        )
+        cells = [
+            tuple(with_formulas(row[key]) for key in ("quantity", "printed", "ours", "verdict"))
+            for row in rows
+        ]
+        computed = [f"`{row['computation']}`" for row in rows]
+        body = [(*cell, each) for cell, each in zip(cells, computed, strict=True)]
+        parts.append(table([("number", "printed", "ours", "verdict", "computed as"), *body]))
+        parts += [f"{row['quantity']}: {row['remark']}." for row in rows if row["remark"]]
+    return "\n\n".join(parts)
+
+
 def errata(system: System) -> str:
     """List of the equations of the paper that are wrong, as printed and as corrected; both are too long for the cells of a table."""
     items = []
@@ -389,6 +409,7 @@ TABLES = {
     "amplitudes": amplitudes,
     "periodic": periodic,
     "claims": claim_table,
+    "numbers": numbers,
     "errata": errata,
     "confirmed": confirmed,
 }

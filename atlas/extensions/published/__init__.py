@@ -1,0 +1,10 @@
+"""Numbers that others have printed, beside those of the package."""
+
+from ...extension import Extension
+
+EXTENSION = Extension(
+    "published",
+    __name__,
+    "numbers of others, compared with those of the package",
+    published_numbers=dict.fromkeys(("satellite", "fixed_point"), "numbers:compared"),
+)

@@ -25,8 +25,8 @@ def aligned_empty(shape):
     """Uninitialised array of float64, aligned to cache lines."""
 
 
-def aligned_stack():
-    """Align the stack of the calling kernel to cache lines."""
+def full_vectors():
+    """Let the calling kernel use the longest vectors."""
 
 
 def axpy(y, weights, slopes):

@@ -26,10 +26,10 @@ from .generated import (
     WIDTH,
     add_to_plugged,
     aligned_empty,
-    aligned_stack,
     axis_in_frame,
     frame_motion,
     frame_motion_change,
+    full_vectors,
     load_constants,
     load_state,
     rhs,
@@ -139,7 +139,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
     Node 0 begins a run, the node steps / steps_per_sample ends it; the rule is a `sampling.Quadrature`.
     """
-    aligned_stack()
+    full_vectors()
     points, steps, steps_per_sample = schedule
     step_size, state0, constants0, scales, given0, rules, cylinder_squared, resume, out = arrays
     node_weights, first_sample, samples = rules
@@ -150,9 +150,10 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     slopes = aligned_empty((STATES, WIDTH))
     turning, near = aligned_empty((WIDTH,)), aligned_empty((WIDTH,))
     turns, extremes = empty_queue(TURN_ROWS), aligned_empty((2, QUEUE))
-    passages, terms = empty_queue(PASSAGE_ROWS), aligned_empty((2, len(Term), QUEUE))
-    numbers = np.zeros((3, QUEUE + WIDTH), np.int64)
-    turn_lanes, lanes, first_nodes = numbers[0], numbers[1], numbers[2]
+    passages, farther = empty_queue(PASSAGE_ROWS), empty_queue(PASSAGE_ROWS)
+    terms = aligned_empty((2, len(Term), QUEUE))
+    numbers = np.zeros((4, QUEUE + WIDTH), np.int64)
+    turn_lanes, lanes, first_nodes, places = numbers[0], numbers[1], numbers[2], numbers[3]
     if PLUGGED:
         given, plugged = aligned_empty((PLUGGED_GIVEN, WIDTH)), aligned_empty((PLUGGED, WIDTH))
     for block in range(first_block, last_block):
@@ -192,8 +193,8 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
                         turn_count = extend_to_turns(stats, turns, turn_lanes, turn_count, extremes)
                     while passage_count >= QUEUE or (last and passage_count > 0):
                         passage_count = correct(
-                            stats, passages, terms, lanes, first_nodes, passage_count, stride, dt, intervals,
-                            cylinder_squared,
+                            stats, passages, farther, places, terms, lanes, first_nodes, passage_count, stride, dt,
+                            intervals, cylinder_squared,
                         )  # fmt: skip
             if PLUGGED:
                 add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants)
@@ -383,29 +384,22 @@ def extend_to_turns(stats, turns, lanes, count, extremes):
     return move_up(turns, lanes, lanes, count)
 
 
-def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared):
+def correct(
+    stats, passages, farther, places, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared
+):  # fmt: skip
     """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; returns how many are left."""
-    nearer = np.int64(0)
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
         difference(passages, Passage.G2, e)
         difference(passages, Passage.U3, e)
-        approximate_zero(passages, e, nearer)
-    for _ in range(NEWTON_STEPS):
-        for e in range(QUEUE):
-            improve_zero(passages, e)
-    for e in range(QUEUE):
-        pole_terms(passages, e, terms, nearer)
+    zeros(passages, terms, np.int64(0), np.int64(QUEUE))
+    zeros(farther, terms, np.int64(1), collect_farther(passages, farther, places, min(count, QUEUE)))
     for e in range(min(count, QUEUE)):
         l = lanes[e]
-        for farther in range(2 if passages[Passage.FARTHER, e] > 0.0 else 1):
-            if farther == 1:
-                approximate_zero(passages, e, farther)
-                for _ in range(NEWTON_STEPS):
-                    improve_zero(passages, e)
-                pole_terms(passages, e, terms, farther)
-            z = complex(terms[farther, Term.Z_REAL, e] + first_nodes[e], terms[farther, Term.Z_IMAG, e])
-            if counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
+        for zero in range(2 if passages[Passage.FARTHER, e] > 0.0 else 1):
+            column = places[e] if zero else e
+            z = complex(terms[zero, Term.Z_REAL, column] + first_nodes[e], terms[zero, Term.Z_IMAG, column])
+            if counts(stats, l, terms, zero, column, z, intervals, cylinder_squared):
                 stats[Row.ZERO_2_REAL, l], stats[Row.ZERO_2_IMAG, l] = (
                     stats[Row.ZERO_1_REAL, l],
                     stats[Row.ZERO_1_IMAG, l],
@@ -413,13 +407,36 @@ def correct(stats, passages, terms, lanes, first_nodes, count, stride, dt, inter
                 stats[Row.ZERO_1_REAL, l], stats[Row.ZERO_1_IMAG, l] = z.real, z.imag
                 if min(z.real, intervals - z.real) < END:
                     tau, slope = stretched(z, intervals - z)
-                    sum_errors(terms, farther, e, tau, slope, passages[Passage.VERTICAL, e])
+                    sum_errors(terms, zero, column, tau, slope, passages[Passage.VERTICAL, e])
                 per_time = 1.0 / (stride * dt[l])
                 for k in range(5):  # rows with even k are of squared rates
                     unit = per_time if k % 2 else per_time * per_time
-                    error = terms[farther, Term.THETA_DOT_SQUARED_ERROR + k, e]
+                    error = terms[zero, Term.THETA_DOT_SQUARED_ERROR + k, column]
                     stats[Row.THETA_DOT_SQUARED_ERROR + k, l] += error * unit
     return move_up(passages, lanes, first_nodes, count)
+
+
+def zeros(passages, terms, farther, count):
+    """Write the nearer or the farther zeros of `count` passages, of divided differences, into terms[farther]."""
+    for e in range(count):
+        approximate_zero(passages, e, farther)
+    for _ in range(NEWTON_STEPS):
+        for e in range(count):
+            improve_zero(passages, e)
+    for e in range(count):
+        pole_terms(passages, e, terms, farther)
+
+
+def collect_farther(passages, farther, places, count):
+    """Copy the passages whose farther zero may be near into `farther`; returns their number, rounded up to whole vectors."""
+    number = 0
+    for e in range(count):
+        if passages[Passage.FARTHER, e] > 0.0:
+            places[e] = number
+            for row in range(PASSAGE_ROWS):
+                farther[row, number] = passages[row, e]
+            number += 1
+    return (number + 7) // 8 * 8
 
 
 def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):

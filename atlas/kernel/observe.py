@@ -18,7 +18,7 @@ from .generated import (
     STROBED,
     WIDTH,
     aligned_empty,
-    aligned_stack,
+    full_vectors,
     load_constants,
     load_state,
     observe,
@@ -44,7 +44,7 @@ ROUNDING = 1e-14
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks of points over a range of nodes, as `kernel.integrate`; the rule is a `sampling.EndWeights`."""
-    aligned_stack()
+    full_vectors()
     points, steps, steps_per_node = schedule
     step_size, state0, constants0, scales, given0, rule, cylinder_squared, resume, out = arrays
     value_weights, slope_weights = rule

@@ -18,8 +18,8 @@ from .generated import (
     TANGENT,
     WIDTH,
     aligned_empty,
-    aligned_stack,
     extended_rhs,
+    full_vectors,
     load_constants,
     load_extended,
     load_state,
@@ -40,7 +40,7 @@ LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1,
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     """Integrate blocks with tangent vectors over a range of nodes; the schedule has their number, not the steps between."""
-    aligned_stack()
+    full_vectors()
     points, steps, nodes = schedule
     step_size, state0, constants0, tangent0, weights, out = arrays
     extended, constants = aligned_empty((STATES + TANGENT, WIDTH)), aligned_empty((CONSTANTS, WIDTH))

@@ -11,7 +11,9 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import numba
+import numpy as np
 import pytest
 
 from atlas import files
@@ -68,6 +70,34 @@ def cache(tmp_path, monkeypatch):
     """An empty cache folder that does not exist yet."""
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "kernels"))
     return tmp_path / "kernels"
+
+
+# Loops of fewer operations are unrolled before they could become vectors.
+POLYNOMIAL = "1.0 - z * (0.5 - z * (0.25 - z * (0.125 - z * (0.1 - z * (0.2 - z * (0.3 - z * (0.4 - z)))))))"
+LANES = f"""def integrate(x, steps):
+    full_vectors()
+    y = aligned_empty((1, 32))
+    for l in range(32):
+        y[0, l] = x[l]
+    for _ in range(steps):
+        for l in range(32):
+            z = y[0, l]
+            y[0, l] = {POLYNOMIAL}
+    for l in range(32):
+        x[l] = y[0, l]"""
+
+
+def test_loops_over_the_lanes_become_the_longest_vectors_of_the_processor(cache):
+    module = machine_code.load(machine_code.module_text({}, {"integrate": LANES}, machine_code.INLINE))
+    x = np.linspace(-1.0, 1.0, 32)
+    expected = eval(POLYNOMIAL, {"z": x})
+    module.integrate(x, 1)
+    assert np.allclose(x, expected, rtol=1e-14, atol=0)
+    (assembly,) = module.integrate.inspect_asm().values()
+    features = llvm.get_host_cpu_features()
+    longest = {"avx512f": r"pd\s.*%zmm", "avx": r"pd\s.*%ymm", "sse2": r"pd\s.*%xmm", "neon": r"\s.*v\d+\.2d"}
+    vectors = next(pattern for feature, pattern in longest.items() if features.get(feature))
+    assert re.search(rf"\s(?:v?mul|vfn?m\w+|fml[as]|fmul){vectors}", assembly)
 
 
 def test_machine_code_comes_from_the_cache_and_only_its_user_can_read_it(cache, caplog):

@@ -56,7 +56,8 @@ def test_corrected_sums_are_integrals(zeros, monkeypatch):
         theta_dot = (slope * zeta.conjugate()).real / (np.abs(zeta) * g3)
         return np.array([theta_dot**2, (u3 - phi_dot) / g3, ((u3 - phi_dot) / g3) ** 2, phi_dot, phi_dot**2])
 
-    passages, terms = np.zeros((poles.PASSAGE_ROWS, 1)), np.zeros((2, len(Term), 1))
+    passages, farther = np.zeros((poles.PASSAGE_ROWS, 1)), np.zeros((poles.PASSAGE_ROWS, 8))
+    terms = np.zeros((2, len(Term), 8))
     zeta, slope = motion(np.arange(4.0), zeros, rotation)
     passages[Passage.G1 : Passage.G1 + 4, 0], passages[Passage.G2 : Passage.G2 + 4, 0] = zeta.real, zeta.imag
     passages[Passage.G1_SLOPE : Passage.G1_SLOPE + 4, 0] = slope.real
@@ -73,8 +74,8 @@ def test_corrected_sums_are_integrals(zeros, monkeypatch):
     expected = coarse_sum - fine_sum - (slopes[1] - slopes[0]) / 12 * (1 - 1 / 64**2)
     stats = np.zeros((len(Row), 1))
     stats[[Row.ZERO_1_REAL, Row.ZERO_2_REAL], 0] = NO_ZERO
-    lane, stride, dt = np.zeros(1, int), 2, np.array([0.25])
-    kernel.correct(stats, passages, terms, lane, np.array([first]), 1, stride, dt, 60, 1e-12)
+    lane, place, stride, dt = np.zeros(1, int), np.zeros(1, int), 2, np.array([0.25])
+    kernel.correct(stats, passages, farther, place, terms, lane, np.array([first]), 1, stride, dt, 60, 1e-12)
     corrected = (
         stats[[Row.ZERO_2_REAL, Row.ZERO_1_REAL], 0] + 1j * stats[[Row.ZERO_2_IMAG, Row.ZERO_1_IMAG], 0]
     )

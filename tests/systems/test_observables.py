@@ -406,6 +406,26 @@ def test_the_bound_of_a_point_depends_on_it_alone(pendulum):
         assert bound_along(pendulum, alone, 30.0, threads=1)[0] == bound[i]
 
 
+def test_a_motion_that_reaches_infinity_keeps_its_last_finite_bound(pendulum):
+    """x'' = x^3 does so from x = 3 in 0.6 time units, whatever the steps: shorter ones would cost time and change nothing."""
+    points = {"omega": np.zeros(1), "cubic": np.full(1, -1.0), "x0": np.full(1, 3.0), "v0": np.zeros(1)}
+    bound, settled = bound_along(pendulum, points, 30.0)
+    assert 3 * np.sqrt(3) < bound[0] < 1e4
+    assert not settled[0]
+
+
+def test_an_integral_is_compared_with_its_terms_at_the_start_or_with_1(pendulum):
+    """Where they are all 0, its rounding errors would otherwise be infinitely large."""
+    points = {
+        "omega": np.full(2, 2.0),
+        "cubic": np.zeros(2),
+        "x0": np.array([0.0, np.pi]),
+        "v0": np.array([0.0, 4.0]),
+    }
+    scales = Ensemble.of(pendulum, points).scales
+    np.testing.assert_allclose(scales, [[1.0, 1 / 16]], rtol=1e-15)
+
+
 def test_motions_that_end_are_not_resolved(pendulum, monkeypatch):
     """With a negative spring the motion reaches infinity in a finite time."""
     points = {"omega": np.zeros(2), "cubic": np.array([-1.0, 1.0]), "x0": np.ones(2), "v0": np.zeros(2)}

@@ -5,6 +5,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 from family_starts import STARTS
+from plugins import registry
 from strategies import random_fixed_points, random_satellites
 from truth import cases, fixed_point_cases
 
@@ -225,6 +226,48 @@ def test_motions_of_another_system_that_are_known(top):
     assert (motion.answer == Existence.FAR).all()
     moved = points | {"z0": points["z0"] * 1.01, "c": points["c"] + 0.01 * size}
     assert (steady_motions(top, moved, 30.0 / size, 1e-5 * size, 1e-5).answer != Existence.EXACT)[2::3].all()
+
+
+class Resonant(System):
+    """A body with a precession n nu + m e3 that is steady at n = 3 m alone, where the frequencies n - m and 2 m coincide."""
+
+    name, title, frame = "resonant_of_tests", "resonant", "space"
+    rate_states = ("x", "y", "z")
+    names = ("m", "a", "b", "c", "x0", "y0", "z0", "v1", "v2", "v3")
+    parameters = MappingProxyType({name: Parameter(name, "1", name) for name in names})
+
+    class equations:
+        STATE = ("x", "y", "z", "v1", "v2", "v3")
+        FRAME_VECTORS = (("v1", "v2", "v3"),)
+        CONSTANTS = ("m", "a", "b", "c")
+
+        def rhs(state, constants):
+            x, y, z, v1, v2, v3 = state
+            m, a, b, c = constants
+            return (
+                m * y + a * v1 + b * x * v3 + c * (x * x - y * y),
+                -m * x + a * v2 + b * y * v3 - 2.0 * c * x * y,
+                0.0 * z,
+                v2 * z - v3 * y, v3 * x - v1 * z, v1 * y - v2 * x,
+            )  # fmt: skip
+
+        def frame_motion(state, constants):
+            x, y, z, v1, v2, v3 = state
+            return x, y, z, v1, v2, v3
+
+    def initial_state(self, points):
+        return np.array([points[name] for name in ("x0", "y0", "z0", "v1", "v2", "v3")])
+
+
+def test_a_motion_that_is_steady_at_a_resonance_alone():
+    """With v across nu, a (v1 + i v2) + b (x + i y) v3 = -a exp(i (n - m) t), and c (x - i y)^2 = a exp(2 i m t)."""
+    n, m, sine, cosine, a = np.array([3.0, -3.0, 3.01, 2.0]), 1.0, np.sqrt(0.75), 0.5, 0.7
+    points = {"m": np.full(4, m), "a": np.full(4, a), "b": a / (n * (1 - cosine)), "c": a / (n * sine) ** 2}
+    points |= {"x0": n * sine, "y0": np.zeros(4), "z0": n * cosine + m}
+    points |= {"v1": np.full(4, cosine), "v2": np.zeros(4), "v3": np.full(4, -sine)}
+    with registry():
+        motion = steady_motions(systems.register(Resonant()), points, 30.0, 1e-5)
+    assert (motion.answer == Existence.EXACT).tolist() == [True, False, False, False]
 
 
 CHANGES = {

@@ -196,9 +196,9 @@ def test_files_of_the_command(studies, monkeypatch, tmp_path):
 
 
 def test_a_case_whose_true_label_is_unknown_is_an_error():
-    """A motion that stays steady for the part of the run that the reference integrates proves nothing."""
-    case = StressCase("", "", 1e4, {"theta0": 1e-7, "m": 1.5, "C": 1.3})
-    with pytest.raises(ValueError, match="cannot decide"):
+    """A motion that stays steady for the part of the run that the reference integrates proves nothing; one that drifts does."""
+    case = StressCase("", "", 1e4, {"theta0": [0.5, 1e-7], "m": 1.5, "C": 1.3})
+    with pytest.raises(ValueError, match=r"cannot decide the labels of points \[1\]$"):
         stress_truth.true_labels(SYSTEMS["satellite"], case_points(SYSTEMS["satellite"], case), Settings())
 
 

@@ -34,6 +34,11 @@ def instruments() -> tuple[Instrument, ...]:
     return (*INSTRUMENTS, *extension.every("instruments"))
 
 
+def proofs_of_labels() -> dict[str, str]:
+    """Label variables, and the variables of flags that are not 0 where they are proved for every duration."""
+    return {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
+
+
 def main_instrument(system: System) -> MainInstrument:
     """The instrument whose kernel integrates a system."""
     mains = (each for each in INSTRUMENTS if isinstance(each, MainInstrument))

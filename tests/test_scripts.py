@@ -30,6 +30,10 @@ SCRIPTS = {
     "bench_long_runs": ("--orbits 2", r"cylindrical +4 of 4 labels right"),
     "bench_methods": (f"{SMALL} --points 8 --rounds 1", r"small \| .*0 of 8 \| 0, 0"),
     "bench_large": ("0.00001 20", r"(?s)1024 points, \d chunks, .*map of numbers: .*join: "),
+    "bench_proofs": (
+        "--points 4 --duration 20",
+        r"(?s)satellites with .* 0 contradictions.*tops: .* 0 contradictions",
+    ),
     "bench_refine": (f"{SMALL} --count 5 --levels 1", r"small: 9 x 9 points, .* 0 labels differ"),
     "bench_scaling": ("100 --only points tiles", r"(?s)100, 1, .*tiles for 100 points"),
     "bench_elastic": ("1000 --kills 0 --jobs 1 --places store", r"store: 1000 points, .* 0 kills, .* equal"),

@@ -14,6 +14,7 @@ from ..label.theory import agreement
 from ..scene import grid
 from ..scene.checks import whole_number
 from ..systems.base import Flags, families_of, unsteady
+from ..variables import proofs_of_labels
 from .degrees import DEGREE, in_degrees
 from .metadata import (
     flags_of,
@@ -54,6 +55,7 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     if {"stable", "growth_rate", "end_time"} <= set(ds):
         lines += _stability_lines(ds, axes)
     lines += _plane_lines(ds)
+    lines += _proof_lines(whole, worst)
     lines += _worst_lines(in_degrees(ds, degrees), result.ravel(), worst)
     if problem := scene_problem(whole):
         lines.append(problem)
@@ -138,6 +140,24 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
         text = "  lyapunov / growth_rate of hyperbolic ones:"
         lines.append(f"{text} {low:.3f} to {high:.3f} (5 to 95 %)")
     return lines if where.any() else []
+
+
+def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
+    """Labels proved for every duration against those of runs, and the first places of contradictions."""
+    lines = []
+    for label, proof in proofs_of_labels().items():
+        predicted = label.replace("label", "predicted")
+        if not {label, proof, predicted} <= {*ds}:
+            continue
+        proved = ds[proof] != 0
+        measured = proved & (ds[label] != Label.NOT_COMPUTED) & (ds[label] != Label.UNRESOLVED)
+        wrong = (measured & (ds[label] != ds[predicted])).transpose(*ds[label].dims)
+        counts = f"{int(proved.sum())} of {proved.size} points, {int(measured.sum())} of these measured"
+        lines.append(f"{label} proved for every duration: {counts}, {int(wrong.sum())} contradictions")
+        for index in np.argwhere(wrong.values)[:worst].tolist():
+            where = place(ds, dict(zip(map(str, wrong.dims), index, strict=True)))
+            lines.append(f"  a defect of proof or run, please report it: {where}")
+    return lines
 
 
 def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:

@@ -42,21 +42,36 @@ def evaluate(
     """Integrate, measure, label and compare points; the arrays have names of the registry of variables.
 
     Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan. Statistics that the plan
-    does not want may be missing or cover a part of the run, because a point ends once its label is certain. `halved`: at half
-    the step of the settings; `progress`: gets the number of points done.
+    does not want may be missing or cover a part of the run, because a point ends once its label is certain; of points that the
+    settings let a proof decide all are. `halved`: at half the step of the settings; `progress`: gets the number of points done.
     """
-    if not tile.exists.all():
+    progress = progress or (lambda points: None)
+
+    def of_part(plan: Plan, where: Mask) -> dict[str, np.ndarray]:
+        """The variables of some points, missing values at the others."""
         columns, registry = {}, variables(plan.system)
-        if tile.exists.any():
-            some = evaluate(plan, tile.subset(tile.exists), halved=halved, threads=threads, progress=progress)
+        if where.any():
+            some = evaluate(plan, tile.subset(where), halved=halved, threads=threads, progress=progress)
         else:
             some = {name: np.empty(0, variable.dtype) for name, variable in registry.items()}
         for name, values in some.items():
             empty = np.nan if values.dtype.kind == "f" else registry[name].missing
-            columns[name] = np.full(tile.exists.shape, empty, values.dtype)
-            columns[name][tile.exists] = values
+            columns[name] = np.full(where.shape, empty, values.dtype)
+            columns[name][where] = values
+        return columns
+
+    if not tile.exists.all():
+        columns = of_part(plan, tile.exists)
         return columns | {"status": np.where(tile.exists, columns["status"], status_of(tile.reason))}
-    runs = _prepare(plan, tile, halved, threads, progress or (lambda points: None))
+    if plan.settings.prove:
+        from .proved import by_proof
+
+        proved, known = by_proof(plan, tile, progress)
+        columns = of_part(plan.without_prove(), ~proved)
+        for name, values in known.items():
+            columns[name][proved] = values
+        return columns
+    runs = _prepare(plan, tile, halved, threads, progress)
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
     for name, values in plan.proofs(tile.points).items():

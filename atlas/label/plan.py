@@ -49,6 +49,10 @@ class Plan:
         derived = derived_variables(self.system)
         return replace(self, outputs=[name for name in self.outputs if name not in derived])
 
+    def without_prove(self) -> Plan:
+        """The plan that integrates every point."""
+        return replace(self, settings=replace(self.settings, prove=False))
+
     @property
     def names(self) -> Collection[str]:
         """The variables wanted by name, among which an optional one is sought."""

@@ -29,7 +29,7 @@ from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, 
 from ..analysis.metadata import scene_of
 from ..flags import Regularity
 from ..systems.base import Mask
-from .content import NOT_YET, SLOW, Panel
+from .content import NOT_YET, PROVED, SLOW, Panel
 from .style import COLOURS
 
 
@@ -210,6 +210,7 @@ BORDERS: dict[str, dict[str, Any]] = {
     STABILITY: {"linestyle": "-", "linewidth": 1.2},
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
     EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
+    PROVED: {"linestyle": "-", "linewidth": 1.2, "color": "#7b2cbf"},
     **{kind: {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0} for kind in ZERO_RATES.values()},
     **{
         kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}

@@ -8,6 +8,7 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
+import contourpy
 import numpy as np
 import xarray as xr
 from matplotlib.path import Path
@@ -22,9 +23,11 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Mask
+from ..variables import proofs_of_labels
 
 # Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
+BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every duration"
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
@@ -103,7 +106,15 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     """Content of a panel over one or two axes (x first), in memory."""
     names = [
         n
-        for n in ("label", "status", "stable", "growth_rate", "end_time", "computed")
+        for n in (
+            "label",
+            "status",
+            "stable",
+            "growth_rate",
+            "end_time",
+            "computed",
+            *proofs_of_labels().values(),
+        )
         if n in ds and set(ds[n].dims) == set(dims) and not is_averaged(ds[n]) and ds[n].dtype != bool
     ]
     ds = ds[[*names, name]].transpose(*dims[::-1]).load()
@@ -144,7 +155,20 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         borders = {
             kind: lines for kind, lines in borders.items() if kind not in KINDS or not KINDS[kind].of_frame
         }
-    return Panel(array, white, slow, borders, families)
+    return Panel(array, white, slow, {**borders, **_outline(ds, name, dims)}, families)
+
+
+def _outline(ds: xr.Dataset, name: str, dims: list[str]) -> Lines:
+    """The edge of the region in which the labels of a map over two axes are proved."""
+    label = name.replace("predicted", "label").replace("agreement", "label")
+    proof = proofs_of_labels().get(label)
+    if proof not in ds or len(dims) != 2:
+        return {}
+    inside = (ds[proof].values != 0).astype(float)
+    generator = contourpy.contour_generator(
+        ds[dims[0]].values, ds[dims[1]].values, inside, line_type="Separate"
+    )
+    return {PROVED: [np.asarray(line) for line in generator.lines(0.5)]} if 0 < inside.mean() < 1 else {}
 
 
 def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
@@ -165,6 +189,9 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     not_computed = missing & (ds["label"].values == Label.NOT_COMPUTED if "label" in ds else bool(flags))
     reasons[missing] = NO_VALUE
     reasons[not_computed] = NO_MOTION
+    proofs = [ds[proof].values != 0 for proof in proofs_of_labels().values() if proof in ds]
+    if proofs and "label" in ds:
+        reasons[not_computed & np.any(proofs, axis=0)] = BY_PROOF
     if "status" in ds:
         names = flag_names(ds["status"])
         impossible = names.index("impossible_body") if "impossible_body" in names else -1
@@ -186,7 +213,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
             reasons[without_motion] = NOT_YET
     return {
         reason: reasons == reason
-        for reason in (NO_BODY, NO_MOTION, NOT_YET, NO_VALUE)
+        for reason in (NO_BODY, NO_MOTION, NOT_YET, BY_PROOF, NO_VALUE)
         if (reasons == reason).any()
     }
 

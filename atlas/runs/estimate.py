@@ -51,6 +51,7 @@ class _Cost:
     """Expected cost of a scene."""
 
     points: float  # to integrate
+    proved: float  # points that are not integrated
     tile: _Measurement
     seconds: float
     theory_seconds: float  # of these
@@ -75,8 +76,13 @@ def _cost(plan: ScenePlan, processors: int) -> _Cost:
     derived_seconds /= max(count, 1)
     # A refined atlas has predictions at every point.
     theory_seconds = existing * tile.theory_seconds + points * derived_seconds
-    seconds = points * plan.mean_work * tile.seconds_per_step + theory_seconds
-    return _Cost(points, tile, seconds, theory_seconds)
+    proved = 0.0
+    if scene.settings.prove:
+        from ..label.proved import proved_points
+
+        proved = points * float(proved_points(plan.points, plan.sample.subset(exists))[0].mean())
+    seconds = (points - proved) * plan.mean_work * tile.seconds_per_step + theory_seconds
+    return _Cost(points - proved, proved, tile, seconds, theory_seconds)
 
 
 def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
@@ -106,9 +112,14 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
         contents = f"{tiles.count + 3} files, "
-    stored = _stored_bytes(plan, cost, points)
+    stored = _stored_bytes(plan, cost, points + expected.proved)
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
+        *(
+            [f"about {expected.proved:.0f} points are proved and not integrated"]
+            if scene.settings.prove
+            else []
+        ),
         *grid.not_computed(scene, plan.sample),
         f"{'store' if finished.is_store(out) else 'file'}: about {stored / 1e6:.3g} MB; run folder: {contents}about"
         f" {(stored + HEADER_BYTES * tiles.count) / 1e6:.3g} MB",
@@ -161,7 +172,8 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
 def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
     """The plan of a tile from the middle of the grid, with runs so short that they take about CALIBRATION_STEPS."""
     outputs = tuple(name for name in plan.scene.outputs if name not in derived_variables(plan.scene.system))
-    scene, tile = replace(plan.scene, outputs=outputs), plan.tiling.count // 2
+    settings = replace(plan.scene.settings, prove=False)
+    scene, tile = replace(plan.scene, outputs=outputs, settings=settings), plan.tiling.count // 2
     sample = grid.points_at_indices(scene, plan.tiling.indices(tile))
     sample = sample if sample.exists.any() else plan.sample
     plan = ScenePlan(scene, sample.subset(np.flatnonzero(sample.exists)))

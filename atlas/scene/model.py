@@ -68,6 +68,9 @@ class Settings:
     check_half_step: str = checked(
         checks.one_of(HALF_STEP), "none", "integration", "points that are integrated again at half the step"
     )
+    prove: bool = checked(
+        checks.boolean, False, "integration", "whether points whose labels are proved are not integrated"
+    )
 
     def __post_init__(self) -> None:
         for f in fields(self):

@@ -17,7 +17,7 @@ from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
 from ..flags import reserved_families
 from ..systems.base import Array, System, families_of
-from ..variables import POINT, data_variables, default_variables, variables
+from ..variables import POINT, data_variables, default_variables, proofs_of_labels, variables
 from . import checks
 from .checks import checked
 from .expressions import Expression, PointColumn, Tie, evaluation_order
@@ -206,6 +206,8 @@ def scene_from(
     _check_names(system, names, axes, ties)
     duration, settings = _integration(system, section["integration"], section["labels"])
     outputs, map_variable = _outputs(system, section["outputs"], of_atlas)
+    if settings.prove and not of_atlas:
+        outputs = _with_proofs(system, outputs, is_refined=refine is not None)
     about = section["about"]
     if "licence" in about and "license" not in about:  # both spellings are read
         about = {"license" if key == "licence" else key: value for key, value in about.items()}
@@ -259,6 +261,27 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
     outputs = tuple(name for name in registry if name in listed)
     allowed = (*outputs, *unknown)
     return outputs, checks.choice("outputs.map", table["map"], allowed) if "map" in table else ""
+
+
+def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> tuple[str, ...]:
+    """Outputs with the variables that say where their labels are proved; BadInput if there is none, or with [refine]."""
+    if is_refined:
+        raise BadInput(
+            "integration.prove = true: not together with refine, whose borders are those of measured labels"
+        )
+    registry = variables(system)
+    every = {label: proof for label, proof in proofs_of_labels().items() if proof in registry}
+    wanted = {proof for label, proof in every.items() if label in outputs}
+    if not wanted:
+        labels = (
+            f"name {' or '.join(every)} in outputs.variables"
+            if every
+            else "no installed extension proves its labels"
+        )
+        raise BadInput(
+            f"integration.prove = true: no label of the {system.name} can be proved here; {labels}"
+        )
+    return tuple(name for name in registry if name in wanted or name in outputs)
 
 
 # Keys of a table [axes.NAME]: of evenly spaced values, of listed values, of both.

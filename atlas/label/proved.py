@@ -1,0 +1,42 @@
+"""Points whose labels are proved for every duration, and need no run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..flags import Status
+from ..scene.grid import Grid
+from ..systems.base import Mask, derived_values
+from ..variables import proofs_of_labels
+from .plan import Plan
+from .theory import predict_runs
+
+
+def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
+    """Where all labels of a plan that can be proved are, and what its instruments say without a run, (points,)."""
+    columns = plan.proofs(tile.points)
+    proofs = [
+        proof for label, proof in proofs_of_labels().items() if label in plan.names and proof in columns
+    ]
+    return np.all([columns[proof] != 0 for proof in proofs] or [tile.duration < 0], axis=0), columns
+
+
+def by_proof(
+    plan: Plan, tile: Grid, progress: Callable[[float], None]
+) -> tuple[Mask, dict[str, NDArray[Any]]]:
+    """Where labels are proved, and there the status and the variables from theory; progress: gets the number of these points."""
+    proved, columns = proved_points(plan, tile)
+    tile = tile.subset(proved)
+    theory = predict_runs(plan, tile)
+    progress(float(tile.duration.size))
+    return proved, {
+        **theory.variables,
+        **derived_values(plan.system, plan.names, tile.base, tile.duration, lambda: progress(0.0)),
+        **{name: values[proved] for name, values in columns.items()},
+        "status": np.full(tile.duration.shape, Status.OK, np.int8),
+        "condition_residual": theory.residual,
+    }

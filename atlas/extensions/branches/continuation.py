@@ -199,7 +199,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
         if not left & {2 * seed, 2 * seed + 1}:
             continue
         ahead, end, lost = _walk(2 * seed, of_end, left, flip)
-        closed = end == 2 * seed
+        closed = bool(ahead) and end == 2 * seed
         behind, _, also = ([], None, False) if closed else _walk(2 * seed + 1, of_end, left, flip)
         parts = [(y[::-1], -t[::-1]) for y, t in reversed(behind)] + ahead
         unknowns, tangents = (np.concatenate(each) for each in zip(*parts, strict=True))

@@ -47,7 +47,7 @@ class Cell(Flag):
 
 
 def on_sphere(potential: Potential) -> Degenerate:
-    """Points near or on all curves in the box, on the sphere or circle of one vector.
+    """Points of all curves in the box, on the sphere or circle of one vector.
 
     With Q = d and c = b solutions are -b / (d - L), where F(L) = sum b_i^2 / (d_i - L)^2 is 1, and folds where F is 1 at its minimum
     in a gap between two poles with b_i != 0; if a parameter moves one component of b alone, or only d by a common factor, every curve of folds leaves the
@@ -57,35 +57,40 @@ def on_sphere(potential: Potential) -> Degenerate:
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1)
     everywhere = potential.at(grid.reshape(-1, 2))[0, 1].reshape(*grid.shape[:2], n)
     absent = np.flatnonzero(~everywhere.any((0, 1)))
-    across = [0.0, *(np.arange(_LINES) + 0.38) / _LINES, 1.0]
+    across = [0.0, _RIM, *(np.arange(_LINES) + 0.38) / _LINES, 1 - _RIM, 1.0]
     lines = [(np.stack([np.full(_SAMPLES, at), sides][::way], -1), -1) for at in across for way in (1, -1)]
     for i in set(range(n)) - set(absent.tolist()):
         lines += [(line / (_CONTOUR - 1), i) for line in contours(everywhere[..., i], 0.0)]
     owner = np.repeat(np.arange(len(lines)), [len(line) for line, _ in lines])
-    position = np.concatenate([line for line, _ in lines])
-    d, b = np.moveaxis(potential.at(position)[0], -1, 1)
-    on_zero = np.array([i for _, i in lines])[owner] == np.arange(n)[:, None]
-    b = np.where(on_zero | (np.abs(b) < _ZERO), _ZERO, b)
-    b[absent] = 0.0
-    with np.errstate(all="ignore"):
+    position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
+
+    def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
+        """log F at the minima in the gaps, then at the poles of absent components, the L there, (levels, N), d and b."""
+        d, b = np.moveaxis(potential.at(position)[0], -1, 1)
+        b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
+        b[absent] = 0.0
         equation = SecularEquation(d, b)
         gaps = [(low, high - low, equation.minimum(low, high)) for low, high in pairwise(equation.poles)]
         F = [np.where(width > 0, equation.sum(shift, low), np.inf) for low, width, shift in gaps]
         F += [equation.sum(0 * d[i], d[i]) for i in absent]
-        level, L = np.log(F), np.array([*(low + shift for low, _, shift in gaps), *d[absent]])
-        crossed = (level[:, :-1] * level[:, 1:] <= 0) & (owner[:-1] == owner[1:])
-        which, k = np.nonzero(crossed)
-        k += np.abs(level[which, k + 1]) < np.abs(level[which, k])
-        d, b, L = d[:, k], b[:, k], L[which, k]
+        return np.log(F), np.array([*(low + shift for low, _, shift in gaps), *d[absent]]), d, b
+
+    with np.errstate(all="ignore"):
+        level, *_ = levels(position, zero)
+        which, k = np.nonzero((level[:, :-1] * level[:, 1:] <= 0) & (owner[:-1] == owner[1:]))
+        share = level[which, k] / (level[which, k] - level[which, k + 1])
+        position, zero = position[k] + share[:, None] * (position[k + 1] - position[k]), zero[k]
+        _, L, d, b = levels(position, zero)
+        L, forks = L[which, range(k.size)], which >= n - 1
         x = np.where(b == 0, 0.0, -b / (d - L))
         v = np.where(b == 0, 0.0, x / (d - L))
-        forks = which >= len(gaps)
-        v[:, forks] = np.eye(n)[:, absent[which[forks] - len(gaps)]]
+        v[:, forks] = np.eye(n)[:, absent[which[forks] - (n - 1)]]
         x, v = (each / np.sqrt((each**2).sum(0)) for each in (x, v))
         m = -np.where(forks, 0.0, ((d - L) * v * x).sum(0))
-    unknowns = np.stack([*x, -L, *v, m, *position[k].T, 0 * L], -1)
+    unknowns = np.stack([*x, -L, *v, m, *position.T, 0 * L], -1)
     usable = np.isfinite(unknowns).all(1)
-    return Degenerate(potential, unknowns[usable], forks[usable])
+    points, _ = Degenerate(potential, unknowns[usable], forks[usable]).nearest(_ON_SPHERE)
+    return points.take((np.abs(points.parts[4] - 0.5) <= 0.5).all(1))
 
 
 def near_solutions(
@@ -122,7 +127,7 @@ def all_curves(
     numbers = np.empty((axis.size, axis.size))
     near, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
     found = [np.diff(numbers, axis=along) for along in (0, 1)]
-    seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential).nearest(_ON_SPHERE)[0]
+    seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.regular())
         expected = expected_differences(lines, axis)

@@ -6,8 +6,7 @@ no match, or changes its index, is divided until each of its bifurcations follow
 
     gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
 
-An interval is also divided where two complex solutions at an end may become real: there Newton's method starts from their real part. Over two
-parameters the same equations define curves of bifurcations, which are followed from points on them by their arc length.
+An interval is also divided where two complex solutions at an end may become real: there Newton's method starts from their real part.
 
 Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
 the body) are left out: the projector onto them is added to the Hessian, and distances are of what such a turn leaves unchanged.
@@ -43,9 +42,6 @@ _BLOCK = 512  # intervals whose solutions are matched at once
 _SAME = 1e-3  # largest distance of coincident points
 # Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
-_FIRST_ARC, _MAX_ARC, _MIN_ARC, _MAX_ARCS = 0.01, 0.04, 1e-5, 2000  # steps along curves, in rad and ranges
-_STRAIGHT = 0.95  # cosine of the angle between tangents at both ends of a step
-_AWAY = 10  # steps until a curve may close
 
 
 class Singular(NamedTuple):
@@ -54,7 +50,6 @@ class Singular(NamedTuple):
     values: Array  # (N, parameters)
     frames: Array
     null: Array  # eigenvector, (N, 3)
-    number: Places  # of the eigenvalue, ascending
     slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
     step: Array  # the last one, (N, 3 + parameters)
 
@@ -71,12 +66,6 @@ class Singular(NamedTuple):
         rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # derivative by a parameter that changes nothing
         size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
         return np.asarray((along > _TRANSVERSAL * size).any(1))
-
-    @property
-    def tangent(self) -> Array:
-        """Unit tangents of curves over two parameters; at pitchforks the tangent across the null vector."""
-        null = np.concatenate([self.null, 0 * self.values], 1) * _SAME
-        return np.linalg.svd(np.concatenate([self.slopes, null[:, None]], 1))[2][:, -1]
 
 
 class BodyFamily(NamedTuple):
@@ -124,8 +113,8 @@ class BodyFamily(NamedTuple):
             projector += d[:, :, None] * d[:, None, :]
         return gradient / unit, hessian + projector, projector
 
-    def singular(self, values: Array, frames: Array, fixed: Array) -> Singular:
-        """Where the eigenvalue vanishes that is nearest to 0 at the start; steps are orthogonal to fixed, (N, -1, 3 + parameters).
+    def singular(self, values: Array, frames: Array) -> Singular:
+        """Where the eigenvalue vanishes that is nearest to 0 at the start.
 
         Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
         """
@@ -144,15 +133,15 @@ class BodyFamily(NamedTuple):
             residual = np.concatenate([gradient.reshape(len(steps), count, 3), kappa], -1)
             slopes = np.moveaxis(residual[1 : size + 1] - residual[size + 1 :], 0, -1) / (2 * _DIFFERENCE)
             slopes[:, :3, :3] += projector[:count]
-            left, sizes, right = np.linalg.svd(np.concatenate([slopes, fixed], 1), full_matrices=False)
+            left, sizes, right = np.linalg.svd(slopes, full_matrices=False)
             inverse = sizes / (sizes**2 + (_DAMPING * sizes[:, :1]) ** 2)
-            step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left[:, :4], residual[0])
+            step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
             values = np.clip(values + self.span * step[:, 3:], *self.limits)  # beyond may be no body
             if (length(step) < _EXACT).all():
                 break
-        return Singular(values, frames, vectors[np.arange(count), :, number], number, slopes, step)
+        return Singular(values, frames, vectors[np.arange(count), :, number], slopes, step)
 
 
 class Nodes(NamedTuple):
@@ -323,9 +312,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
         near = (ahead > 0) & (ahead < np.diff(limits)[..., None])
         which, side, place = np.nonzero(ends | changes | near)
         node = pending[which, side]
-        singular = family.singular(
-            nodes.values[node, None], nodes.frames[node, place], np.zeros((node.size, 0, 4))
-        )
+        singular = family.singular(nodes.values[node, None], nodes.frames[node, place])
         done = np.ones(len(pending), bool)
         for i in np.unique(which):
             own = np.flatnonzero(which == i)
@@ -386,66 +373,3 @@ def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
     branch = np.full(nodes.morse.size, -1)
     branch[own] = np.argsort(np.argsort(where))[inverse]
     return branch.reshape(shape), where.size
-
-
-def on_segments(family: BodyFamily, start: Array, end: Array, count: int) -> tuple[Array, Array, Places]:
-    """Points at which the number of solutions changes on segments (segments, parameters), sought from `count` values on each.
-
-    Returns the parameters (N, parameters), frames and numbers of the eigenvalues that vanish.
-    """
-
-    def place(values: Array) -> Array:
-        """Parameters at values of a common axis, on which segment i lies from 1.5 i to 1.5 i + 1."""
-        i = np.clip(np.rint((values[:, 0] - 0.5) / 1.5).astype(int), 0, len(start) - 1)
-        return start[i] + (values - 1.5 * i[:, None]) * (end - start)[i]
-
-    values = (1.5 * np.arange(len(start))[:, None] + np.linspace(0, 1, count)).ravel()
-    along = family._replace(points=lambda values: family.points(place(values)), limits=values[[0, -1], None])
-    merging = BifurcationKind.FOLD, BifurcationKind.PITCHFORK
-    points = follow(along, values, np.arange(values.size) // count).points
-    points = [point for point in points if point.kind in merging]
-    where = place(np.array([point.value for point in points]).reshape(-1, 1))
-    frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
-    return where, frames, np.abs(np.linalg.eigvalsh(family.linear(where, frames)[1])).argmin(1)
-
-
-def curves(family: BodyFamily, values: Array, frames: Array) -> list[tuple[Array, Places]]:
-    """Curves of bifurcations of a family of two parameters through points on them, (N, 2), by pseudo-arclength continuation.
-
-    Each ends where it leaves the limits, or closes. Returns the parameters of its vertices and the number of the eigenvalue that vanishes.
-    """
-    count = len(values)
-    start = family.singular(np.tile(values, (2, 1)), np.tile(frames, (2, 1, 1)), np.zeros((2 * count, 0, 5)))
-    first = start.tangent * np.repeat([[1.0], [-1.0]], count, 0)
-    values, frames, tangent = start.values.copy(), start.frames.copy(), first.copy()
-    step, active = np.full(2 * count, _FIRST_ARC), np.flatnonzero(start.error < _CONVERGED)
-    paths = [[(row, number)] for row, number in zip(start.values, start.number, strict=True)]
-    closed = np.zeros(2 * count, bool)
-    for attempt in range(_MAX_ARCS):
-        if not active.size:
-            break
-        t, at = tangent[active], values[active]
-        slope = family.span * t[:, 3:]
-        with np.errstate(divide="ignore"):
-            to_edge = (np.where(slope > 0, *family.limits[::-1, None]) - at) / slope
-        arc = np.minimum(step[active], to_edge.min(1))[:, None]
-        leaves = arc[:, 0] < step[active]
-        fixed = np.where(leaves[:, None], np.eye(5)[3 + to_edge.argmin(1)], t)[:, None]
-        new = family.singular(at + arc * slope, rotated(frames[active], arc * t[:, :3]), fixed)
-        ahead, moved = new.tangent, length((new.values - at) / family.span)
-        ahead *= np.where((ahead * t).sum(1) < 0, -1, 1)[:, None]
-        accepted = (new.error < _CONVERGED) & ((ahead * t).sum(1) > _STRAIGHT) & (moved < 2 * arc[:, 0])
-        away = (new.values - start.values[active]) / family.span
-        away = np.concatenate([away, family.place(new.frames) - family.place(start.frames[active])], 1)
-        is_back = accepted & (length(away) < arc[:, 0]) & (attempt >= _AWAY)
-        is_back &= (ahead * first[active]).sum(1) > _STRAIGHT
-        for i in np.flatnonzero(accepted):
-            path = paths[active[i]]
-            path.append(path[0] if is_back[i] else (new.values[i], new.number[i]))
-        some = active[accepted]
-        values[some], frames[some] = new.values[accepted], new.frames[accepted]
-        tangent[some], closed[active] = ahead[accepted], is_back
-        step[active] = np.where(accepted, np.minimum(1.4 * arc[:, 0], _MAX_ARC), 0.5 * arc[:, 0])
-        active = active[~(accepted & leaves) & ~is_back & (step[active] > _MIN_ARC)]
-    lines = [a if back else [*b[:0:-1], *a] for a, b, back in zip(paths, paths[count:], closed, strict=False)]
-    return [(np.array([at for at, _ in line]), np.array([number for _, number in line])) for line in lines]

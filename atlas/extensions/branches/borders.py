@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...analysis.equilibria import attributes
 from ...analysis.metadata import is_logarithmic
 from ...analysis.plane import Plane
+from ...analysis.tracer import shown_parts
 from ...errors import BadInput
 from ...flags import Flag
 from ...measure.instrument import Variable
@@ -118,6 +119,18 @@ class Borders(NamedTuple):
             is_log = is_logarithmic(self.plane.scene, dim, (low, high))
             values[:, i] = rates[:, i] * (values[:, i] * np.log(high / low) if is_log else high - low)
         return values
+
+    def polylines(self, divisions: int, minima: bool) -> list[Array]:
+        """Lines through the borders, or those of minima alone, with so many parts for each cubic, in the units of the axes."""
+        lines = []
+        for line in self.lines:
+            inner = np.arange(len(line.tangents)) < len(line.tangents) - 1
+            parts = Segments.of([line], [inner])
+            at = [parts.cubic(np.full(inner.sum(), i / divisions)).parts[4] for i in range(divisions)]
+            positions = np.concatenate([np.stack(at, 1).reshape(-1, 2), line.points.parts[4][-1:]])
+            shown = np.repeat((line.points.character()[0] == 0) | (not minima), divisions)[: len(positions)]
+            lines += [part for part in shown_parts(self.values(positions), shown) if len(part) > 1]
+        return lines
 
 
 def _possible(line: Curve, possible: Callable[[Array], Mask]) -> list[Curve]:
@@ -286,7 +299,7 @@ def _special(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
 
 def _test(column: int, points: Degenerate) -> Array:
     """A function of `Degenerate.character` that vanishes at special points."""
-    return points.character()[1][:, column]
+    return points.character()[1][column]
 
 
 def _attitudes(found: Borders, points: Degenerate) -> dict[str, np.ndarray]:

@@ -268,7 +268,9 @@ class Degenerate(NamedTuple):
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
         points, step, tangent = self.take(good).corrected(right[good, -1], 3)
+        _, (product, flat), _ = points.character()
         good = (step < _EXACT) & (np.abs(points.unknowns[:, -1]) < _EXACT)
+        good &= ~points.pitchfork | (np.abs(flat) > _EXACT * np.abs(product))  # else equilibria form a line
         return points.take(good), tangent[good]
 
     @classmethod
@@ -328,7 +330,7 @@ class Degenerate(NamedTuple):
         return np.stack([(v * (q * x + c)).sum(1) for q, c in by], -1)
 
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, and a covector.
+        """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, (2, N), and a covector.
 
         The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
         product of the other eigenvalues, and that times the fourth derivative. The covector, (N, 2), points to the side of the curve where
@@ -357,5 +359,5 @@ class Degenerate(NamedTuple):
         third[fork] = -3 * reaction[:, 0]
         slope[fork] = np.stack([(q * v**2).sum(1) for q, _ in by], -1)[fork] - reaction[:, 1:]
         product = values.prod(1)
-        tests = np.stack([np.where(fork, product, third), np.where(fork, product * third, 1.0)], -1)
+        tests = np.stack([np.where(fork, product, third), np.where(fork, product * third, 1.0)])
         return (values < 0).sum(1), tests, -np.sign(third)[:, None] * slope

@@ -74,8 +74,9 @@ def test_curve_around_a_region_that_no_point_meets():
         }
     )  # fmt: skip
     plane = Plane(scene, {name: (values[0], values[-1]) for name, values in axes.items()}, {})
-    (line,) = count_borders(plane, counts)[CHANGE]
-    assert (line[0] == line[-1]).all()
+    tip, line = sorted(count_borders(plane, counts)[CHANGE], key=len)
+    assert tip[:, 0].max() == pytest.approx(0.852218, abs=1e-6)  # a cusp, 0.0005 wide where the plane begins
+    np.testing.assert_allclose(line[0], line[-1], rtol=0, atol=1e-12)
     (i,) = np.nonzero(np.diff(np.sign(line[:, 1] - 0.02)))
     share = (0.02 - line[i, 1]) / (line[i + 1, 1] - line[i, 1])
     crossings = np.sort(line[i, 0] + share * (line[i + 1, 0] - line[i, 0]))
@@ -89,5 +90,5 @@ def test_maps_draw_the_lines(rotor_map):
     figure = rotor_map.atlas.map("equilibrium_count")
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [f"{CHANGE} (theory)"]
-    constant = rotor_map.isel(k3=slice(0, 2))
+    constant = rotor_map.isel(k3=slice(0, 2), Omega=slice(2, None))
     assert not constant.atlas.map("equilibrium_count").legends

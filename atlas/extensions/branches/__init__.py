@@ -7,9 +7,9 @@ COUNTS = ("equilibrium_count", "equilibrium_stable_count", "equilibrium_energy_s
 EXTENSION = Extension(
     "branches",
     __name__,
-    "branches of equilibria and their bifurcations; numbers of equilibria with lines on maps",
+    "branches of equilibria, their bifurcations, and borders over two parameters; numbers of equilibria on maps",
     functions={"branches": "branches:branches", "borders": "borders:borders"},
-    questions={"diagram": "diagram:diagram"},
+    questions={"diagram": "diagram:diagram", "borders": "borders:borders_of_atlas"},
     commands={"branches": "commands:draw_branches"},
     variables=dict.fromkeys(COUNTS, "counts:count_variables"),
     lines=dict(zip(COUNTS, ("lines:of_all", "lines:of_stable", "lines:of_minima"), strict=True)),

@@ -8,12 +8,14 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
 from ...analysis.equilibria import attributes
-from ...analysis.metadata import is_logarithmic
+from ...analysis.metadata import is_logarithmic, resolved_scene
 from ...analysis.plane import Plane
+from ...analysis.select import plane_of
 from ...analysis.tracer import shown_parts
 from ...errors import BadInput
 from ...flags import Flag
@@ -239,8 +241,8 @@ def borders_of_plane(plane: Plane) -> xr.Dataset:
     ds = dataset.dataset(replace(plane.scene, outputs=()), {})
     own = {name: ds[name].attrs for name in (first, second)}
     starts = {name for name, parameter in plane.scene.system.parameters.items() if parameter.start}
-    given = {*plane.scene.fixed, *plane.scene.ties}
-    ds = ds.drop_vars([*starts - given, first, second], errors="ignore")
+    varying = {str(name) for name in ds.coords if ds[name].ndim}
+    ds = ds.drop_vars([*starts - {*plane.scene.fixed}, *varying], errors="ignore").assign_coords(plane.fixed)
     ds = ds.assign(columns).assign(cells=(tuple(coordinates), found.cells)).assign_coords(coordinates)
     for name in [*columns, *coordinates, "cells"]:
         base = name.removeprefix("special_").removeprefix("tangent_").removeprefix("cell_")
@@ -251,6 +253,41 @@ def borders_of_plane(plane: Plane) -> xr.Dataset:
         "atlas_system": plane.scene.system.name,
     }
     return ds
+
+
+def borders_of_atlas(
+    ds: xr.Dataset, *, x: str | None = None, y: str | None = None, select: Mapping[str, float] | None = None
+) -> xr.Dataset:
+    """Borders of the relative equilibria of the bodies on the plane of two axes, as curves; see `atlas.borders`.
+
+    Parameters
+    ----------
+    x, y : str, optional
+        Axes, as in `map`.
+    select : mapping of str to float, optional
+        Axis -> value, for the other axes.
+
+    Returns
+    -------
+    Dataset
+        As `atlas.borders` returns it. The plane reaches half a cell beyond the outermost points, as a map does.
+    """
+    part, dims, panels = plane_of(ds, x, y, select or {})
+    scene = resolved_scene(ds, part)
+    if scene is None or panels or len(dims) != 2:
+        raise BadInput("borders: needs an atlas of a scene with two axes; use select for the others")
+    return borders_of_plane(Plane.of(scene, part, dims))
+
+
+def table(ds: xr.Dataset) -> pd.DataFrame:
+    """The vertices of borders as a table, with the components of vectors in columns of their own."""
+    columns = {}
+    for name, array in ds.data_vars.items():
+        if array.dims == ("vertex",):
+            columns[name] = array.values
+        elif array.dims == ("vertex", "body_axis"):
+            columns |= {f"{name}_{i + 1}": array.values[:, i] for i in range(3)}
+    return pd.DataFrame(columns)
 
 
 def _vertices(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:

@@ -16,7 +16,8 @@ from ...systems.base import Array, Mask
 from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
-_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-6, 4000  # lengths of steps, and their number
+_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps, and their number
+_CROSSING = 1e-5  # length of a step across a point at which another curve crosses
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
 _NONE = 1e-10  # share of the largest value that counts as 0
 _ILLINOIS = 14  # iterations, the secant method with brackets
@@ -122,6 +123,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
     forks = np.resize(seeds.pitchfork, len(targets))
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
+    *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 0)
     bend, step, active = np.zeros_like(tangents), np.full(ends.size, _FIRST), np.arange(ends.size)
     around, looked = np.zeros((ends.size, min(_NEIGHBOURS, len(targets))), int), np.full(ends.size, -np.inf)
     steps = [(active, points.unknowns.copy(), tangents.copy())]
@@ -153,13 +155,14 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             own = leaves & (side == i)
             start.unknowns[own, i - 3] = np.where(along[own, i - 2] > 0, 1.0, 0.0)
             row[own] = np.eye(row.shape[1])[i - 3] * np.sign(along[own, i - 2])[:, None]
-        new, error, ahead_t = start.corrected(row, 3)
+        new, error, ahead_t, sign = start.corrected(row, 3)
         new_along, moved = _of_place(now, ahead_t), new.place - place
         cosine = np.clip((new_along * along).sum(1), -1, 1)
         size = np.sqrt((moved**2).sum(1))
         with np.errstate(invalid="ignore"):
             accepted = (error < _SETTLED) & (cosine > np.cos(1.5 * _BEND)) & (size < 1.2 * arc + _ON_CURVE)
         accepted &= np.abs(new.unknowns[:, -1]) < _ON_CURVE
+        accepted &= (sign == orientation[active]) | (arc < _CROSSING)
         first = ~bend[active].any(1)  # there the prediction is of lower order
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED
@@ -171,7 +174,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         bend[chosen] -= (_of_place(now, bend[active])[accepted] * new_along[accepted]).sum(1)[
             :, None
         ] * ahead_t[accepted]
-        tangents[chosen] = ahead_t[accepted]
+        tangents[chosen], orientation[chosen] = ahead_t[accepted], sign[accepted]
         growth = np.minimum(_BEND / np.maximum(angle, 1e-9), np.cbrt(_MISSED / np.maximum(missed, 1e-12)))
         growth = np.clip(growth, 0.5, 1.6)
         step[active] = np.where(
@@ -270,7 +273,7 @@ class Segments(NamedTuple):
     def at(self, share: Array) -> tuple[Degenerate, Array]:
         """Points of the curves at these shares of the way, and their tangents."""
         points, chord = self.cubic(share), self.end.place - self.start.place
-        points, _, tangents = points.corrected(_in_unknowns(points, chord / length(chord)[:, None]), 3)
+        points, _, tangents, _ = points.corrected(_in_unknowns(points, chord / length(chord)[:, None]), 3)
         return points, tangents
 
 

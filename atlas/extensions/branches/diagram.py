@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 from scipy.interpolate import PchipInterpolator
 
 from ...errors import BadInput, allowed_text, shown
@@ -39,6 +42,19 @@ MARKERS: dict[BifurcationKind, Style] = {
     for kind, marker, face in zip(BifurcationKind, ("$?$", "o", "D", "x"), ("k", "k", "w", "k"), strict=True)
 }
 
+# Borders by their kind, and where a minimum ends: text and line; special points: text and marker.
+MINIMUM = 0
+BORDER_TEXTS = {MINIMUM: "a minimum ends", 1: "fold", 2: "pitchfork"}
+BORDERS: dict[int, Style] = {
+    MINIMUM: {"color": COLOURS["energy_stable"], "linewidth": 1.4},
+    1: {"color": "black", "linewidth": 0.7}, 2: {"color": "black", "linewidth": 0.7, "linestyle": (0, (3.5, 1.6))},
+}  # fmt: skip
+SPECIAL: dict[int, tuple[str, Style]] = {
+    i: (text, MARKERS[kind] | {"markersize": 2.5}) for i, (text, kind) in enumerate(
+        (("cusp", BifurcationKind.FOLD), ("meeting of borders", BifurcationKind.PITCHFORK)), 1
+    )
+}  # fmt: skip
+
 # Bifurcations at which a branch that ends there has a vertical tangent, and steps between neighbouring points of a branch.
 TURNS, SUBDIVISION = (BifurcationKind.FOLD, BifurcationKind.PITCHFORK), 12
 
@@ -52,13 +68,13 @@ def diagram(
     legend: bool = True,
     width: Width = "column",
 ) -> Figure:
-    """Bifurcation diagram of branches from `atlas.branches`: a variable over the parameter, or a vector on the sphere.
+    """Bifurcation diagram of branches from `atlas.branches`, or the curves of `atlas.borders` over their two parameters.
 
     Parameters
     ----------
     variable : str, optional
         A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
-        the body: for permanent rotations over their rate gamma gives Staude's arcs.
+        the body: for permanent rotations over their rate gamma gives Staude's arcs. Of borders it has no effect.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; default a figure of its own.
     title : str, optional
@@ -73,8 +89,12 @@ def diagram(
     matplotlib.figure.Figure
         Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
         unstable; dots, diamonds and crosses are folds, pitchforks and exchanges. Between the values of the parameter lines are
-        interpolated without corners, and are vertical at folds.
+        interpolated without corners, and are vertical at folds. Borders are cubics, thick where a minimum ends, dashed at
+        pitchforks, with dots at cusps and diamonds where a pitchfork meets another border.
     """
+    chosen = MapOptions(ax=ax, title=title, legend=legend, width=width)
+    if "count_change" in ds:
+        return border_diagram(ds, chosen)
     if not {"fold_kind", "stability_kind"} <= set(ds) or "branch" not in ds.dims:
         raise BadInput("diagram: this dataset has no branches; atlas.branches makes one")
     (along,) = map(str, ds["completeness"].dims)
@@ -82,7 +102,7 @@ def diagram(
     allowed = [name for name in allowed if ds[name].dims[:2] == ("branch", along) and name != "axis"]
     if variable not in allowed:
         raise BadInput(f"diagram: {shown(variable)}: {allowed_text(variable, allowed)}")
-    chosen, on_sphere = MapOptions(ax=ax, title=title, legend=legend, width=width), ds[variable].ndim == 3
+    on_sphere = ds[variable].ndim == 3
     lines, kinds = branch_lines(ds, variable, along), ds["fold_kind"].values
     entries: Entries = {
         kind.name.lower().replace("_", " "): Line2D([], [], **style)
@@ -108,6 +128,42 @@ def diagram(
                 sphere.draw(line, 3, **style) if on_sphere else ax.plot(*line.T, **style)
         for what, marker in MARKERS.items():
             ax.plot(*points[kinds == what].T, zorder=7, **marker)
+    return figure
+
+
+def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
+    """Curves of `atlas.borders` as cubics through their vertices."""
+    names = [str(dim).removeprefix("cell_") for dim in ds["cells"].dims]
+    at, slope = (np.stack([ds[head + name].values for name in names], -1) for head in ("", "tangent_"))
+    third = np.diff(ds["arc"].values)[:, None] / 3
+    knots = np.stack([at[:-1] + third * slope[:-1], at[1:] - third * slope[1:], at[1:]], 1)
+    style = np.where(ds["index_below"].values == 0, MINIMUM, ds["kind"].values)
+    same = np.diff(ds["curve"].values) == 0
+    cuts = np.flatnonzero(np.r_[True, ~same, True] | np.r_[True, np.diff(style) != 0, True])
+    lines: dict[int, list[Path]] = {}
+    for start, end in pairwise(
+        cuts.tolist()
+    ):  # vertices of one curve in one style, and the next one of the curve
+        end -= end == len(style) or not same[end - 1]
+        if end > start:
+            points = np.concatenate([at[start : start + 1], knots[start:end].reshape(-1, 2)])
+            path = Path(points, [Path.MOVETO] + [Path.CURVE4] * (len(points) - 1))
+            lines.setdefault(int(style[start]), []).append(path)
+    special = ds["special_kind"].values
+    entries: Entries = {
+        text: Line2D([], [], **BORDERS[kind]) for kind, text in BORDER_TEXTS.items() if kind in lines
+    }
+    entries |= {text: Line2D([], [], **marker) for kind, (text, marker) in SPECIAL.items() if kind in special}
+    with rc_context(STYLE) if chosen.ax is None else nullcontext():
+        sheet = Sheet(chosen, panel_height=0.85 * chosen.size_mm[0])
+        figure, (ax,) = sheet.figure(entries, [])
+        sheet.label_axes([ax], [[axis_label(ds, name) for name in names]], entries)
+        for kind, paths in lines.items():
+            for path in paths:
+                ax.add_patch(PathPatch(path, fill=False, **BORDERS[kind]))
+        for kind, (_, marker) in SPECIAL.items():
+            ax.plot(*(ds[f"special_{name}"].values[special == kind] for name in names), **marker)
+        ax.autoscale_view()
     return figure
 
 

@@ -244,8 +244,12 @@ class Degenerate(NamedTuple):
             points = points.moved(change)
         return points, np.abs(change).max(1)
 
-    def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array]:
-        """Points of the curves in the hyperplanes through these across a row, (N, unknowns), the last steps and the unit tangents."""
+    def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
+        """Points of the curves in the hyperplanes through these across a row, (N, unknowns), the last steps, the unit tangents, and orientations.
+
+        The orientation, the sign of the determinant of the equations with the row, is constant along a curve but for points at which others
+        cross it.
+        """
         points = self
         for i in range(iterations + 1):
             residual, slopes = points.equations()
@@ -260,14 +264,14 @@ class Degenerate(NamedTuple):
         tangent = solution[..., 1]
         n = self.potential.size
         tangent = tangent / length(tangent[:, [*range(n), -3, -2]])[:, None]
-        return points, np.abs(change).max(1), tangent
+        return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
     def regular(self) -> tuple[Degenerate, Array]:
         """The points at which curves are regular, polished, and their unit tangents."""
         residual, slopes = self.equations()
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
-        points, step, tangent = self.take(good).corrected(right[good, -1], 3)
+        points, step, tangent, _ = self.take(good).corrected(right[good, -1], 3)
         _, (product, flat), _ = points.character()
         good = (step < _EXACT) & (np.abs(points.unknowns[:, -1]) < _EXACT)
         good &= ~points.pitchfork | (np.abs(flat) > _EXACT * np.abs(product))  # else equilibria form a line

@@ -3,11 +3,13 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from refusals import assert_refused
 from truth import REFERENCE
 
 import atlas
+from atlas.cli import main
 from atlas.extensions.branches.borders import BorderKind, SpecialKind
 from atlas.extensions.branches.starts import Cell
 
@@ -88,3 +90,54 @@ def test_verified_borders(case):
 )  # fmt: skip
 def test_input_without_borders(body, ranges, sentence):
     assert_refused(lambda: atlas.borders("satellite", body, ranges), sentence)
+
+
+def test_borders_of_an_atlas_and_its_figure(tmp_path):
+    """The plane of an atlas gives what `atlas.borders` gives of its ranges; figures are cubics, tables have every vertex."""
+    text = """
+schema = 1
+title = "rotor"
+system = "satellite"
+fixed = { A = 1.0, B = 1.3, C = 1.7 }
+axes.k1 = { values = [0.9, 1.3] }
+axes.k2 = { values = [-0.1, 0.1] }
+axes.k3 = { values = [0.05, 0.1] }
+integration = { duration = 0.1 }
+outputs = { variables = ["label"] }
+"""
+    ds = atlas.run(atlas.load_scene(text), progress=False)
+    sentence = "borders: needs an atlas of a scene with two axes; use select for the others"
+    assert_refused(lambda: ds.atlas.borders(x="k1", y="k2"), sentence)
+    own = ds.atlas.borders(x="k1", y="k2", select={"k3": 0.05})
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}
+    given = atlas.borders("satellite", body, {"k1": (0.7, 1.5), "k2": (-0.2, 0.2)})
+    assert float(own.k3) == 0.05
+    np.testing.assert_allclose(own.k1, given.k1, rtol=0, atol=1e-12)
+    figure = given.atlas.diagram()
+    figure.savefig(tmp_path / "borders.svg")
+    curves = [line for line in (tmp_path / "borders.svg").read_text().splitlines() if line.startswith("C ")]
+    assert len(curves) > 0.9 * given.sizes["vertex"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["a minimum ends", "fold", "cusp"]
+    (tmp_path / "rotor.toml").write_text(text.replace("values = [0.05, 0.1]", "values = [0.05]"))
+    scene = text.replace("axes.k3 = { values = [0.05, 0.1] }\n", "").replace("C = 1.7", "C = 1.7, k3 = 0.05")
+    (tmp_path / "rotor.toml").write_text(
+        scene.replace("[0.9, 1.3]", "[0.7, 1.5]").replace("[-0.1, 0.1]", "[-0.2, 0.2]")
+    )
+    assert (
+        main(["branches", str(tmp_path / "rotor.toml"), "--borders", "-o", str(tmp_path / "rotor.csv")]) == 0
+    )
+    table = pd.read_csv(tmp_path / "rotor.csv")
+    np.testing.assert_allclose(table.k2, given.k2, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(table.gamma_2, given.gamma[:, 1], rtol=0, atol=1e-12)
+
+
+def test_bodies_that_cannot_exist_cut_borders():
+    ds = atlas.borders("satellite", {"A": 1.0, "k3": 0.2, "k1": 0.1}, {"B": (0.6, 1.9), "C": (0.6, 1.9)})
+    excess = np.min([1 + ds.B - ds.C, ds.B + ds.C - 1, 1 + ds.C - ds.B], axis=0)
+    assert excess.min() > -1e-9
+    ends = np.r_[True, np.diff(ds.curve.values) != 0]
+    ends |= np.r_[np.diff(ds.curve.values) != 0, True]
+    inside = (np.abs(ds.B - 1.25) < 0.6499) & (np.abs(ds.C - 1.25) < 0.6499)
+    cut = excess[ends & inside.values]
+    assert np.abs(cut).min() < 1e-9
+    assert (np.sort(np.abs(cut)) > 1e-9).sum() % 2 == 0  # both ends of closed curves

@@ -62,7 +62,7 @@ REPLACED = {
         store.tiling.Tiling.indices systems.base._CHUNK systems.gyrostat.fundamental.LANES
     """,
     "speed, where a test looks at something else": """
-        analysis.catalogue.N_SAMPLES analysis.catalogue._max_residuals analysis.tracer.COARSE_SAMPLES
+        analysis.catalogue.N_SAMPLES analysis.tracer.COARSE_SAMPLES
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
         label.plan.Plan.kernel label.plan.Plan.kernel_hash plotting.style.STYLE.savefig.dpi runs.estimate.LONG
@@ -94,7 +94,7 @@ PRIVATE = {
         plotting/test_trajectory_figure.py:?._func
     """,
     "a step of a calculation whose inputs no public call takes, or at a hundred times the cost": """
-        analysis.catalogue._max_residuals analysis.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
+        analysis.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
         runs.cluster._has_result runs.folder._Job runs.refine._decode runs.refine._encode
         validation.exact._quadrature validation.reference._dop853 validation.reference._integrate_group
     """,

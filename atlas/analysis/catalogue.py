@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from ..errors import BadInput, allowed_text
 from ..systems.base import PublishedEquation, System, families_of
 from ..systems.wording import unknown_family
-from .published import published_equations
+from .published import Measure, published_equations
 
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
 
@@ -80,7 +81,13 @@ def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]
     """Largest residuals of some equations as printed and as true, None where nothing is measured."""
     maxima = {}
     for key in ("residual_printed", "residual_true"):
-        residuals = [residual for row in rows if (residual := getattr(row, key)) is not None]
+        residuals = [measure for row in rows if (measure := getattr(row, key)) is not None]
         seeds = range(N_SAMPLES)
-        maxima[key] = max((f(np.random.default_rng(seed)) for f in residuals for seed in seeds), default=None)
+        maxima[key] = max((residual(f, seed) for f in residuals for seed in seeds), default=None)
     return maxima
+
+
+@cache  # tables of families, of all equations and of the wrong ones share rows
+def residual(measure: Measure, seed: int) -> float:
+    """The residual of an equation at the random parameters of a seed."""
+    return measure(np.random.default_rng(seed))

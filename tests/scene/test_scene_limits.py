@@ -112,7 +112,7 @@ def test_each_of_two_axes_that_cannot_have_one_dimension_is_fine_alone(scene_tex
             "n = {from = 0, to = 1}\nm = {from = 0, to = 1}\n",
             "points: 10000000 points of 2 ranges; allowed: at most 10000000 numbers in all",
         ),
-        (HEAD + "[axes.m]\nvalues = [" + "0.5," * 200_001 + "]\n", "axes.m.values: 200001 numbers; allowed: at most 200000"),
+        (HEAD + "[axes.m]\nvalues = [" + "true," * 200_001 + "]\n", "axes.m.values: 200001 numbers; allowed: at most 200000"),
         (HEAD + axis("theta0", 3) + "[ties]\n" + "".join(f"a{i} = '{'(1+1+1+1)*' * 40}1'\n" for i in range(30)), "ties: 12030 characters"),
         (HEAD + axis("theta0", 3) + "[integration]\nmax_steps = 10_000_000_000_000\n", "must be a whole number from 1 to 10"),
         (HEAD + "title = " + "9" * 5000 + "\n", "a number has more digits than can be read"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -174,16 +174,28 @@ def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_s
 
 
 def _solution_error(index: int, spin: FastSpin, rng: np.random.Generator, solution: Formula) -> Array:
-    """Error of the solution over 2 pi, over the size of the forced part of its first-order term."""
+    return _solution_errors(spin, solution)[index]
+
+
+@cache
+def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
+    """Errors of the solution over 2 pi, over the size of the forced part of its first-order term."""
     tau = np.linspace(0, 2 * np.pi, 41)
     y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
     forced = np.abs(spin.forced)
-    size = (forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,))[index]
-    return np.abs(solution(spin, tau) - y)[index].max() / size
+    size = np.array([forced, forced, spin.eps**2 * spin.a * forced**2, *3 * (spin.eps * forced,)])
+    return np.abs(solution(spin, tau) - y).max(-1) / size
 
 
 def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
     """Error of theta, psi or phi over two turns, over the swing that is first order in eps."""
+    t, *exact = _exact_angles(spin)
+    return np.abs(formula(spin, t)[index] - exact[index]).max() / (spin.eps * np.abs(spin.forced))
+
+
+@cache
+def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
+    """Times of two turns, and theta, psi and phi there, from the full equations."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -191,8 +203,7 @@ def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: 
     p, q, _, g1, g2, g3 = fast_spin.dimensional(spin, fast_spin.integrate(spin, begin, tau))
     t = tau / spin.r0
     psi = cumulative_simpson((p * g1 + q * g2) / (1 - g3**2), x=t, initial=0)
-    exact = (np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2)))[index]
-    return np.abs(formula(spin, t)[index] - exact).max() / (spin.eps * np.abs(spin.forced))
+    return t, np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2))
 
 
 def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:

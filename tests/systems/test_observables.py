@@ -31,22 +31,28 @@ METHOD = "rk8"
 
 
 class Driven(systems.System):
-    """A linear oscillator that is forced in time, which is a state: powers of its Jacobian do not contain the forcing."""
+    """An oscillator that is forced in time, which is a state: powers of its Jacobian do not contain the forcing.
+
+    Linear and without damping by default.
+    """
 
     class equations:
-        STATE, CONSTANTS = ("x", "v", "t"), ("w", "force")
+        STATE, CONSTANTS = ("x", "v", "t"), ("w", "force", "spring", "cubic", "damping")
 
         def rhs(state, constants):
             x, v, t = state
-            w, force = constants
-            return v, -x + force * cos(w * t), 1.0 + 0.0 * t
+            w, force, spring, cubic, damping = constants
+            return v, -spring * x - cubic * x * x * x - damping * v + force * cos(w * t), 1.0 + 0.0 * t
 
     name = title = "driven"
-    parameters = {name: systems.Parameter(name, "1", name) for name in ("w", "force")}  # noqa: RUF012
+    parameters = {  # noqa: RUF012
+        name: systems.Parameter(name, "1", name, default)
+        for name, default in {"w": 1, "force": 0, "spring": 1, "cubic": 0, "damping": 0, "x0": 0}.items()
+    }
     observables = (systems.Observable("x", "1", "x"), systems.Observable("v", "1", "v"))
 
     def initial_state(self, points):
-        return np.zeros((3, points["w"].size))
+        return np.array([points["x0"], *np.zeros((2, points["x0"].size))])
 
 
 @pytest.fixture
@@ -495,25 +501,6 @@ class Wall(systems.System):
         return np.array([points["x0"], points["v0"]])
 
 
-class Duffing(systems.System):
-    """A driven oscillator with two wells."""
-
-    class equations:
-        STATE, CONSTANTS = ("x", "v", "t"), ("force",)
-
-        def rhs(state, constants):
-            x, v, t = state
-            (force,) = constants
-            return v, x - x * x * x - 0.15 * v + force * cos(t), 1.0 + 0.0 * t
-
-    name = title = "duffing"
-    parameters = {name: systems.Parameter(name, "1", name) for name in ("x0", "force")}  # noqa: RUF012
-    observables = (systems.Observable("x", "1", "x"),)
-
-    def initial_state(self, points):
-        return np.array([points["x0"], 0.0 * points["x0"], 0.0 * points["x0"]])
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_steps_through_a_wall_give_no_label(method, own_systems):
     """Against the ball that bounces, x = |R cos(t - phase)|: two runs that miss the wall alike are rare."""
@@ -559,10 +546,9 @@ def test_a_first_integral_shows_every_wall_that_steps_miss(own_systems):
     assert drifting_energy.sum() > 10
 
 
-def test_chaos_keeps_its_label(own_systems):
-    """Errors as large as the motion, which grew as the difference of two starts does."""
-    atlas.register(Duffing)
-    points = {"x0": np.linspace(-1.5, 1.5, 40), "force": 0.3}
-    ds = atlas.label_points("duffing", points, duration=400.0, tolerance=1e-6, method="rk8")
+def test_chaos_keeps_its_label(driven):
+    """Errors as large as the motion, which grew as the difference of two starts does, in Duffing's two wells."""
+    points = {"x0": np.linspace(-1.5, 1.5, 40), "force": 0.3, "spring": -1.0, "cubic": 1.0, "damping": 0.15}
+    ds = atlas.label_points("driven", points, duration=400.0, tolerance=1e-6, method="rk8")
     assert (ds["status"] == Status.OK).all()
     assert (ds["error_estimate"] > 0.01).sum() > 20

@@ -199,8 +199,9 @@ def _departure(
 
     def slope(_: float, d: Array) -> Array:
         """d' at d."""
-        linear = np.array(rhs(rest + 1e-30j * d, constants)).imag / 1e-30
-        return linear + 0.5 * size * (np.array(rhs(d, constants)) + np.array(rhs(-d, constants)))
+        states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call costs little more for three states
+        beside, there, opposite = np.array(rhs(states, constants[:, None])).T
+        return beside.imag / 1e-30 + 0.5 * size * (there.real + opposite.real)
 
     run = solve_ivp(
         slope, (0.0, duration), offset / size, "DOP853", rtol=1e-11, atol=1e-11, dense_output=True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,7 @@ def _unstable_satellites(system: Gyrostat) -> tuple[dict[str, Array], Array]:
     return subset(points, chosen), growth[chosen]
 
 
+@cache  # a second, because unstable equilibria are looked for
 def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     """The cases of satellites, see System.stress_cases."""
     steady, spherical = ("perp_velocity", "k3"), ("spherical", "k3")
@@ -231,6 +233,7 @@ def _unstable_rotations(system: Gyrostat, n: float, seed: int) -> tuple[dict[str
     return columns, columns.pop("growth")
 
 
+@cache  # a second, because unstable equilibria are looked for
 def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
     """The cases of bodies about a fixed point, see System.stress_cases."""
     conical, unstable = ("conical", "l3"), ("conical", "z0")

@@ -339,12 +339,13 @@ for step in (*range(1, steps - 14, STRIDE), *range(steps - 14, steps + 1)):
 
 
 @pytest.mark.parametrize("links", ["links", pytest.param("no links", marks=pytest.mark.faults)])
-def test_after_a_kill_at_any_step_the_same_command_finishes(small_scene, tmp_path, fault_rounds, links):
-    """On disks with and without hard links; at every step from 15 fault rounds on."""
+def test_after_a_kill_at_any_step_the_same_command_finishes(scene_text, tmp_path, fault_rounds, links):
+    """On disks with and without hard links; at every step from 15 fault rounds on; few variables, for the steps are of files."""
+    text = scene_text({"outputs.variables": ["label", "predicted", "psi_dot_std"]})
     folder = tmp_path / "folder"
     folder.mkdir()
-    (folder / "small.toml").write_text(small_scene)
-    whole = atlas.run(load_scene(small_scene), progress=False)
+    (folder / "small.toml").write_text(text)
+    whole = atlas.run(load_scene(text), progress=False)
     done = subprocess.run(
         [sys.executable, "-c", KILLED_AT_STEPS, str(max(15 // fault_rounds, 1)), links], cwd=folder,
         capture_output=True, text=True, check=False,

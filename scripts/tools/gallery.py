@@ -56,6 +56,15 @@ BRANCHES = (
         "n", np.tan(np.linspace(-1.5, 1.5, 301)), "gamma",
     ),
 )  # fmt: skip
+# Its borders: file, system, body, ranges, and the spacing of points that are drawn beside them, half of it from 0; 0: none.
+BORDERS = (
+    ("borders_island", "satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (0.83, 1.27), "k2": (-0.17, 0.17)}, 0.1),
+    ("borders_cusps", "satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (-2.6, 2.6), "k2": (-1.5, 1.5)}, 0.0),
+    (
+        "borders_staude", "fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l2": 0.2},
+        {"n": (-3.0, 3.0), "l1": (-1.5, 1.5)}, 0.0,
+    ),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -383,6 +392,20 @@ def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int
         return section(picture, ds)
 
 
+def border_figure(
+    system: str, body: dict[str, float], ranges: dict[str, tuple[float, float]], spacing: float
+) -> Figure:
+    """The borders of bodies, and points of a grid that meets none of the regions between them."""
+    figure = atlas.borders(system, body, ranges).atlas.diagram()
+    (ax,) = figure.axes
+    for set_limits, limits in zip((ax.set_xlim, ax.set_ylim), ranges.values(), strict=True):
+        set_limits(*limits)
+    if spacing:
+        sides = [spacing * (0.5 + np.arange(-20, 20)) for _ in ranges]
+        ax.plot(*(side.ravel() for side in np.meshgrid(*sides)), "+", color="0.5", markersize=5, zorder=1)
+    return figure
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -421,6 +444,8 @@ def main() -> None:
         for name, system, body, along, values, variable in BRANCHES:
             branches = atlas.branches(system, body, along={along: values})
             write_picture(branches.atlas.diagram(variable), options.docs / f"{name}.png")
+        for name, system, body, ranges, spacing in BORDERS:
+            write_picture(border_figure(system, body, ranges, spacing), options.docs / f"{name}.png")
         if len(chosen) == len(PICTURES):
             (options.docs / "gallery.md").write_text("\n".join(lines).rstrip() + "\n")
     print(f"wrote {options.out}" + (f" and {options.docs}" if options.docs else ""))

@@ -11,7 +11,7 @@ from ...flags import Label
 from ...measure.instrument import Tolerances
 from ...systems.base import Array, Flags
 
-# Share of the sum of the magnitudes of an energy's terms that exceeds its rounding error: each of these has fewer than 40.
+# Rounding error of an energy over the magnitudes of its terms: each has fewer than 40 roundings.
 ROUNDING = 64 * 2.0**-53
 _KEPT = 1e-9  # share of a tolerance that is not used
 # How often a limit is halved to find a distance, and then the interval in which it is.

@@ -22,29 +22,31 @@ def top(body: Body, w: Array, gamma: Array) -> Bounds:
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[:, 2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[:, 2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-    n = np.where(sine2 > 0, np.sqrt(e / np.where(sine2 > 0, sine2, 1.0)) / A, 0.0)
-    S_size = np.abs(C * r) + C * n + np.abs(body.rotor[:, 2])
-    v_size = np.abs(body.gamma.field[:, 2]) + 2 * np.abs(v2)
-    error, drift = ROUNDING * np.sqrt(e * sine2), np.abs(A * (p * g2 - q * g1))
-    f = [
-        drift**2 + error * (2 * drift + error),
-        -2 * x0 * e - 2 * A * v1 * sine2 + 2 * a * S,
-        -e + 4 * A * v1 * x0 - 2 * A * v2 * sine2 - S**2,
-        2 * A * v1 + 4 * A * v2 * x0,
-        2 * A * v2,
-    ]
-    sizes = [
-        np.zeros_like(e),
-        2 * e + 2 * A * v_size * sine2 + 2 * np.abs(a) * S_size,
-        e + 4 * A * v_size + S_size**2,
-        2 * A * v_size + 4 * A * np.abs(v2),
-        2 * A * np.abs(v2),
-    ]
+
+    def rows(S: Array, a: Array, x: Array, v: Array) -> list[list[Array]]:
+        """Terms of the coefficients of f but for the first."""
+        return [
+            [-2 * x * e, -2 * A * v * sine2, 2 * a * S],
+            [-e, 4 * A * v * x, -2 * A * v2 * sine2, -(S**2)],
+            [2 * A * v, 4 * A * v2 * x],
+            [2 * A * v2],
+        ]
+
+    # Errors are relative to what S and v1 are sums of: the spin is m + n cos(theta).
+    across = np.sqrt(e * sine2)
+    n = np.where(sine2 > 0, across / (A * np.where(sine2 > 0, sine2, 1.0)), 0.0)
+    S_size, v_size = (
+        np.abs(C * r) + C * n + np.abs(body.rotor[:, 2]),
+        np.abs(body.gamma.field[:, 2]) + 2 * np.abs(v2),
+    )
+    drift, error = np.abs(A * (p * g2 - q * g1)), ROUNDING * across
+    f = [drift**2, *(sum(row) for row in rows(S, a, x0, v1))]
+    errors = [error * (2 * drift + error)]
+    errors += [ROUNDING * np.abs(row).sum(0) for row in rows(S_size, across, np.abs(x0), v_size)]
     ends = []
     for sign in (-1.0, 1.0):
         limit = np.where(sign * x0 > 0, sine2 / (1 + np.abs(x0)), 1 + np.abs(x0))
-        above = [sign**k * each + ROUNDING * sizes[k] for k, each in enumerate(f)]
-        found = reach(above, limit)
+        found = reach([sign**k * f[k] + errors[k] for k in range(5)], limit)
         ends.append(sign * np.where(np.isnan(found), limit, found))
     low, high = y = np.array(ends)
     half, farthest = 0.5 * (high - low), np.abs(y).max(0)
@@ -52,7 +54,7 @@ def top(body: Body, w: Array, gamma: Array) -> Bounds:
     least = squares.min(0)
     sine = np.sqrt(least), np.where((low + x0) * (high + x0) <= 0, 1.0, np.sqrt(squares.max(0)))
     # f(y) is at most (y - low) (high - y) times the second divided difference with the ends, negative.
-    bent = -f[2] + 3 * np.abs(f[3]) * farthest + 6 * np.abs(f[4]) * farthest**2 + ROUNDING * sizes[2]
+    bent = -f[2] + 3 * np.abs(f[3]) * farthest + 6 * np.abs(f[4]) * farthest**2 + errors[2]
     theta_dot = half * np.sqrt(np.maximum(bent, 0.0) / least) / A
     # psi' = (K - S x) / (A sin^2) and x psi' are extreme at the ends or where their derivatives vanish.
     K, n, ratio = a + S * x0, a / (A * sine2), []

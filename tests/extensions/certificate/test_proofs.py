@@ -169,6 +169,36 @@ def test_a_motion_that_may_leave_the_cylinder_is_refused():
     assert kinds == [ENERGY, NONE]
 
 
+def test_rounding_errors_are_part_of_the_bounds():
+    """Momenta that cancel hide as much of the energy as their rounding errors are; so do a fast frame and a heavy body."""
+    spin = np.array([0.0, 1e3, 1e6])
+    body = {
+        "A": 1.0,
+        "B": 1.0,
+        "C": 0.6,
+        "theta0": np.pi / 2,
+        "psi0": np.pi / 2,
+        "m": spin,
+        "k3": -0.6 * spin,
+    }
+    still, slow, fast = proofs("satellite", **body)["proof_bound"]
+    assert 1e-8 < still < 3e-7 < slow < 1e-4 < fast < 1e-2
+    # A start that differs by one rounding of the momentum has its energy within these bounds.
+    nudged = proofs("satellite", **body | {"k3": -0.6 * spin * (1 + 2.0**-52)})["proof_bound"]
+    assert nudged[2] < 1.5 * fast
+    top = {
+        "A": 1.0,
+        "B": 1.0,
+        "C": 1.0,
+        "Mg": 1.0,
+        "z0": -0.1,
+        "theta0": 1e-6,
+        "m": spin[1:],
+        "l3": 10 - spin[1:],
+    }
+    assert np.all(np.diff(proofs("fixed_point", 1e-3, 1e-2, **top)["proof_bound"]) > 0)
+
+
 def test_no_measured_label_contradicts_a_proof():
     """Starts about the border of what can be proved, in units in which the frame turns slowly or fast."""
     rng, count = np.random.default_rng(6), 150

@@ -81,7 +81,8 @@ def rotations(rng, count):
 def tops(rng, count):
     """Regular precessions of symmetric tops, by the rotor that they need."""
     (A, _, C), theta = bodies(rng, count), rng.uniform(0.2, np.pi - 0.2, count)
-    n, m, z0, N = rng.normal(size=(4, count)) * np.array([[1], [3], [1], [0.3]])
+    m, z0, N = rng.normal(size=(3, count)) * np.array([[3], [1], [0.3]])
+    n = rng.choice([-1, 1], count) * rng.uniform(0.3, 2.0, count)
     C = np.minimum(C, 1.9 * A)
     l3 = -((C - A) * (n**2 - N) * np.cos(theta) + z0) / n - C * m
     return {"A": A, "B": A, "C": C, "l3": l3, "z0": z0, "N": N, "Mg": 1.0, "theta0": theta, "n": n, "m": m}

@@ -65,7 +65,7 @@ REPLACED = {
         analysis.catalogue.N_SAMPLES analysis.tracer.COARSE_SAMPLES
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
-        label.plan.Plan.kernel label.plan.Plan.kernel_hash plotting.style.STYLE.savefig.dpi runs.estimate.LONG
+        label.plan.Plan.kernel label.plan.Plan.kernel_hash label.points.MANY_STEPS label.points._advised plotting.style.STYLE.savefig.dpi runs.estimate.LONG
         runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile validation.stress.generic_cases
         validation.stress.limits validation.stress.stress validation.work_precision.POINT_STEPS_TIMED
     """,

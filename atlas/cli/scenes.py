@@ -163,6 +163,7 @@ def check_scene(options: argparse.Namespace) -> None:
         printable(scene.title, MAX_TEXT),
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
         *plan.method_lines(),
+        *plan.statistics_lines(),
     )
     reason = polynomial_degree(scene.system)
     if isinstance(reason, str) and not scene.system.observables:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel import specialization, tangent
 from ..kernel.specialization import GENERIC, Specialization
+from ..kernel.statistics import STATISTICS
+from ..kernel.stepsize import StepSizes
+from ..kernel.tableaux import METHODS
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
-from ..scene.model import Scene, Settings, zero_and_equal
-from ..systems.base import Points, System, derived_variables
-from ..variables import instruments, main_instrument
+from ..scene.model import MAX_STEPS, Scene, Settings, zero_and_equal
+from ..systems.base import Array, Points, System, derived_variables
+from ..variables import default_variables, instruments, main_instrument
 
 
 @dataclass(frozen=True)
@@ -88,6 +92,28 @@ class Plan:
         whole = self.plugs or any(each.needs_whole_run for each in self.instruments)
         return self.outputs is not None and not whole and self.main.may_stop_early(self.outputs)
 
+    @cached_property
+    def without_statistics(self) -> Plan | None:
+        """The plan without statistics of the rates, if its runs may then stop early; None where they may now, or never."""
+        statistics = {statistic.name for statistic in STATISTICS}
+        names = default_variables(self.system) if self.outputs is None else self.outputs
+        plan = replace(self, outputs=[name for name in names if name not in statistics])
+        return plan if plan.may_stop_early and not self.may_stop_early else None
+
+    def relative_costs(self, bound: Array, duration: Array) -> dict[str, float]:
+        """Processor time expected of each other method over that of the plan's method; none for a given step: errors would differ."""
+        if self.settings.step is not None:
+            return {}
+        costs = dict[str, float]()
+        for name, method in METHODS.items():
+            with np.errstate(all="ignore"):
+                sizes = StepSizes.of(
+                    replace(self.settings, method=name, max_steps=MAX_STEPS), bound, duration
+                )
+            costs[name] = method.step_cost * float(sizes.steps.mean())
+        own = costs.pop(self.settings.method)
+        return {name: cost / own for name, cost in costs.items()}
+
     @property
     def kernel(self) -> ModuleType:
         return specialization.kernel(self.system, self.settings.method, self.specialization, self.plugs)
@@ -103,3 +129,12 @@ class Plan:
         kernel = source(self.system, self.settings.method, terms, self.plugs)
         tangents = [source(self.system, tangent.METHOD.name, terms, of=tangent)] if self.has_chaos else []
         return specialization.kernel_hash(kernel, *tangents)
+
+
+def method_lines(method: str, costs: Mapping[str, float]) -> list[str]:
+    """A sentence on the cost of each other method, from `Plan.relative_costs`."""
+    return [
+        f'method: {method}; method = "{name}" would integrate in about {ratio:.2g}'
+        f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
+        for name, ratio in costs.items()
+    ]

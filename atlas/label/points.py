@@ -13,7 +13,10 @@ import xarray as xr
 from .. import systems
 from ..errors import BadInput, allowed_text, shown
 from ..extension import available_text
+from ..kernel import numeric_bound
 from ..kernel.compiling import Stopwatch
+from ..kernel.stepsize import StepSizes
+from ..kernel.tableaux import METHODS
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
@@ -26,8 +29,11 @@ from ..systems.base import Array, System, check_possible
 from ..variables import POINT, default_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
-from .plan import Plan
+from .plan import Plan, method_lines
 
+# Points, and steps of rk4 of all of them (about a second), from which on a call is told of a faster method.
+MANY_POINTS, MANY_STEPS = 100, 1e8
+_advised = False  # whether this process was
 OTHER_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
@@ -194,6 +200,8 @@ class _Labels:
             self.warnings.extend(_warnings(system, tile, self.duration or Duration()))
             log_warnings(self.warnings)
         plan = Plan.of_points(system, self.settings, self.variables, self.names)
+        if self.warnings is not None:
+            _advise(plan, tile)
         columns = _evaluate_in_tiles(plan, tile, self.outputs, self.threads, self.progress)
         results = tuple(columns[name].reshape(shape) for name in self.outputs)
         return results if len(results) > 1 else results[0]
@@ -214,6 +222,22 @@ def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str
     except BadInput as error:  # incomplete points
         warnings.append(str(error))
     return warnings
+
+
+def _advise(plan: Plan, points: grid.Grid) -> None:
+    """Log once a process by which other method a call that takes long would save time."""
+    global _advised
+    exists = np.flatnonzero(points.exists)
+    if _advised or exists.size < MANY_POINTS:
+        return
+    some = points.subset(exists[:: exists.size // MANY_POINTS])
+    with np.errstate(all="ignore"):
+        bound = numeric_bound.before_run(plan.system, some.points, some.duration)
+        steps = StepSizes.of(plan.settings, bound, some.duration).steps.mean() * exists.size
+    if steps * METHODS[plan.settings.method].step_cost > MANY_STEPS:
+        costs = {name: cost for name, cost in plan.relative_costs(bound, some.duration).items() if cost < 1}
+        log_warnings(method_lines(plan.settings.method, costs))
+        _advised = True
 
 
 def _evaluate_in_tiles(

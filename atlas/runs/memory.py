@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 
 from ..kernel import blocks
-from ..kernel.compiling import Stopwatch, announced
+from ..kernel.compiling import Stopwatch, announced, say
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -79,6 +79,13 @@ class Execution:
             text = estimate.long_run(plan, 1 if options["scheduler"] else processors, 1 / shard[1], unit)
             dataset.log_warnings([text] if text else [])
         dataset.log_warnings(plan.warnings)
+        if (
+            options.get("progress")
+            and not plan.has_chaos
+            and min(plan.relative_costs.values(), default=1) < 1
+        ):
+            with announced(True):
+                say("\n".join(plan.method_lines()))
         return cls(plan, earlier, **{**options, "shard": shard})
 
     @property

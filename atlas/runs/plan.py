@@ -19,6 +19,7 @@ import numpy as np
 from .. import sources, systems
 from .._version import __version__
 from ..errors import BadInput
+from ..flags import Label
 from ..kernel import blocks, numeric_bound
 from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 # Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound where it does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
+MAX_PREDICTED = 400  # points of a sample whose motion theory predicts before a run
 COSTLY_SHARE = 0.3  # of all steps: if 1 % of the points take more, a warning follows
 
 
@@ -172,24 +174,33 @@ class ScenePlan:
             " which takes as many times the time"
         ]
 
+    @cached_property
     def relative_costs(self) -> dict[str, float]:
-        """Processor time expected of each other method over that of the scene's method; none for a given step: errors would differ."""
-        if self.scene.settings.step is not None:
-            return {}
-        exists, costs = self.sample.exists, dict[str, float]()
-        for name, method in METHODS.items():
-            sizes = self.step_sizes_by(replace(self.limited(MAX_STEPS), method=name))
-            costs[name] = method.step_cost * float(sizes.steps[exists].mean())
-        own = costs.pop(self.scene.settings.method)
-        return {name: cost / own for name, cost in costs.items()}
+        """Processor time expected of each other method over that of the scene's method; see `label.plan`."""
+        exists = self.sample.exists
+        return self.points.relative_costs(self._bound[exists], self.sample.duration[exists])
 
     def method_lines(self) -> list[str]:
         """A sentence on the cost of each other method; none for a given step."""
+        from ..label.plan import method_lines
+
+        return method_lines(self.scene.settings.method, self.relative_costs)
+
+    def statistics_lines(self, share: float | None = None) -> list[str]:
+        """A sentence on the runs that would end early without statistics; share: time of the integration then, if it was measured."""
+        if self.points.without_statistics is None:
+            return []
+        if share is not None:
+            return [f"statistics: they need whole runs; without them about {share:.2g} of the integration"]
+        from ..label.theory import predict_runs
+
+        places = np.linspace(0, (exists := np.flatnonzero(self.sample.exists)).size - 1, MAX_PREDICTED)
+        part = self.sample.subset(exists[np.unique(places.astype(np.int64))])
+        drifting = predict_runs(self.points, part).variables["predicted"] == Label.DRIFTING
         return [
-            f'method: {self.scene.settings.method}; method = "{name}" would integrate in about {ratio:.2g}'
-            f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"
-            for name, ratio in self.relative_costs().items()
-        ]
+            f"statistics: they need whole runs; without them the {100 * drifting.mean():.3g} % of the points that drift by theory"
+            " would end once that is certain"
+        ] * bool(drifting.any())
 
 
 def identity(plan: Plan) -> dict[str, str]:

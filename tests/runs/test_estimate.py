@@ -40,7 +40,7 @@ def no_values(plan, points, **options):
     ],
 )
 def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
-    """At most twice the intended point-steps (counts of steps are rounded up) for one point and for one tile."""
+    """At most twice the intended point-steps (counts of steps are rounded up) for one point, one tile, and some whole runs."""
     scene = scene_from(
         {"schema": 1, "title": "long", "system": "satellite", "fixed": {"C": 1.2}, "axes": axes, "integration": integration}
     )  # fmt: skip
@@ -56,7 +56,7 @@ def test_a_dry_run_is_short_whatever_the_scene(monkeypatch, axes, integration):
     monkeypatch.setattr(estimate, "predict_runs", lambda plan, points: None)
     text = dry_run(scene, threads=2)
     assert f"{scene.size} points" in text
-    assert len(measured) == 2
+    assert len(measured) in (2, 3)
     assert 0 < max(measured) <= 2 * 2 * CALIBRATION_STEPS
 
 

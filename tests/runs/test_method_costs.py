@@ -1,7 +1,9 @@
 """The line on what the other method would cost: its number, and where it is printed."""
 
+import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import atlas
@@ -16,7 +18,7 @@ pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 
 def relative_costs(scene, sample):
-    return ScenePlan(scene, sample).relative_costs()
+    return ScenePlan(scene, sample).relative_costs
 
 
 def lines_and_sample(text):
@@ -66,6 +68,43 @@ def test_a_scene_with_a_step_has_no_line(scene_text):
     )
     assert lines == []
     assert relative_costs(scene, sample) == {}
+
+
+def test_dry_run_measures_and_check_expects_what_statistics_cost():
+    """One motion in five is exact and never ends early; theta of the others changes from the start."""
+    table = atlas.example("conditions_k3")
+    table["axes"]["k3"]["count"], table["axes"]["theta0"]["count"] = 5, 8
+    plan = ScenePlan.of(load_scene(table))
+    statistics = "statistics: they need whole runs; without them"
+    expected = f"{statistics} the 80 % of the points that drift by theory would end once that is certain"
+    assert plan.statistics_lines() == [expected]
+    (line,) = (line for line in dry_run(plan.scene, threads=1).splitlines() if line.startswith("statistics"))
+    share = re.fullmatch(rf"{statistics} about ([0-9.]+) of the integration", line)
+    assert 0.2 <= float(share[1]) < 0.25
+    table["outputs"] = {"variables": ["label", "predicted"]}
+    assert ScenePlan.of(load_scene(table)).statistics_lines() == []
+
+
+def test_the_first_line_of_a_run_names_a_faster_method(small_scene, capsys):
+    (line,), _, scene = lines_and_sample(small_scene)
+    atlas.run(scene)
+    assert capsys.readouterr().err.splitlines()[0] == line
+    atlas.run(replace(scene, settings=replace(scene.settings, method="rk8")))
+    assert "method" not in capsys.readouterr().err
+
+
+def test_long_calls_of_label_points_are_told_of_a_faster_method_once(monkeypatch, caplog):
+    monkeypatch.setattr("atlas.label.points.MANY_STEPS", 1e4)
+    monkeypatch.setattr("atlas.label.points._advised", False)
+    rows = {"theta0": np.linspace(0.3, 1.0, 120), "m": 1.0}
+    for count, messages in ((99, 0), (120, 1), (120, 1)):
+        some = {name: np.broadcast_to(values, 120)[:count] for name, values in rows.items()}
+        atlas.label_points("satellite", some, duration=2.0)
+        assert len(caplog.messages) == messages
+    assert re.fullmatch(
+        r'method: rk4; method = "rk8" would integrate in about 0\.\d+ of the time at the same tolerance',
+        caplog.messages[0],
+    )
 
 
 def test_check_dry_run_and_summary_print_the_line_once(small_scene, tmp_path, monkeypatch, capsys):

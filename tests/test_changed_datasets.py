@@ -329,6 +329,7 @@ def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
 
     monkeypatch.setenv("ATLAS_TILE_POINTS", "4")
     text = (HEAD + SCENES["solved"]).replace("count = 7", "count = 40").replace("count = 6", "count = 20")
+    text = 'outputs.variables = ["label", "predicted"]\n' + text  # little is written, either
     atlas.run(load_scene(text), tmp_path / "run", progress=False)
     ds, read = atlas.open_atlas(tmp_path / "run"), Tiles.read
     tiles = set[int]()

@@ -118,7 +118,8 @@ def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
 
 
 @pytest.mark.parametrize("place", ["s3"], indirect=True)
-def test_a_refined_run_is_kept_on_a_server(scene_text, place):
+def test_a_refined_run_is_kept_on_a_server(scene_text, place, monkeypatch):
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "20")  # several tiles for each level, not forty
     text = scene_text(FEW | {"axes.sigma.count": 5, "axes.theta0.count": 5, "refine.levels": 2})
     whole = atlas.run(load_scene(text), progress=False)
     assert_same_bytes(whole, atlas.run(load_scene(text), place, progress=False))

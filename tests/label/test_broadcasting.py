@@ -45,6 +45,15 @@ def grid():
     return {"C": shape, "m": spin, "k3": 0.2, **START}
 
 
+def test_a_column_of_names_gives_the_points_of_a_single_motion():
+    ds = atlas.label_points(
+        "satellite", {"run": ["first", "second"], "C": 1.2, "k3": 0.2, **START}, **SETTINGS
+    )
+    assert ds.label.dims == ("point",)
+    assert ds.run.values.tolist() == ["first", "second"]
+    assert ds.theta_dot_rms[0] == ds.theta_dot_rms[1]
+
+
 def test_the_result_has_the_dimensions_and_coordinates_of_the_arrays(grid):
     ds = atlas.label_points("satellite", grid, **SETTINGS)
     assert ds.label.dims == ("shape", "spin")

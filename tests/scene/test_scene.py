@@ -89,6 +89,8 @@ def test_scene_prints_as_a_few_lines(small_scene):
         "rate tolerance 0.001, cylinder tolerance 0.001",
     ):
         assert part in text
+    one = edit(small_scene, "from = 0.3\nto = 1.7\ncount = 9", "values = [0.3]")
+    assert "\n  sigma: 0.3\n" in repr(load_scene(one))
 
 
 def test_a_long_scene_prints_as_a_few_lines(scene_text):

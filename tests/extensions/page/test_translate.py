@@ -100,7 +100,7 @@ def everything(state, constants):
     new, (Math, t) = -x, (constants, 2.0)
     first, second = Math
     x, y = y, x
-    total = (x**2 + y**3 / t) ** 0.5 - z**-2 + (x + y) ** 5 + first**second
+    total = (x**2 + y**3 / t) ** 0.5 - z**-2 + (x + y) ** 5 + first**second + x**0
     return (sqrt(total * total), +cos(z), new), (1e-200, 3, 1.0 / 3.0)
 
 

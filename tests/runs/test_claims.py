@@ -193,9 +193,9 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
     assert list(folder.tiles.place.path.glob(f"*{SUFFIX}")) == ([other] if end == "written" else [])
 
 
-def job_of(folder):
+def job_of(folder, shard=(1, 1)):
     """All tiles of a run, by one thread."""
-    run = memory.Execution(ScenePlan.of(folder.scene), [], threads=1)
+    run = memory.Execution(ScenePlan.of(folder.scene), [], threads=1, shard=shard)
     return folders._Job(folder, folder.tiles, range(9), run)
 
 
@@ -205,6 +205,12 @@ def test_who_waits_for_others_ends_at_once_when_the_job_is_stopped(folder, livin
     job = job_of(folder)
     job.stop.set()
     assert list(job.remaining_tiles(range(9), None)) == []
+
+
+def test_a_shard_begins_with_its_own_tiles(folder):
+    tiles = [*job_of(folder, (2, 3)).remaining_tiles(range(9), None)]
+    assert sorted(tiles[:3]) == [1, 4, 7]
+    assert sorted(tiles) == [*range(9)]
 
 
 def test_claims_of_killed_processes_are_removed(folder, living):

@@ -127,6 +127,11 @@ def test_frequency_bound_holds_along_trajectories(symmetric, rotor):
         assert frequencies.max() <= bound[i]
 
 
+def test_frequency_bound_of_a_sphere_is_that_of_its_rotation():
+    """The gravity gradient, whose term would be 3 sqrt(2), does not act on it; at rest in the orbit it turns at Omega."""
+    assert 1 < frequency_bound(default_points("satellite", C=1.0))[0] < 3.1
+
+
 def test_frequency_bound_holds_where_light_magnets_turn_over():
     """From rest against the field, on a slow orbit: the rates are those of the magnetic energy and of the small moments."""
     points = default_points(

@@ -28,16 +28,10 @@ from ...systems.base import Array, Mask, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.equilibria import described, frames_of
 from .continuation import Curve, Segments, lengths, zeros
-from .singular import Degenerate, Potential
+from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, gain
 
-
-class BorderKind(Flag):
-    """Kinds of borders; 0 does not occur."""
-
-    NONE = 0, "no border"
-    FOLD = 1, "two solutions merge and vanish"
-    PITCHFORK = 2, "a solution of a symmetric body changes its stability, and two others merge with it"
+_MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
 
 
 class SpecialKind(Flag):
@@ -46,6 +40,7 @@ class SpecialKind(Flag):
     NONE = 0, "no special point"
     CUSP = 1, "two folds meet and end: the parameters turn back"
     MEETING = 2, "a pitchfork meets a fold, or another pitchfork"
+    ZERO_AND_PAIR = 3, "a limit of stability ends: the two pairs of exponents, or the third, become 0"
 
 
 _OWN = {
@@ -57,7 +52,12 @@ _OWN = {
             "arc", "float64", "1", "length of the curve in attitude and parameters, these over their ranges"
         ),
         Variable("index_below", "int8", "1", "Morse index of the solutions on one side of the border"),
-        Variable("index_above", "int8", "1", "Morse index on the other side, larger by 1"),
+        Variable(
+            "index_above",
+            "int8",
+            "1",
+            "Morse index on the other side, larger by 1 but at limits of stability",
+        ),
         Variable(
             "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"
         ),
@@ -85,8 +85,8 @@ class Borders(NamedTuple):
     cells: NDArray[np.int8]
 
     @classmethod
-    def of(cls, plane: Plane) -> Borders:
-        """The borders of the bodies on a plane; BadInput where it has none."""
+    def of(cls, plane: Plane, stability: bool = False) -> Borders:
+        """The borders of the bodies on a plane, maybe with limits of stability; BadInput where it has none."""
         system = plane.scene.system
         if not isinstance(system, Gyrostat):
             raise BadInput(f"borders: of the {system.name} no relative equilibria are known")
@@ -104,10 +104,15 @@ class Borders(NamedTuple):
         for name, changes in zip(plane.extent, potential.terms[1:], strict=True):
             if not changes.any():
                 raise BadInput(f"borders: {name} changes no equilibria; take a parameter of body or field")
-        lines, axis, cells = all_curves(system, potential, points)
-        parts = [
-            part for line in lines for part in _possible(line, lambda at: possible_body(system, points(at)))
-        ]
+        lines, axis, cells = all_curves(system, potential, points, stability)
+
+        def shown(at: Degenerate) -> Mask:
+            """Where a body is possible and, at limits of stability, all exponents are imaginary."""
+            x, _, _, _, positions, _ = at.parts
+            meets = (at.kind != BorderKind.LIMIT_OF_STABILITY) | (potential.exponents(x, positions)[1] < 0)
+            return np.asarray(possible_body(system, points(positions)) & meets)
+
+        parts = [part for line in lines for part in _possible(line, shown)]
         return cls(plane, potential, parts, [gain(part) for part in parts], axis, cells)
 
     def values(self, positions: Array) -> Array:
@@ -135,9 +140,9 @@ class Borders(NamedTuple):
         return lines
 
 
-def _possible(line: Curve, possible: Callable[[Array], Mask]) -> list[Curve]:
+def _possible(line: Curve, possible: Callable[[Degenerate], Mask]) -> list[Curve]:
     """The parts of a curve on which bodies are possible, to their ends."""
-    inside = possible(line.points.parts[4])
+    inside = possible(line.points)
     if inside.all():
         return [line]
     changes = np.r_[inside[1:] != inside[:-1], False]
@@ -145,16 +150,15 @@ def _possible(line: Curve, possible: Callable[[Array], Mask]) -> list[Curve]:
     low, high, first = np.zeros(changes.sum()), np.ones(changes.sum()), inside[changes]
     for _ in range(50):
         middle = 0.5 * (low + high)
-        same = possible(parts.at(middle)[0].parts[4]) == first
+        same = possible(parts.at(middle)[0]) == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends, tangents = parts.at(np.where(first, low, high))
     k = np.flatnonzero(changes) + 1
     points = Degenerate(
         ends.potential,
         np.insert(line.points.unknowns, k, ends.unknowns, 0),
-        np.insert(line.points.pitchfork, k, False),
+        np.insert(line.points.kind, k, line.points.kind[0]),
     )
-    points.pitchfork[:] = line.points.pitchfork[0]
     every, inside = np.insert(line.tangents, k, tangents, 0), np.insert(inside, k, True)
     cuts = np.flatnonzero(np.diff(inside)) + 1
     groups = [own for own in np.split(np.arange(inside.size), cuts) if inside[own[0]] and own.size > 1]
@@ -168,6 +172,7 @@ def borders(
     ranges: Mapping[str, Sequence[float]],
     *,
     ties: Mapping[str, str] | None = None,
+    stability: bool = False,
 ) -> xr.Dataset:
     """Borders between regions with other relative equilibria, or permanent rotations, over two parameters, as curves.
 
@@ -185,6 +190,8 @@ def borders(
         Two parameters, or other names that `ties` refer to -> lowest and highest value.
     ties : mapping of str to str, optional
         Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
+    stability : bool, optional
+        Also follow the limits at which two pairs of imaginary exponents meet and leave the axis. It takes several times as long.
 
     Returns
     -------
@@ -220,20 +227,20 @@ def borders(
         "axes": {name: {"values": [float(value) for value in values]} for name, values in ranges.items()},
         "integration": {"duration": 1.0},
     }  # fmt: skip
-    return borders_of_scene(scene_from(table, folder=None))
+    return borders_of_scene(scene_from(table, folder=None), stability)
 
 
-def borders_of_scene(scene: Scene) -> xr.Dataset:
+def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
     """The borders of the bodies of a scene over its two axes, as `borders`."""
     if len(scene.axes) != 2:
         raise BadInput(f"borders: needs two axes, found {', '.join(scene.axes)}")
     extent = {axis.dim: (float(axis.values.min()), float(axis.values.max())) for axis in scene.axes.values()}
-    return borders_of_plane(Plane(replace(scene, duration=Duration(1.0), nudge={}), extent, {}))
+    return borders_of_plane(Plane(replace(scene, duration=Duration(1.0), nudge={}), extent, {}), stability)
 
 
-def borders_of_plane(plane: Plane) -> xr.Dataset:
+def borders_of_plane(plane: Plane, stability: bool = False) -> xr.Dataset:
     """The borders on a plane of the axes of a scene, as `borders`."""
-    found, (first, second) = Borders.of(plane), plane.extent
+    found, (first, second) = Borders.of(plane, stability), plane.extent
     columns = _vertices(found) | _special(found)
     sides = [0.5 * (found.axis[1:] + found.axis[:-1])] * 2
     centres = found.values(np.stack(sides, -1)).T
@@ -300,10 +307,10 @@ def _vertices(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     condition = np.linalg.cond(np.concatenate([matrix, rows[:, None]], 1), 1)
     columns = _attitudes(found, points) | {
         "curve": np.repeat(np.arange(len(sizes), dtype=np.int16), sizes),
-        "kind": np.where(points.pitchfork, BorderKind.PITCHFORK, BorderKind.FOLD).astype(np.int8),
+        "kind": points.kind,
         "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in found.lines)]),
         "index_below": index.astype(np.int8),
-        "index_above": index.astype(np.int8) + np.int8(1),
+        "index_above": (index + (points.kind != BorderKind.LIMIT_OF_STABILITY)).astype(np.int8),
         "count_change": np.concatenate([np.zeros(0), *found.gains]).astype(np.int8),
         "residual": np.abs(residual).max(1), "condition": condition,
     }  # fmt: skip
@@ -317,13 +324,20 @@ def _special(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     points, curve, kind = found.potential.none(), [], []
     for i, special in enumerate((SpecialKind.CUSP, SpecialKind.MEETING)):
         for column in (0, 1):
-            chosen = [n for n, line in enumerate(found.lines) if line.points.pitchfork[0] == i]
+            chosen = [n for n, line in enumerate(found.lines) if line.points.kind[0] == i + 1]
             lines = [found.lines[n] for n in chosen]
             if lines and (i or not column):
                 number, at = zeros(lines, partial(_test, column))
                 points = Degenerate.joined([points, at])
                 curve += [chosen[n] for n in number]
                 kind += [special] * len(number)
+    for n, line in enumerate(found.lines):
+        if line.points.kind[0] == BorderKind.LIMIT_OF_STABILITY and not line.closed:
+            ends = line.points.take([0, -1])
+            ends = ends.take(np.abs(found.potential.exponents(ends.parts[0], ends.parts[4])[1]) < _MEETS_AT_0)
+            points = Degenerate.joined([points, ends])
+            curve += [n] * len(ends.kind)
+            kind += [SpecialKind.ZERO_AND_PAIR] * len(ends.kind)
     columns = _attitudes(found, points) | {
         "curve": np.array(curve, np.int16),
         "kind": np.array(kind, np.int8),

@@ -76,7 +76,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
     ahead, across = _along_and_across(targets[near] - place[:, None], along)
     ahead = np.abs(ahead)
     same = (ahead < _FIRST) & (across < np.maximum(_BEND * ahead, _ON_CURVE) ** 2)
-    same &= points.pitchfork[near % count] == points.pitchfork[:, None]
+    same &= points.kind[near % count] == points.kind[:, None]
     kept = np.ones(count, bool)
     for i, k in np.argwhere(same):
         if kept[i] and near[i, k] % count > i:
@@ -120,7 +120,7 @@ def _in_unknowns(points: Degenerate, rows: Array) -> Array:
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
     """The parts of curves that leave points by some of their ends."""
     targets, target_along = _with_images(seeds, seed_tangents)
-    forks = np.resize(seeds.pitchfork, len(targets))
+    kinds = np.resize(seeds.kind, len(targets))
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
     *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 0)
@@ -142,7 +142,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         near = around[active]
         ahead, across = _along_and_across(targets[near] - place[:, None], along)
         is_ahead = (ahead > _ON_CURVE) & (ahead < 1.5 * _LARGEST) & (across < (_OBLIQUE * ahead) ** 2)
-        ahead = np.where(is_ahead & (forks[near] == now.pitchfork[:, None]), ahead, np.inf)
+        ahead = np.where(is_ahead & (kinds[near] == now.kind[:, None]), ahead, np.inf)
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
@@ -206,7 +206,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
         behind, _, also = ([], None, False) if closed else _walk(2 * seed + 1, of_end, left, flip)
         parts = [(y[::-1], -t[::-1]) for y, t in reversed(behind)] + ahead
         unknowns, tangents = (np.concatenate(each) for each in zip(*parts, strict=True))
-        points = Degenerate(seeds.potential, unknowns, np.full(len(unknowns), seeds.pitchfork[seed]))
+        points = Degenerate(seeds.potential, unknowns, np.full(len(unknowns), seeds.kind[seed]))
         fresh = np.r_[True, np.abs(np.diff(points.place, axis=0)).max(1) > _ON_CURVE]
         points, tangents = points.take(fresh), tangents[fresh]
         v = points.parts[2]

@@ -44,14 +44,14 @@ MARKERS: dict[BifurcationKind, Style] = {
 
 # Borders by their kind, and where a minimum ends: text and line; special points: text and marker.
 MINIMUM = 0
-BORDER_TEXTS = {MINIMUM: "a minimum ends", 1: "fold", 2: "pitchfork"}
+BORDER_TEXTS = {MINIMUM: "a minimum ends", 1: "fold", 2: "pitchfork", 3: "limit of stability"}
 BORDERS: dict[int, Style] = {
     MINIMUM: {"color": COLOURS["energy_stable"], "linewidth": 1.4},
-    1: {"color": "black", "linewidth": 0.7}, 2: {"color": "black", "linewidth": 0.7, "linestyle": (0, (3.5, 1.6))},
+    1: {"color": "black", "linewidth": 0.7}, 3: {"color": COLOURS["linearly_stable"], "linewidth": 0.9}, 2: {"color": "black", "linewidth": 0.7, "linestyle": (0, (3.5, 1.6))},
 }  # fmt: skip
 SPECIAL: dict[int, tuple[str, Style]] = {
     i: (text, MARKERS[kind] | {"markersize": 2.5}) for i, (text, kind) in enumerate(
-        (("cusp", BifurcationKind.FOLD), ("meeting of borders", BifurcationKind.PITCHFORK)), 1
+        (("cusp", BifurcationKind.FOLD), ("meeting of borders", BifurcationKind.PITCHFORK), ("exponents meet at 0", BifurcationKind.EXCHANGE)), 1
     )
 }  # fmt: skip
 
@@ -137,7 +137,8 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
     at, slope = (np.stack([ds[head + name].values for name in names], -1) for head in ("", "tangent_"))
     third = np.diff(ds["arc"].values)[:, None] / 3
     knots = np.stack([at[:-1] + third * slope[:-1], at[1:] - third * slope[1:], at[1:]], 1)
-    style = np.where(ds["index_below"].values == 0, MINIMUM, ds["kind"].values)
+    minimum = (ds["index_below"].values == 0) & (ds["index_above"].values == 1)
+    style = np.where(minimum, MINIMUM, ds["kind"].values)
     same = np.diff(ds["curve"].values) == 0
     cuts = np.flatnonzero(np.r_[True, ~same, True] | np.r_[True, np.diff(style) != 0, True])
     lines: dict[int, list[Path]] = {}

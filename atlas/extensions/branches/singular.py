@@ -22,9 +22,10 @@ from numpy.polynomial.chebyshev import chebder, chebvander
 from numpy.typing import NDArray
 
 from ...errors import BadInput
+from ...flags import Flag
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.body import Body, across, length
+from ...systems.gyrostat.body import Body, Direction, across, length
 
 _NODES, _RESOLVED, _NO_TERM = (
     (9, 33, 129),
@@ -32,6 +33,7 @@ _NODES, _RESOLVED, _NO_TERM = (
     1e-15,
 )  # of the interpolation by polynomials, and relative sizes of terms
 _DAMPING = 1e-14  # of least squares, relative
+_DIFFERENCE = 1e-5  # step of central differences
 _WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 _ITERATIONS, _EXACT, _NEAR, _NO_FORCE, _REGULAR = 10, 1e-9, 1e-2, 1e-2, 1e-7
@@ -50,6 +52,18 @@ def _solved(matrix: Array, right: Array) -> Array:
     return np.linalg.solve(matrix + 1e-15 * (size + (size == 0)) * noise, right)
 
 
+class BorderKind(Flag):
+    """Kinds of borders; 0 does not occur."""
+
+    NONE = 0, "no border"
+    FOLD = 1, "two solutions merge and vanish"
+    PITCHFORK = 2, "a solution of a symmetric body changes its stability, and two others merge with it"
+    LIMIT_OF_STABILITY = (
+        3,
+        "two pairs of imaginary exponents meet and leave the axis at a frequency that is not zero",
+    )
+
+
 class Potential(NamedTuple):
     """Amended potentials of bodies that depend on two parameters, at positions in a box: fractions of its sides."""
 
@@ -60,6 +74,8 @@ class Potential(NamedTuple):
     axis: int  # of symmetry of all bodies; -1: none
     upright: bool  # nothing acts along alpha
     mirrored: bool  # alpha -> -alpha leaves all potentials the same
+    bodies: Array  # Chebyshev coefficients of the bodies themselves, (a, b, 15)
+    square: float  # of a rate, unit of the squares of exponents
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
@@ -71,8 +87,15 @@ class Potential(NamedTuple):
             axes = [i for i in range(3) if body.symmetric_about(i).all()]
             upright, axis = not body.acts_along(body.alpha).any(), axes[0] if len(axes) == 1 else -1
             inverse = np.linalg.inv(chebvander(nodes, count - 1))
-            values = _coefficients(body, upright, axis).reshape(count, count, -1)
-            terms = np.einsum("ai,bj,ijk->abk", inverse, inverse, values)
+            parts = (
+                body.inertia,
+                body.rotor,
+                body.turn[:, None],
+                *(part for d in (body.alpha, body.gamma) for part in (d.gradient[:, None], d.field)),
+            )
+            values = np.concatenate([_coefficients(body, upright, axis), *parts], 1).reshape(count, count, -1)
+            every = np.einsum("ai,bj,ijk->abk", inverse, inverse, values)
+            terms, bodies = every[..., :-15], every[..., -15:]
             size = np.abs(terms).max()
             if not np.isfinite(size):
                 raise BadInput("borders: a part of the range has no body")
@@ -92,7 +115,9 @@ class Potential(NamedTuple):
         forms = FRAMES if n == 6 else np.eye(n)[None]
         derivatives = 2 * chebder(terms, axis=0), 2 * chebder(terms, axis=1)
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        return cls((terms, *derivatives), forms, axis, upright, mirrored)
+        square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max())
+        bodies = bodies[: used[0] + 2, : used[1] + 2]  # c contains products with the turn
+        return cls((terms, *derivatives), forms, axis, upright, mirrored, bodies, square)
 
     @property
     def size(self) -> int:
@@ -108,9 +133,47 @@ class Potential(NamedTuple):
         values = [np.einsum("na,nb,abk->nk", u[:, : t.shape[0]], w[:, : t.shape[1]], t) for t in self.terms]
         return np.moveaxis(np.reshape(values, (3, len(positions), 2, self.size)), 2, 1)
 
+    def exponents(self, x: Array, positions: Array) -> tuple[Array, Array]:
+        """Discriminant of the polynomial of the squares of the exponents of solutions, and their largest square where it is 0.
+
+        In the frame the body obeys I xi'' + v x xi' + H xi = 0 with the Hessian H of the potential. Squares that symmetries make 0 are left out.
+        """
+        sides = [
+            chebvander(2 * side - 1, size - 1)
+            for side, size in zip(positions.T, self.bodies.shape, strict=False)
+        ]
+        inertia, rotor, turn, p, alpha_field, r, gamma_field = np.split(
+            np.einsum("na,nb,abk->nk", *sides, self.bodies), [3, 6, 7, 8, 11, 12], 1
+        )
+        body = Body(
+            inertia,
+            rotor,
+            turn[:, 0],
+            Direction(p[:, 0], alpha_field),
+            Direction(r[:, 0], gamma_field),
+            0 * p[:, 0],
+        )
+        alpha, gamma = self.attitudes(x)
+        hessian, v = body.hessian(alpha, gamma), body.gyroscopic(turn * gamma)
+        cofactors = np.cross(np.roll(hessian, -1, 1), np.roll(hessian, 1, 1))
+        product = inertia.prod(1) * self.square
+        traces = (np.roll(inertia, 1, 1) * np.roll(inertia, -1, 1) * np.einsum("nii->ni", hessian)).sum(1)
+        a = (traces + (inertia * v**2).sum(1)) / product
+        b = (
+            (np.einsum("nii,ni->n", cofactors, inertia) + np.einsum("ni,nij,nj->n", v, hessian, v))
+            / product
+            / self.square
+        )
+        c = (hessian[:, 0] * cofactors[:, 0]).sum(1) / product / self.square**2
+        if self.upright or self.axis >= 0:
+            return a**2 - 4 * b, -0.5 * a
+        double = (9 * c - a * b) / (2 * (a**2 - 3 * b))
+        discriminant = (a * b) ** 2 - 4 * b**3 - 4 * a**3 * c + 18 * a * b * c - 27 * c**2
+        return discriminant, np.maximum(double, -a - 2 * double)
+
     def none(self) -> Degenerate:
         """No point."""
-        return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, bool))
+        return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
         """Signs of the unknowns of `Degenerate` after alpha -> -alpha, ones where this changes potentials."""
@@ -158,7 +221,14 @@ class Degenerate(NamedTuple):
 
     potential: Potential
     unknowns: Array
-    pitchfork: Mask  # which have s as an unknown and x moved across v; elsewhere s = 0, (N,)
+    kind: NDArray[
+        np.int8
+    ]  # BorderKind: pitchforks have s as an unknown and x moved across v, limits neither v nor m; else s = 0, (N,)
+
+    @property
+    def pitchfork(self) -> Mask:
+        """Which are pitchforks."""
+        return np.asarray(self.kind == BorderKind.PITCHFORK)
 
     @property
     def parts(self) -> list[Array]:
@@ -182,7 +252,7 @@ class Degenerate(NamedTuple):
 
     def take(self, where: Any) -> Degenerate:
         """Some of the points."""
-        return Degenerate(self.potential, self.unknowns[where], self.pitchfork[where])
+        return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
         """Second derivatives in (x, l), those of (x, l) v in (x, l), and derivatives of the gradient by both parameters, (N, n + m, -1)."""
@@ -220,6 +290,10 @@ class Degenerate(NamedTuple):
         slopes[:, :n, -1] = slopes[:, -2, size : size + n] = v
         slopes[:, -1, -1] = ~self.pitchfork
         slopes[:, -1, :n] = v * self.pitchfork[:, None]
+        if (limit := self.kind == BorderKind.LIMIT_OF_STABILITY).any():
+            slopes[limit, size : 2 * size] = np.eye(2 * size + 3)[size : 2 * size]
+            residual[limit, size : 2 * size] = self.unknowns[limit, size : 2 * size]
+            residual[limit, -2], slopes[limit, -2] = _discriminants(self.take(limit))
         return residual, slopes
 
     def moved(self, change: Array) -> Degenerate:
@@ -286,9 +360,8 @@ class Degenerate(NamedTuple):
         onto = _solved(B @ np.swapaxes(B, 1, 2), B)  # multipliers of a vector, with the sign changed
         gradient = now[0] * x + now[1]
         l = -np.einsum("nki,ni->nk", onto, gradient)
-        first, *_ = cls(
-            potential, np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1), solves
-        ).matrices()
+        unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1)
+        first, *_ = cls(potential, unknowns, np.full(N, BorderKind.FOLD, np.int8)).matrices()
         basis = np.linalg.svd(B)[2][:, m:]
         kappa, vectors = np.linalg.eigh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
         v = np.swapaxes(vectors, 1, 2) @ basis  # (N, eigenvalues, n)
@@ -309,7 +382,24 @@ class Degenerate(NamedTuple):
         distance[~solves[:, None] & (np.abs(kappa) > np.abs(kappa).min(1, keepdims=True))] = np.inf
         which, e = np.nonzero(distance < reach)
         parts = [x[which], l[which], v[which, e], mu[which, e], position[which], np.zeros((which.size, 1))]
-        return cls(potential, np.concatenate(parts, 1), np.zeros(which.size, bool))
+        return cls(potential, np.concatenate(parts, 1), np.full(which.size, BorderKind.FOLD, np.int8))
+
+    @classmethod
+    def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
+        """Unknowns at solutions beside which two pairs of imaginary exponents meet within a reach to first order."""
+        n, (N, m) = potential.size, (len(x), len(potential.forms))
+        now, *by = potential.at(position)
+        B = np.einsum("kij,nj->nki", potential.forms, x)
+        l = -np.einsum("nki,ni->nk", _solved(B @ np.swapaxes(B, 1, 2), B), now[0] * x + now[1])
+        unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1)
+        points = cls(potential, unknowns, np.full(N, BorderKind.LIMIT_OF_STABILITY, np.int8))
+        first, *_ = points.matrices()
+        forces = np.concatenate([np.stack([q * x + c for q, c in by], -1), np.zeros((N, m, 2))], 1)
+        moved = -_solved(first + 1e-13 * np.eye(n + m), forces)[:, :n]
+        value, slopes = _discriminants(points)
+        rates = slopes[:, -3:-1] + np.einsum("ni,nif->nf", slopes[:, :n], moved)
+        is_near = np.abs(value) < reach * length(rates)
+        return points.take(is_near & (potential.exponents(x, position)[1] < 0))
 
     def settled(self, reach: float) -> Degenerate:
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
@@ -318,10 +408,10 @@ class Degenerate(NamedTuple):
         inside &= (np.abs(points.parts[4] - 0.5) <= 0.5).all(1) & (step < _NEAR)
         points = points.take(inside)
         force = points.force()
-        is_pitchfork = length(force) < _NO_FORCE
+        is_pitchfork = (length(force) < _NO_FORCE) & (points.kind == BorderKind.FOLD)
         forks, _ = (
             points.take(is_pitchfork)
-            ._replace(pitchfork=np.ones(is_pitchfork.sum(), bool))
+            ._replace(kind=np.full(is_pitchfork.sum(), BorderKind.PITCHFORK, np.int8))
             .nearest(_ITERATIONS)
         )
         points = points.take(~is_pitchfork)
@@ -346,7 +436,8 @@ class Degenerate(NamedTuple):
         _, *by = self.potential.at(position)
         basis = np.linalg.svd(first[:, n:, :n])[2][:, len(forms) :]
         values = np.linalg.eigvalsh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
-        values[range(len(x)), np.abs(values).argmin(1)] = 1.0
+        degenerate = np.flatnonzero(self.kind != BorderKind.LIMIT_OF_STABILITY)
+        values[degenerate, np.abs(values[degenerate]).argmin(1)] = 1.0
         curved = np.einsum("ni,kij,nj->nk", v, forms, v)
         third = 3 * (m * curved).sum(1)
         slope = self.force()
@@ -365,3 +456,18 @@ class Degenerate(NamedTuple):
         product = values.prod(1)
         tests = np.stack([np.where(fork, product, third), np.where(fork, product * third, 1.0)])
         return (values < 0).sum(1), tests, -np.sign(third)[:, None] * slope
+
+
+def _discriminants(points: Degenerate) -> tuple[Array, Array]:
+    """Discriminants of the exponents, and their derivatives by the unknowns by central differences."""
+    x, _, _, _, position, _ = points.parts
+    n, size = x.shape[1], points.unknowns.shape[1]
+    both = np.concatenate([x, position], 1)
+    steps = _DIFFERENCE * np.concatenate([np.eye(n + 2), -np.eye(n + 2), np.zeros((1, n + 2))])
+    moved = (both[:, None] + steps).reshape(-1, n + 2)
+    values = points.potential.exponents(moved[:, :n], moved[:, n:])[0].reshape(len(x), -1)
+    slopes = np.zeros((len(x), size))
+    slopes[:, [*range(n), size - 3, size - 2]] = (values[:, : n + 2] - values[:, n + 2 : -1]) / (
+        2 * _DIFFERENCE
+    )
+    return values[:, -1], slopes

@@ -14,7 +14,7 @@ from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves
-from .singular import Degenerate, Potential
+from .singular import BorderKind, Degenerate, Potential
 
 _LINES, _SAMPLES, _CONTOUR = (
     4,
@@ -89,14 +89,15 @@ def on_sphere(potential: Potential) -> Degenerate:
         m = -np.where(forks, 0.0, ((d - L) * v * x).sum(0))
     unknowns = np.stack([*x, -L, *v, m, *position.T, 0 * L], -1)
     usable = np.isfinite(unknowns).all(1)
-    points, _ = Degenerate(potential, unknowns[usable], forks[usable]).nearest(_ON_SPHERE)
+    kind = np.where(forks, BorderKind.PITCHFORK, BorderKind.FOLD).astype(np.int8)
+    points, _ = Degenerate(potential, unknowns[usable], kind[usable]).nearest(_ON_SPHERE)
     return points.take((np.abs(points.parts[4] - 0.5) <= 0.5).all(1))
 
 
 def near_solutions(
     system: Gyrostat, potential: Potential, points: Callable[[Array], Points], positions: Array, reach: float
-) -> tuple[Degenerate, Array]:
-    """Solutions of bodies, and nearly real ones, that may be degenerate within a reach, and the numbers of solutions, (bodies,).
+) -> tuple[Degenerate, Callable[[], Degenerate], Array]:
+    """Solutions that may be degenerate within a reach, nearly real ones too, those near limits of stability, and their numbers, (bodies,).
 
     A number is nan where it is not certain.
     """
@@ -110,13 +111,19 @@ def near_solutions(
     if potential.mirrored:
         known &= x[..., :3] @ _ANY > 0
     row, place = np.nonzero(known)
-    return Degenerate.near(potential, x[row, place], positions[row], solves[row, place], reach), numbers
+    near = Degenerate.near(potential, x[row, place], positions[row], solves[row, place], reach)
+
+    def limits() -> Degenerate:
+        row, place = np.nonzero(known & solves)
+        return Degenerate.near_limits(potential, x[row, place], positions[row], reach)
+
+    return near, limits, numbers
 
 
 def all_curves(
-    system: Gyrostat, potential: Potential, points: Callable[[Array], Points]
+    system: Gyrostat, potential: Potential, points: Callable[[Array], Points], stability: bool
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
-    """The curves of bodies over two parameters, the axis of a coarse grid, and what is known of its cells, values of `Cell`.
+    """The curves of bodies over two parameters, maybe with limits of stability, the axis of a coarse grid, and what is known of its cells, values of `Cell`.
 
     Where the numbers of equilibria at neighbouring corners differ otherwise than the curves between them say, more curves are
     sought from points between the two.
@@ -125,9 +132,11 @@ def all_curves(
     i, j = np.divmod(np.arange(axis.size**2), axis.size)
     j = np.where(i % 2, CELLS - j, j)  # neighbours are solved from one another
     numbers = np.empty((axis.size, axis.size))
-    near, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
+    near, limits, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
     found = [np.diff(numbers, axis=along) for along in (0, 1)]
     seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
+    if stability:
+        seeds = Degenerate.joined([seeds, limits().settled(2 * reach)])
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.regular())
         expected = expected_differences(lines, axis)
@@ -139,7 +148,7 @@ def all_curves(
         between = [
             axis[each][:, None] + share[:, None] * side for each, side in zip(ends, np.eye(2), strict=True)
         ]
-        more, _ = near_solutions(system, potential, points, np.concatenate(between).reshape(-1, 2), reach)
+        more, _, _ = near_solutions(system, potential, points, np.concatenate(between).reshape(-1, 2), reach)
         seeds = Degenerate.joined([seeds, more.settled(reach)])
     unknown = np.isnan(numbers)
     uncertain = unknown[1:, 1:] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[:-1, :-1]
@@ -153,7 +162,7 @@ def gain(line: Curve) -> Array:
     _, _, covector = line.points.character()
     (along, across) = line.tangents[:, -3:-1].T
     sign = np.sign(covector[:, 1] * along - covector[:, 0] * across)
-    if not line.points.pitchfork[0]:
+    if line.points.kind[0] == BorderKind.FOLD:
         sign = np.full(len(sign), np.sign(sign.sum()))
     return 2 * (1 + line.points.potential.mirrored) * sign
 

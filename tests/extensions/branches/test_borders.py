@@ -141,3 +141,31 @@ def test_bodies_that_cannot_exist_cut_borders():
     cut = excess[ends & inside.values]
     assert np.abs(cut).min() < 1e-9
     assert (np.sort(np.abs(cut)) > 1e-9).sum() % 2 == 0  # both ends of closed curves
+
+
+@pytest.mark.parametrize(
+    ("system", "body", "ranges"),
+    [
+        ("satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (-4.5, -2.0), "k2": (-2.0, 0.5)}),
+        ("fixed_point", {"A": 2.0, "B": 1.2, "C": 1.5, "Mg": 1.0, "x0": 0.4, "y0": -0.2, "z0": 0.3, "l1": 0.3, "l2": 0.5, "l3": -0.2},
+         {"n": (-3.0, 0.0), "N": (-9.0, 9.0)}),
+    ],
+)  # fmt: skip
+def test_limits_of_stability(system, body, ranges):
+    """Solutions beside the curves are linearly stable on one side, and unstable on the other with the same Morse index."""
+    ds = atlas.borders(system, body, ranges, stability=True)
+    limits = ds.isel(vertex=np.flatnonzero(ds.kind.values == BorderKind.LIMIT_OF_STABILITY))
+    assert limits.sizes["vertex"] > 50
+    names, spans = list(ranges), np.array([high - low for low, high in ranges.values()])
+    limits = limits.isel(vertex=slice(10, -10, 7))
+    tangent = np.stack([limits[f"tangent_{name}"] for name in names], -1) / spans
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], -1) / np.linalg.norm(tangent, axis=1)[:, None]
+    growth = []
+    for side in (-1e-4, 1e-4):
+        at = np.stack([limits[name] for name in names], -1) + side * normal * spans
+        rest = atlas.equilibria(system, body | dict(zip(names, at.T, strict=True)))
+        near = np.abs(rest.gamma - limits.gamma.rename(vertex="point")).max("body_axis").argmin("equilibrium")
+        growth.append(rest.growth_rate.isel(equilibrium=near).values)
+    growth = np.sort(growth, axis=0)
+    assert (growth[0] < 1e-8).mean() > 0.95  # and on the other side it is about the root of the distance
+    assert (growth[1] > 1e-4).mean() > 0.9  # but near points where two limits cross

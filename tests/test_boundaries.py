@@ -173,10 +173,11 @@ def names_used(folder: Path) -> dict[str, dict[str, list[str]]]:
 
 
 def test_every_name_that_is_replaced_or_private_has_a_reason():
+    used_of = names_used(TESTS)
     for kind, reasons in (("replaced", REPLACED), ("private", PRIVATE)):
         listed = sorted(name for names in reasons.values() for name in names.split())
         assert listed == sorted(set(listed))
-        used = names_used(TESTS)[kind].keys()
+        used = used_of[kind].keys()
         assert used - set(listed) == set()
         if {path.name for path in (TESTS / "extensions").iterdir()} >= EXTENSIONS:
             assert set(listed) - used == set()

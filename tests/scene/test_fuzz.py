@@ -18,12 +18,14 @@ def cases(kind: str, count: int) -> list[Random]:
     return [Random(f"{kind} 0 {case}") for case in range(round(EFFORT * count))]
 
 
-@pytest.fixture(autouse=True)
-def interpreted(monkeypatch):
-    odd_scenes.use_interpreted_kernels(monkeypatch)
-    logging.disable()
-    yield
-    logging.disable(logging.NOTSET)
+@pytest.fixture(autouse=True, scope="module")
+def interpreted():
+    """Kernels that are not compiled, made once for all tests."""
+    with pytest.MonkeyPatch.context() as patched:
+        odd_scenes.use_interpreted_kernels(patched)
+        logging.disable()
+        yield
+        logging.disable(logging.NOTSET)
 
 
 def test_odd_scenes_are_read_and_checked_or_refused_in_one_line():

@@ -19,7 +19,7 @@ from ..store.place import located
 from ..store.tile import DamagedTile
 from ..store.tiling import Tiling
 from ..systems.base import Mask, derived_variables
-from ..variables import COMPUTED, data_variables
+from ..variables import COMPUTED, data_variables, proofs_of_labels
 from .backend import open_atlas
 from .plan import differences, identity
 from .run import RESULT, RunFolder, result_hash
@@ -130,6 +130,9 @@ def _facts(plan: Plan) -> dict[str, Any]:
         "kernel": plan.kernel_hash,
         "measured": ", ".join(map(str, plan.instruments)),
         "nudge": "some" if plan.nudged else "none",
+        "proved": ", ".join(
+            label for label in proofs_of_labels() if plan.settings.prove and label in plan.names
+        ),
         "runs": "to the end" if not plan.may_stop_early else "until the label is certain",
     }
 

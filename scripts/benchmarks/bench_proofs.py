@@ -106,7 +106,7 @@ def main() -> None:
     rng, edges, shares = np.random.default_rng(options.seed), np.linspace(*SIZES, BINS + 1), {}
     settings = {"rate_tolerance": TOLERANCE, "method": "rk8", "tolerance": 1e-4}
     for kind, (system, make) in KINDS.items():
-        points = make(rng, 6 * options.points)
+        points = make(rng, 8 * options.points)
         exact = atlas.label_points(system, points, duration=1.0, variables=["label_proof"], **settings)
         chosen = np.flatnonzero(exact["label_proof"])[: options.points]
         points = {

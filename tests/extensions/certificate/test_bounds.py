@@ -69,7 +69,7 @@ def extremes(system, points, duration, step):
     return low, high
 
 
-def shares(system, points, bounds, duration=30.0, step=0.02):
+def shares(system, points, bounds, duration=20.0, step=0.025):
     """How much of each bound the motions use, 1 at most, where it is known: range of theta, theta', psi', phi', normal rate."""
     low, high = extremes(system, points, duration, step)
     (least, largest), (n, n_width), (m, m_width) = bounds.sine, bounds.psi_dot, bounds.phi_dot
@@ -113,19 +113,17 @@ def test_bounds_near_any_minimum_of_a_satellite():
     bounds = energy.attitude(SATELLITE.body(points), *SATELLITE.start(points))
     known, used = shares(SATELLITE, points, bounds)
     assert known.sum() > 0.8 * COUNT
-    assert_sharp(used, 0.99, 0.9, 0.9, 0.9, 0.8)
+    assert_sharp(used, 0.99, 0.85, 0.85, 0.85, 0.8)
 
 
-@pytest.mark.parametrize("upside_down", [False, True])
-def test_bounds_of_an_upright_satellite(upside_down):
-    """Also far from the normal, where no bound of the third derivative holds it."""
+def test_bounds_of_an_upright_satellite():
+    """On both sides of the orbit, also far from the normal, where no bound of the third derivative holds it."""
     rng = np.random.default_rng(2)
     points = filled(SATELLITE, **bodies(rng), k3=rng.normal(size=COUNT), theta0=10 ** rng.uniform(-4, -0.3, COUNT),
                     damping=0.1 * (rng.random(COUNT) < 0.3))  # fmt: skip
     across = np.where(points["A"] < points["B"], 0.0, np.pi / 2)
     points["phi0"] = across + 10 ** rng.uniform(-4, -0.3, COUNT)
-    if upside_down:
-        points["theta0"] = np.pi - points["theta0"]
+    points["theta0"] = np.where(rng.random(COUNT) < 0.5, points["theta0"], np.pi - points["theta0"])
     for name in ("theta_dot0", "n", "m"):
         points[name] = 10 ** rng.uniform(-4, -0.5, COUNT) * rng.normal(size=COUNT)
     body, start = SATELLITE.body(points), SATELLITE.start(points)
@@ -190,7 +188,7 @@ def test_the_range_of_a_top_is_exact():
                     theta0=np.arccos(rng.uniform(-0.95, 0.95, COUNT)), theta_dot0=10 ** rng.uniform(-5, 0, COUNT))  # fmt: skip
     w, _, gamma = FIXED_POINT.start(points)
     bounds = top(FIXED_POINT.body(points), w, gamma)
-    known, used = shares(FIXED_POINT, points, bounds, duration=20.0, step=0.005)
+    known, used = shares(FIXED_POINT, points, bounds, duration=10.0, step=0.005)
     assert known.all()
     assert_sharp(used, 0.9999, 0.99, 0.9999, 0.9999, 0.9999)
     assert np.median(used[0]) > 0.999

@@ -12,6 +12,7 @@ from atlas.analysis import compare
 from atlas.flags import Agreement, Label, Status
 from atlas.plotting import content, maps
 from atlas.runs.estimate import dry_run
+from atlas.runs.reuse import Earlier
 
 pytestmark = pytest.mark.usefixtures("coarse_lines")
 
@@ -79,6 +80,14 @@ def test_the_proofs_of_the_labels_are_in_the_atlas():
 )  # fmt: skip
 def test_scenes_that_cannot_be_proved_are_refused(changes, sentence):
     assert_refused(lambda: atlas.load_scene(PROVE | changes), sentence)
+
+
+def test_an_atlas_of_other_labels_gives_no_points(tmp_path):
+    """There a point is left out where both labels are proved."""
+    both, one = ({"outputs": {"variables": names}} for names in (["label", "label_inertial"], ["label"]))
+    atlas.run(PROVE | both, tmp_path / "a.nc", progress=False)
+    sentence = "...a.nc: its points have other bits than those of the scene: it differs in proved (label, label_inertial in ..., label in the scene)"
+    assert_refused(lambda: Earlier.of(tmp_path / "a.nc", atlas.load_scene(PROVE | one)), sentence)
 
 
 def test_without_the_extension_nothing_is_proved(without_extension):

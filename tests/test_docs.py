@@ -39,6 +39,7 @@ EXTENSIONS = {
     "docs/fixed_point_checks.md": {"amer2013"},
     "docs/gallery.md": {"amer2013", "basins", "page"},
     "docs/how_to.md": {"basins", "branches", "yehia2021"},
+    "docs/labels.md": {"certificate"},
     "docs/new_system.md": {"lagrangian"},
     "docs/page.md": {"page"},
     "docs/published.md": {"branches", "normal_form", "published"},

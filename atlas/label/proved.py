@@ -30,6 +30,8 @@ def by_proof(
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
     """Where labels are proved, and there the status and the variables from theory; progress: gets the number of these points."""
     proved, columns = proved_points(plan, tile)
+    if not proved.any():
+        return proved, {}
     tile = tile.subset(proved)
     theory = predict_runs(plan, tile)
     progress(float(tile.duration.size))

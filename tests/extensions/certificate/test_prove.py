@@ -60,6 +60,13 @@ def test_proved_points_are_not_integrated(whole, proved):
     assert (whole["agreement"].values[by_proof] == Agreement.AGREE).all()
 
 
+@pytest.mark.parametrize(("theta0", "labels"), [((0.0, 1e-4), [0, 0]), ((0.1, 0.2), [Label.DRIFTING] * 2)])
+def test_all_points_or_none_may_be_proved(theta0, labels):
+    axes = {"axes": {"theta0": {"values": theta0}}, "outputs": {"variables": ["label", "stable"]}}
+    ds = atlas.run(PROVE | axes, progress=False)
+    assert [*ds["label"].values] == labels
+
+
 def test_the_proofs_of_the_labels_are_in_the_atlas():
     """Also where the scene does not name them; a point is left out where every label of the scene is proved."""
     spin = {"fixed": {"A": 1.0, "B": 1.0, "C": 0.6, "psi0": np.pi / 2, "theta0": np.pi / 2},

@@ -96,6 +96,13 @@ def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
     return np.argpartition(distance, min(_NEIGHBOURS, len(targets)) - 1, axis=1)[:, :_NEIGHBOURS]
 
 
+def _to_sides(positions: Array, along: Array) -> Array:
+    """How far the sides of the box are along each axis, (N, 2)."""
+    with np.errstate(all="ignore"):
+        gaps = np.where(along > 0, 1 - positions, -positions) / along
+    return np.where(along == 0, np.inf, np.maximum(gaps, 0))
+
+
 def _of_place(points: Degenerate, rows: Array) -> Array:
     """Components along x and position of rows over the unknowns."""
     return np.concatenate([rows[:, : points.potential.size], rows[:, -3:-1]], 1)
@@ -133,9 +140,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             break
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
-        with np.errstate(all="ignore"):
-            gaps = np.where(along[:, -2:] > 0, 1 - place[:, -2:], -place[:, -2:]) / along[:, -2:]
-        gaps = np.where(along[:, -2:] == 0, np.inf, np.maximum(gaps, 0))
+        gaps = _to_sides(place[:, -2:], along[:, -2:])
         side, arc = gaps.argmin(1), step[active]
         far = active[total[active] - looked[active] > _LOOK]
         around[far], looked[far] = _nearest(points.take(far).place, targets), total[far]
@@ -155,7 +160,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             own = leaves & (side == i)
             start.unknowns[own, i - 3] = np.where(along[own, i - 2] > 0, 1.0, 0.0)
             row[own] = np.eye(row.shape[1])[i - 3] * np.sign(along[own, i - 2])[:, None]
-        new, error, ahead_t, sign = start.corrected(row, 3)
+        new, error, ahead_t, sign = start.corrected(row, 2)
         new_along, moved = _of_place(now, ahead_t), new.place - place
         cosine = np.clip((new_along * along).sum(1), -1, 1)
         size = np.sqrt((moved**2).sum(1))
@@ -176,9 +181,9 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         ] * ahead_t[accepted]
         tangents[chosen], orientation[chosen] = ahead_t[accepted], sign[accepted]
         growth = np.minimum(_BEND / np.maximum(angle, 1e-9), np.cbrt(_MISSED / np.maximum(missed, 1e-12)))
-        growth = np.clip(growth, 0.5, 1.6)
+        growth = np.clip(growth, 0.5, 2.0)
         step[active] = np.where(
-            accepted, np.minimum(np.where(leaves | meets, step[active], arc) * growth, _LARGEST), 0.5 * arc
+            accepted, np.minimum(np.where(leaves | meets, step[active], arc) * growth, _LARGEST), 0.3 * arc
         )
         steps.append((chosen, new.unknowns[accepted], ahead_t[accepted]))
         same_way = (new_along * target_along[target]).sum(1) > 0

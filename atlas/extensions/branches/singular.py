@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,17 +28,15 @@ from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, Direction, across, length
 
-_NODES, _RESOLVED, _NO_TERM = (
-    (9, 33, 129),
-    1e-13,
-    1e-15,
-)  # of the interpolation by polynomials, and relative sizes of terms
+# Nodes along each axis of the interpolation by polynomials, and relative sizes of terms that are left out of them.
+_NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # of least squares, relative
 _DIFFERENCE = 1e-5  # step of central differences
 _WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
-_ITERATIONS, _EXACT, _NEAR, _NO_FORCE, _REGULAR = 10, 1e-9, 1e-2, 1e-2, 1e-7
-SPHERE = np.eye(3)[None]
+# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
+# which it is one; least singular value of regular points, relative, and their last step.
+_ITERATIONS, _NEAR, _NO_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -233,14 +232,14 @@ class Degenerate(NamedTuple):
     @property
     def parts(self) -> list[Array]:
         """x, l, v, m, position and s, (N, components) each."""
-        (m, n, _), y = self.potential.forms.shape, self.unknowns
-        return np.split(y, np.cumsum([n, m, n, m, 2]), 1)
+        n, size, y = self.potential.size, sum(self.potential.forms.shape[:2]), self.unknowns
+        ends = 0, n, size, size + n, 2 * size, 2 * size + 2, 2 * size + 3
+        return [y[:, start:end] for start, end in pairwise(ends)]
 
     @property
     def place(self) -> Array:
         """x and position, in which distances and lengths of curves are measured, (N, n + 2)."""
-        x, _, _, _, position, _ = self.parts
-        return np.concatenate([x, position], 1)
+        return np.concatenate([self.unknowns[:, : self.potential.size], self.unknowns[:, -3:-1]], 1)
 
     @classmethod
     def joined(cls, parts: Sequence[Degenerate]) -> Degenerate:
@@ -346,9 +345,10 @@ class Degenerate(NamedTuple):
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
         points, step, tangent, _ = self.take(good).corrected(right[good, -1], 3)
-        _, (product, flat), _ = points.character()
         good = (step < _EXACT) & (np.abs(points.unknowns[:, -1]) < _EXACT)
-        good &= ~points.pitchfork | (np.abs(flat) > _EXACT * np.abs(product))  # else equilibria form a line
+        forks = np.flatnonzero(points.pitchfork)
+        _, (product, flat), _ = points.take(forks).character()
+        good[forks] &= np.abs(flat) > _EXACT * np.abs(product)  # else equilibria form a line
         return points.take(good), tangent[good]
 
     @classmethod

@@ -16,23 +16,16 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves
 from .singular import BorderKind, Degenerate, Potential
 
-_LINES, _SAMPLES, _CONTOUR = (
-    4,
-    161,
-    97,
-)  # lines along each axis, samples on each, and of the grid for the zeros of a component
+# Lines along each axis, samples on each, and values along each axis of the grid for the zeros of a component.
+_LINES, _SAMPLES, _CONTOUR = 3, 121, 81
 _ZERO = 1e-20  # a component of c on the line of its zeros, where folds are limits of those beside it
+_ON_SPHERE = 8  # iterations
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
-CELLS = 12  # of the coarse grid of a satellite, along each axis
+CELLS = 12  # of the coarse grid, along each axis
 _RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
 REACH = 1.5  # cells, within which curves are sought from an equilibrium
-
-_ON_SPHERE = 8  # iterations
-_SEARCHES, _BETWEEN, _DIVISIONS = (
-    2,
-    8,
-    4,
-)  # further searches, points on an interval in each, divisions of a segment
+# Further searches, points on an interval in each, and divisions of the segments of curves.
+_SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
 class Cell(Flag):

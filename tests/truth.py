@@ -127,11 +127,11 @@ def exponents_along_runs(rhs, states, constants, duration):
 
 def monodromy_matrix(rhs, state, constants, duration):
     """Derivative of the final state by the initial state of shape (d,), from the variational equations: (d, d)."""
-    d = state.size
+    d, numbers = state.size, constants.tolist()
 
     def variational(_, y):
-        matrix = jacobian_matrices(rhs, y[:d, None], constants[:, None])[0]
-        return np.concatenate([rhs(y[:d], constants), (matrix @ y[d:].reshape(d, d)).ravel()])
+        matrix = jacobian_matrices(rhs, y[:d, None], numbers)[0]
+        return np.concatenate([rhs(y[:d], numbers), (matrix @ y[d:].reshape(d, d)).ravel()])
 
     start = np.concatenate([state, np.eye(d).ravel()])
     solution = solve_ivp(variational, (0, duration), start, "DOP853", rtol=1e-11, atol=1e-12)

@@ -216,19 +216,22 @@ def _integrate_group(
     states, size = start.shape
     rate0, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
 
+    # Rows taken once, which costs a tenth of a slope.
+    each, wide = tuple(constants), tuple(constants[:, :, None])
+
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
-        state = flat.reshape(-1, size)[:states]
-        motion = equations.frame_motion(state, constants)
+        state = tuple(flat.reshape(-1, size)[:states])
+        motion = equations.frame_motion(state, each)
         theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(motion, cylinder)
         psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
         change = theta_dot - rate0
-        rows = [duration * rate for rate in equations.rhs(state, constants)]
+        rows = [duration * rate for rate in equations.rhs(state, each)]
         sums = (theta_dot**2, change, change**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
         return np.concatenate([*rows, *sums])
 
     def theta_along(path: Array) -> tuple[Array, Array]:
-        theta_dot, *_, theta = euler_rates(equations.frame_motion(path, constants[:, :, None]), cylinder)
+        theta_dot, *_, theta = euler_rates(equations.frame_motion(path, wide), cylinder)
         return theta, theta_dot
 
     end = _final_and_range(slope, start, len(RATE_SUMS), rtol, theta_along, theta0, duration, advance)

@@ -195,12 +195,12 @@ def _departure(
     The right-hand side is quadratic in the state and 0 at the equilibrium x: with the state x + e d, e the size of the offset,
     d' = J d + e Q(d), without cancellation for any e.
     """
-    rhs, size = system.equations.rhs, float(np.abs(offset).max())
+    rhs, size, numbers = system.equations.rhs, float(np.abs(offset).max()), constants.tolist()
 
     def slope(_: float, d: Array) -> Array:
         """d' at d."""
         states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call costs little more for three states
-        beside, there, opposite = np.array(rhs(states, constants[:, None])).T
+        beside, there, opposite = np.array(rhs(states, numbers)).T
         return beside.imag / 1e-30 + 0.5 * size * (there.real + opposite.real)
 
     run = solve_ivp(
@@ -231,7 +231,7 @@ def linear_growth(system: System, points: Points, flags: Flags, duration: Array)
 
 def _growth_along(system: System, motion: Any, point: Points, duration: float) -> float:
     """Logarithm of the norm of the fundamental matrix of the equations linearised along a steady motion."""
-    size, constants = len(system.equations.STATE), system.constants(point)
+    size, constants = len(system.equations.STATE), tuple(system.constants(point))
 
     def slope(time: float, flat: Array) -> Array:
         """Slope of the columns of the fundamental matrix."""

@@ -109,7 +109,7 @@ def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array)
         name: np.broadcast_to(np.asarray(columns.get(name, parameter.default), float), before.shape)
         for name, parameter in system.parameters.items()
     }
-    constants, start = system.constants(points), system.initial_state(points)
+    constants, start = tuple(system.constants(points)), system.initial_state(points)
 
     def slope(_: float, flat: Array) -> Array:
         return (-before * np.array(system.equations.rhs(flat.reshape(start.shape), constants))).ravel()

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tarfile
 import zipfile
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -212,9 +213,10 @@ def test_the_core_is_tested_without_the_folder_of_an_extension(monkeypatch, capf
 def test_a_peer_integrates_the_same_motions(name):
     pytest.importorskip(PEERS[name], reason=f"{name} is of the extra `peers`")
     bench = import_module("bench_peers")
+    study = replace(bench.STUDIES["random"], duration=0.5)
     points = bench.satellites(2)
-    peers = bench.all_peers(points)
-    results = bench.measure_all({name: peers[name].make()}, peers, points, 0.5, 1)
+    peers = bench.all_peers(study, points)
+    results = bench.measure_all(study, {name: peers[name].make()}, peers, points, 1)
     assert min(level.error for level in results[name]) < 1e-12
 
 
@@ -232,7 +234,10 @@ def test_times_of_peers_are_written_into_the_pages(tmp_path, monkeypatch):
     (table,) = re.findall(r"<!-- peers_table -->\n(.*?\n)<!-- end -->", paper, re.S)
     assert table in accuracy
     assert "with `rk8`" in readme
-    assert "Slender bodies to T = 1, best of 1 rounds" in accuracy
+    assert "Random bodies to T = 1, best of 1 rounds" in accuracy
+    compared = re.search(r"<!-- peers_all -->\n(.*?)<!-- end -->", accuracy, re.S)[1]
+    for bodies in ("2 satellites", "1 tops", "1 x 8 satellites", "1 x 8 tops", "2 slender satellites"):
+        assert f"| {bodies}, T = 1, 1e-08 |" in compared
     for text, page in zip((readme, accuracy, paper), pages, strict=True):
         assert text != (ROOT / page).read_text()
     assert (tmp_path / "docs" / "peers.png").is_file()

@@ -2,14 +2,17 @@
 
     python scripts/benchmarks/bench_peers.py [--rounds 3] [--only heyoka ...] [--docs .]
 
-The points are random satellites with Omega = 1, magnet and rotor, to T = 50, and slender ones to T = 5, whose spin is
-fast for short times, where one step size for the whole run costs most in comparison with integrators that adapt it.
+The points are random satellites with Omega = 1, magnet and rotor, and random tops with rotor in the Newtonian field, to T = 50
+and to T = 1000, and slender satellites to T = 5, whose spin is fast for short times, where one step size for the whole run
+costs most in comparison with integrators that adapt it. Of the longer runs, and of the tops, only those count that amplify a
+small change by less than 2 T: the others end beyond what a reference can reach.
 Every integrator runs the same points on one processor, in the best way that its documentation gives, at a series of
 tolerances. All take turns; times are processor time, the best of all rounds, because disturbances only ever slow an
 integrator down. The others return the final state alone; this package is measured for the final state alone and with
 all means, standard deviations, extremes and first integrals. All get the equations without damping, in the units that
 make a factor 1. Errors are medians over the first points against SciPy's DOP853 at 3e-14; times are interpolated between
-tolerances to the errors asked for. --docs writes the tables, the figure and the sentence of the README below a folder.
+tolerances to the errors asked for. A lane of the kernels is filled by points with equal steps, so that few points cost more each:
+the number of points is part of the result; of the longer runs this package gets each point several times. --docs writes the tables, the figure and the sentence of the README below a folder.
 Integrators that are not installed are skipped:
 
     pip install -e ".[peers]"      (in a clone of the repository)
@@ -31,6 +34,7 @@ from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from time import process_time
+from types import ModuleType
 
 import numpy as np
 from matplotlib import rc_context
@@ -48,16 +52,14 @@ from atlas.plotting.options import WIDTHS
 from atlas.plotting.style import STYLE
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS, arithmetic
+from atlas.systems.base import System
 from atlas.validation.reference import SAFETY, reference
 
-SYSTEM = SYSTEMS["satellite"]
-EQUATIONS = SYSTEM.equations
-STATES, CONSTANTS = len(EQUATIONS.STATE), len(EQUATIONS.CONSTANTS)
-# Terms without damping, which all integrators leave out.
-UNDAMPED = Specialization.of(SYSTEM, {"damping"}, frozenset())
+SATELLITE, TOP = SYSTEMS["satellite"], SYSTEMS["fixed_point"]
 DRAWN = 8192  # points, of which --points takes the first: the same ones for any number
 WIDTH = 118  # of the lines of pages
-COMPARED = 64  # points at most whose errors are measured
+TOP_RANDOM = ("x0", "y0", "z0", "N", "l1", "l2", "l3", "theta_dot0", "n", "m")
+SLOWER = ("n", "m", "theta_dot0", "k1", "k2", "k3", "h1", "h3")
 # (state, constants, duration, tolerance) -> final states; arrays of shape (rows, points)
 Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 
@@ -65,7 +67,7 @@ Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 def satellites(count: int) -> dict[str, np.ndarray]:
     """Random satellites with every term of the paper present."""
     rng = np.random.default_rng(0)
-    names = [name for name in SYSTEM.parameters if name != "damping"]
+    names = [name for name in SATELLITE.parameters if name != "damping"]
     points = {name: rng.normal(size=count) * 0.3 for name in names} | {"damping": np.zeros(count)}
     points |= {
         "A": rng.uniform(1, 1.4, count),
@@ -82,9 +84,29 @@ def slender(count: int) -> dict[str, np.ndarray]:
     return points | {"A": np.ones(count), "B": 1 + 0.5 * C, "C": C}
 
 
-def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -> Engine:
+def tops(count: int) -> dict[str, np.ndarray]:
+    """Random bodies about a fixed point with weight, field and rotor."""
+    rng = np.random.default_rng(2)
+    points = {name: np.full(count, p.default) for name, p in TOP.parameters.items()}
+    points |= {name: rng.normal(size=count) * 0.3 for name in TOP_RANDOM}
+    points |= {name: rng.uniform(1, 1.4, count) for name in ("A", "B")}
+    return points | {
+        "C": rng.uniform(0.6, 1.9, count), "Mg": np.ones(count), "theta0": rng.uniform(0.2, 2.9, count),
+    }  # fmt: skip
+
+
+def slow_satellites(count: int) -> dict[str, np.ndarray]:
+    """The satellites with rates and rotors of 0.3 of the size, fewer of which are chaotic."""
+    points = satellites(count)
+    return points | {name: 0.3 * points[name] for name in SLOWER}
+
+
+def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], statistics: bool) -> Engine:
     """This package with its own step sizes; the points must be those of the calls."""
-    module, ensemble = kernel(SYSTEM, method, UNDAMPED), Ensemble.of(SYSTEM, points)
+    module, ensemble = (
+        kernel(study.system, method, study.undamped),
+        Ensemble.of(study.system, points),
+    )
 
     def run(state, constants, duration, tolerance):
         part = ensemble.subset(np.arange(state.shape[1]))
@@ -97,41 +119,43 @@ def atlas_engine(method: str, points: dict[str, np.ndarray], statistics: bool) -
     return run
 
 
-def right_hand_side() -> Callable:
+def right_hand_side(study: Study) -> Callable:
     """The equations as the kernels here get them: without damping and the factors that `scaled` makes 1."""
     space: dict = {}
-    exec(simplify(arithmetic.functions(EQUATIONS)["rhs"], UNDAMPED.zero, {}, EQUATIONS.ONES), space)
+    rhs = arithmetic.functions(study.equations)["rhs"]
+    exec(simplify(rhs, study.undamped.zero, {}, study.equations.ONES), space)
     return space["rhs"]
 
 
 @cache
-def derivative_into() -> Callable:
+def derivative_into(study: Study) -> Callable:
     """The right-hand side as a Numba function that writes its result into d, from arrays or pointers."""
+    states, size = len(study.equations.STATE), len(study.equations.CONSTANTS)
     slope, state, constants = (
-        ", ".join(f"{name}[{i}]" for i in range(size))
-        for name, size in (("d", STATES), ("y", STATES), ("c", CONSTANTS))
+        ", ".join(f"{name}[{i}]" for i in range(count))
+        for name, count in (("d", states), ("y", states), ("c", size))
     )
-    space = {"rhs": njit(right_hand_side())}
+    space = {"rhs": njit(right_hand_side(study))}
     exec(f"def into(d, y, c):\n    {slope} = rhs(({state}), ({constants}))", space)
     return njit(space["into"])
 
 
 @cache
-def derivative() -> Callable:
+def derivative(study: Study) -> Callable:
     """The right-hand side as a Numba function of (t, y, constants) that returns an array."""
-    into = derivative_into()
+    into, states = derivative_into(study), len(study.equations.STATE)
 
     @njit
     def derivative_of(t, y, c):
-        d = np.empty(STATES)
+        d = np.empty(states)
         into(d, y, c)
         return d
 
     return derivative_of
 
 
-def scipy_dop853() -> Engine:
-    derivative_of = derivative()
+def scipy_dop853(study: Study) -> Engine:
+    derivative_of = derivative(study)
 
     def run(state, constants, duration, tolerance):
         ends = []
@@ -152,8 +176,8 @@ def scipy_dop853() -> Engine:
     return run
 
 
-def scipy_odeint() -> Engine:
-    derivative_of = derivative()
+def scipy_odeint(study: Study) -> Engine:
+    derivative_of = derivative(study)
 
     def run(state, constants, duration, tolerance):
         times = np.array([0.0, duration])
@@ -168,10 +192,10 @@ def scipy_odeint() -> Engine:
     return run
 
 
-def numbalsoda_dop853() -> Engine:
+def numbalsoda_dop853(study: Study) -> Engine:
     from numbalsoda import dop853, lsoda_sig
 
-    into = derivative_into()
+    into = derivative_into(study)
 
     @cfunc(lsoda_sig)
     def derivative_of(t, y, d, c):
@@ -194,10 +218,10 @@ def numbalsoda_dop853() -> Engine:
     return run
 
 
-def cyrk_dop853() -> Engine:
+def cyrk_dop853(study: Study) -> Engine:
     from CyRK import nb_diffeq_addr, nbsolve2_ivp
 
-    into = derivative_into()
+    into = derivative_into(study)
 
     def derivative_of(d, t, y, c):
         into(d, y, c)
@@ -228,19 +252,21 @@ def cyrk_dop853() -> Engine:
     return run
 
 
-def heyoka_batch() -> Engine:
+def heyoka_batch(study: Study) -> Engine:
     """Taylor's method in batches as wide as the processor's registers; one integrator for each tolerance."""
     import heyoka as hy
 
     width = hy.recommended_simd_size()
-    variables = hy.make_vars(*EQUATIONS.STATE)
-    parameters = [hy.par[i] for i in range(CONSTANTS)]
-    system = list(zip(variables, right_hand_side()(variables, parameters), strict=True))
+    variables = hy.make_vars(*study.equations.STATE)
+    parameters = [hy.par[i] for i in range(len(study.equations.CONSTANTS))]
+    system = list(zip(variables, right_hand_side(study)(variables, parameters), strict=True))
     built = {}
 
     def run(state, constants, duration, tolerance):
         if tolerance not in built:
-            built[tolerance] = hy.taylor_adaptive_batch(system, np.zeros((STATES, width)), tol=tolerance)
+            built[tolerance] = hy.taylor_adaptive_batch(
+                system, np.zeros((len(variables), width)), tol=tolerance
+            )
         taylor, final = built[tolerance], np.empty_like(state)
         for first in range(0, state.shape[1], width):
             part = slice(first, first + width)
@@ -257,14 +283,14 @@ def heyoka_batch() -> Engine:
     return run
 
 
-def diffrax_vmap() -> Engine:
+def diffrax_vmap(study: Study) -> Engine:
     import jax
 
     jax.config.update("jax_enable_x64", True)
     import diffrax
     import jax.numpy as jnp
 
-    rhs = right_hand_side()
+    rhs = right_hand_side(study)
     term = diffrax.ODETerm(lambda t, y, c: jnp.stack(rhs(y, c)))
 
     def integrate(y, c, duration, tolerance):
@@ -296,16 +322,53 @@ class Peer:
 class Study:
     """Points, the length of their runs, and the errors at which times are compared."""
 
+    words: str  # what the points are
+    system: System
     points: Callable[[int], dict[str, np.ndarray]]
     duration: float
     targets: tuple[float, ...]
     peers: tuple[str, ...]  # parts of the names of the integrators
+    share: int = 1  # of the points of the first study: all of them over this
+    compared: int = 64  # points at most whose errors are measured
+    copies: int = 1  # of each point that this package gets, so that few points fill its lanes
+    regular: bool = False  # whether points that amplify a change by more than 2 T are left out
+
+    @property
+    def equations(self) -> ModuleType:
+        return self.system.equations
+
+    @property
+    def undamped(self) -> Specialization:
+        """Terms without damping, which all integrators leave out."""
+        return Specialization.of(self.system, {"damping"}, frozenset())
 
 
+FASTEST = ("heyoka", "numbalsoda", "CyRK")
 STUDIES = {
-    "random": Study(satellites, 50.0, (1e-6, 1e-8, 1e-10), ("",)),
-    "slender": Study(slender, 5.0, (1e-8, 1e-10), ("heyoka",)),
-}
+    "random": Study("satellites", SATELLITE, satellites, 50.0, (1e-6, 1e-8, 1e-10), ("",)),
+    "tops": Study("tops", TOP, tops, 50.0, (1e-6, 1e-8), FASTEST, 2, regular=True),
+    "long": Study("satellites", SATELLITE, slow_satellites, 1000.0, (1e-6, 1e-8), FASTEST, 16, 32, 8, True),
+    "long_tops": Study("tops", TOP, tops, 1000.0, (1e-6, 1e-8), FASTEST, 16, 32, 8, True),
+    "slender": Study("slender satellites", SATELLITE, slender, 5.0, (1e-8, 1e-10), ("heyoka",)),
+}  # fmt: skip
+
+
+def regular_points(study: Study, count: int) -> dict[str, np.ndarray]:
+    """Points of a study; of `regular` ones the first that amplify a change of 1e-9 by less than 2 T."""
+    points = study.points(DRAWN)
+    if study.regular:
+        ensemble = Ensemble.of(study.system, points)
+        settings = Settings(method="rk8", tolerance=1e-8, rate_tolerance=1e30)
+        sizes = StepSizes.of(settings, ensemble.frequency_bound, np.full(ensemble.size, study.duration))
+        module = kernel(study.system, "rk8", study.undamped)
+        change = 1e-9 * np.random.default_rng(0).normal(size=ensemble.state.shape) / 3
+        ends = [
+            each.final_states(module, sizes.steps, sizes.step_size)
+            for each in (ensemble, replace(ensemble, state=ensemble.state + change))
+        ]
+        kept = np.abs(ends[1] - ends[0]).max(0) < 2 * study.duration * 1e-9
+        points = {name: values[kept] for name, values in points.items()}
+    return {name: values[:count] for name, values in points.items()}
 
 
 @dataclass
@@ -323,25 +386,26 @@ class Level:
 Results = dict[str, list[Level]]
 
 
-def all_peers(points: dict[str, np.ndarray]) -> dict[str, Peer]:
+def all_peers(study: Study, points: dict[str, np.ndarray]) -> dict[str, Peer]:
     """This package and the others, by name."""
     decades = [10.0**-k for k in range(5, 14)]
     own = [10.0**-k for k in range(10)]
     scipy_tolerances = [1e-8, 1e-10, 1e-12, 1e-13]
+    copied = {name: np.tile(values, study.copies) for name, values in points.items()}
     atlas_peers = {
         f"atlas {method}" + (" with statistics" if statistics else ""): Peer(
-            partial(atlas_engine, method, points, statistics), own, 1
+            partial(atlas_engine, study, method, copied, statistics), own, 1
         )
         for method in METHODS
         for statistics in (False, True)
     }
     return atlas_peers | {
-        "heyoka batch": Peer(heyoka_batch, [1e-6, *decades[3:]], 1),
-        "numbalsoda dop853": Peer(numbalsoda_dop853, decades, 4),
-        "CyRK DOP853": Peer(cyrk_dop853, decades, 8),
-        "diffrax vmap Dopri8": Peer(diffrax_vmap, decades[::2], 8),
-        "SciPy DOP853": Peer(scipy_dop853, scipy_tolerances, 32),
-        "SciPy odeint": Peer(scipy_odeint, [*scipy_tolerances, 3e-14], 32),
+        "heyoka batch": Peer(partial(heyoka_batch, study), [1e-6, *decades[3:]], 1),
+        "numbalsoda dop853": Peer(partial(numbalsoda_dop853, study), decades, 4),
+        "CyRK DOP853": Peer(partial(cyrk_dop853, study), decades, 8),
+        "diffrax vmap Dopri8": Peer(partial(diffrax_vmap, study), decades[::2], 8),
+        "SciPy DOP853": Peer(partial(scipy_dop853, study), scipy_tolerances, 32),
+        "SciPy odeint": Peer(partial(scipy_odeint, study), [*scipy_tolerances, 3e-14], 32),
     }
 
 
@@ -365,35 +429,37 @@ def installed(peers: dict[str, Peer], parts: Sequence[str], required: bool) -> d
 
 
 def measure_all(
+    study: Study,
     engines: dict[str, Engine],
     peers: dict[str, Peer],
     points: dict[str, np.ndarray],
-    duration: float,
     rounds: int,
 ) -> Results:
     """Run every integrator at every tolerance, in turn; one round more than asked for, which compiles."""
-    state = np.ascontiguousarray(SYSTEM.initial_state(points))
-    constants = np.ascontiguousarray(SYSTEM.constants(points))
-    compared = {name: values[:COMPARED] for name, values in points.items()}
-    truth = reference(SYSTEM, compared, np.full(compared["A"].size, duration), Settings())
+    system, duration = study.system, study.duration
+    state = np.ascontiguousarray(system.initial_state(points))
+    constants = np.ascontiguousarray(system.constants(points))
+    compared = {name: values[: study.compared] for name, values in points.items()}
+    truth = reference(system, compared, np.full(compared["A"].size, duration), Settings())
     floor = truth.state_error / SAFETY  # medians need no margin
     print(f"reference to T = {duration:g}: median error {np.median(floor):.1e}", flush=True)
     results: Results = {name: [Level(np.nan, []) for _ in peers[name].tolerances] for name in engines}
     for _ in range(rounds + 1):
         for name, run in engines.items():
             size = max(state.shape[1] // peers[name].share, 1)
-            start, data = state[:, :size], constants[:, :size]
             foreign = not name.startswith("atlas")
+            copies = 1 if foreign else study.copies
+            start, data = (np.tile(each[:, :size], copies) for each in (state, constants))
             if foreign:
-                start, data = map(np.array, EQUATIONS.scaled(start, data, 1.0))
+                start, data = map(np.array, system.equations.scaled(start, data, 1.0))
             start, data = np.ascontiguousarray(start), np.ascontiguousarray(data)
             for tolerance, level in zip(peers[name].tolerances, results[name], strict=True):
                 began = process_time()
                 final = run(start, data, duration, tolerance)
-                level.microseconds.append(1e6 * (process_time() - began) / size)
+                level.microseconds.append(1e6 * (process_time() - began) / (size * copies))
                 if foreign:
-                    final = np.array(EQUATIONS.unscaled(final, data, 1.0))
-                both = min(size, COMPARED)
+                    final = np.array(system.equations.unscaled(final, data, 1.0))
+                both = min(size, study.compared)
                 error = np.abs(final[:, :both] - truth.state[:, :both]).max(0)
                 level.error = float(np.median(np.maximum(error, floor[:both])))
     return results
@@ -487,7 +553,7 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--points", type=int, default=2048, help="of the fastest; others run a part of them")
-    parser.add_argument("--duration", type=float, help="default: that of the points, 50 and 5")
+    parser.add_argument("--duration", type=float, help="of the runs, in place of 5, 50 and 1000")
     parser.add_argument(
         "--only", nargs="+", help="integrators whose names contain one of these, beside this package"
     )
@@ -496,24 +562,45 @@ def main() -> None:
     # One processor for all, also for libraries with threads of their own.
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    ratios: dict[str, dict[str, str]] = {}
     for bodies, study in STUDIES.items():
-        points = {name: values[: options.points] for name, values in study.points(DRAWN).items()}
-        duration = options.duration or study.duration
-        peers = all_peers(points)
+        study = replace(study, duration=options.duration or study.duration)
+        points = regular_points(study, max(options.points // study.share, 1))
+        peers = all_peers(study, points)
         required = options.docs is not None and options.only is None
         engines = installed(peers, options.only or study.peers, required)
-        results = measure_all(engines, peers, points, duration, options.rounds)
+        results = measure_all(study, engines, peers, points, options.rounds)
         text, words = table(results, study.targets)
-        caption = f"{bodies.capitalize()} bodies to T = {duration:g}, {machine(options.rounds)}."
-        print(f"{text}\n{caption}", flush=True)
-        if options.docs:
+        caption = f"Random bodies to T = {study.duration:g}, {machine(options.rounds)}."
+        count = f"{points['A'].size}{f' x {study.copies}' if study.copies > 1 else ''}"
+        print(f"{text}\n{count} {study.words}. {caption}", flush=True)
+        base = results["atlas rk8"]
+        for target in study.targets:
+            column = f"{count} {study.words}, T = {study.duration:g}, {target:.0e}"
+            ratios[column] = {
+                name: f"{time_at(levels, target) / time_at(base, target):.2f}".replace("nan", "")
+                for name, levels in results.items()
+            }
+        if options.docs and bodies == "random":
             docs = options.docs / "docs"
-            fill(docs / "accuracy.md", f"peers_{bodies}", f"{text}\n\n*{textwrap.fill(caption, WIDTH)}*")
-            if bodies == "random":
-                draw(results, docs / "peers.png", duration)
-                fill(docs / "paper" / "paper.md", "peers_table", text)
-                words = f"For random satellites to T = {duration:g}, with a median error of 1e-8, this is {words}."
-                fill(options.docs / "README.md", "peers_words", textwrap.fill(words, WIDTH))
+            fill(docs / "accuracy.md", "peers_random", f"{text}\n\n*{textwrap.fill(caption, WIDTH)}*")
+            draw(results, docs / "peers.png", study.duration)
+            fill(docs / "paper" / "paper.md", "peers_table", text)
+            words = f"For random satellites to T = {study.duration:g}, with a median error of 1e-8, this is {words}."
+            fill(options.docs / "README.md", "peers_words", textwrap.fill(words, WIDTH))
+    names = {name: None for column in ratios.values() for name in column}
+    rows = [
+        ["time over that of atlas rk8", *names],
+        *([column, *(own.get(name, "") for name in names)] for column, own in ratios.items()),
+    ]
+    rows.insert(1, ["---"] * len(rows[0]))
+    text = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    caption = f"Time per point at equal median error of the final state, {machine(options.rounds)}."
+    print(text)
+    if options.docs:
+        fill(
+            options.docs / "docs" / "accuracy.md", "peers_all", f"{text}\n\n*{textwrap.fill(caption, WIDTH)}*"
+        )
 
 
 if __name__ == "__main__":

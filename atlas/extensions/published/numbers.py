@@ -14,6 +14,7 @@ import numpy as np
 
 import atlas
 
+from ...analysis.metadata import flag_names
 from ...errors import BadInput, one_line
 
 # With these moments (y1, y2, y3) = SCALES (p, q, r) obeys y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
@@ -56,7 +57,7 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
     values = np.asarray(result[output])
     if flag:
         flags = result[flag_variable]
-        values = values[flags.values == flags.attrs["flag_meanings"].split().index(flag)]
+        values = values[flags.values == flag_names(flags).index(flag)]
     ours, printed = float(TAKE[take](values)), Decimal(entry["printed"])
     decimals, difference = -int(printed.as_tuple().exponent), abs(ours - float(printed))
     shown = min(decimals + 1, entry.get("decimals", decimals + 1))

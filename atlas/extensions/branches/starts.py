@@ -35,7 +35,7 @@ class Cell(Flag):
     NOT_CERTAIN = 1, "the number of equilibria at a corner is not certain, or they are not isolated"
     UNEXPLAINED = (
         2,
-        "the numbers of equilibria at its corners differ otherwise than the curves say: one is missed",
+        "the numbers at its corners differ otherwise, or a curve is lost in it: not all are known",
     )
 
 
@@ -146,6 +146,10 @@ def all_curves(
     unknown = np.isnan(numbers)
     uncertain = unknown[1:, 1:] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[:-1, :-1]
     missed = wrong[0][:, 1:] | wrong[0][:, :-1] | wrong[1][1:] | wrong[1][:-1]
+    for line in lines:
+        if line.lost:
+            where = np.searchsorted(axis, line.points.parts[4][[0, -1]]) - 1
+            missed[tuple(np.clip(where, 0, CELLS - 1).T)] = True
     cells = np.select([uncertain, missed], [Cell.NOT_CERTAIN, Cell.UNEXPLAINED], Cell.COUNTED)
     return lines, axis, cells.astype(np.int8)
 

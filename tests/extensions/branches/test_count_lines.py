@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import assert_refused
 from truth import REFERENCE
 
 import atlas
@@ -48,6 +49,17 @@ def test_lines_are_where_equilibria_vanish(rotor_map):
         omega = lines.Omega.values[nearest == value]
         assert omega.min() < 0.55
         assert omega.max() > min(1.45, 4.0 / value - 0.05)
+
+
+def test_borders_of_an_atlas(rotor_map):
+    """Half a cell beyond the points, as on a map; four values of k3 / Omega are pitchforks, no others are borders."""
+    ds = rotor_map.atlas.borders()
+    ratio = (ds.k3 / ds.Omega).values
+    np.testing.assert_allclose(np.abs(ratio[:, None] - CRITICAL).min(1), 0, atol=1e-12)
+    assert float(ds.k3.max()) == pytest.approx(4.0 + 0.5 * (4.0 - 0.05) / 32)
+    assert float(ds.A) == 1.0
+    sentence = "borders: needs an atlas of a scene with two axes; use select for the others"
+    assert_refused(rotor_map.isel(k3=0).atlas.borders, sentence)
 
 
 def test_lines_on_one_axis():

@@ -49,7 +49,8 @@ REPLACED = {
         runs.memory.evaluate runs/test_zarr.py:?.?
     """,
     "what is computed, call by call": """
-        analysis.boundary.theory_borders analysis.convergence.columns_of kernel.specialization.kernel runs.estimate._measure
+        analysis.boundary.theory_borders analysis.convergence.columns_of extensions.certificate.energy.reach
+        kernel.specialization.kernel runs.estimate._measure
         runs.estimate.derived_values runs.estimate.evaluate runs.estimate.predict_runs runs.folder.evaluate_at
         systems.satellite.SATELLITE.?
     """,

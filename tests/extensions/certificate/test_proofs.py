@@ -183,6 +183,7 @@ def test_rounding_errors_are_part_of_the_bounds():
     }
     still, slow, fast = proofs("satellite", **body)["proof_bound"]
     assert 1e-8 < still < 3e-7 < slow < 1e-4 < fast < 1e-2
+    assert 1e-8 < proofs("satellite", B=1.3, C=1.6, k3=0.3)["proof_bound"] < 1e-6
     # A start that differs by one rounding of the momentum has its energy within these bounds.
     nudged = proofs("satellite", **body | {"k3": -0.6 * spin * (1 + 2.0**-52)})["proof_bound"]
     assert nudged[2] < 1.5 * fast

@@ -191,6 +191,15 @@ def test_starts_off_the_unit_sphere_are_not_computed():
         atlas.run(scene_from(scene | {"ties": {"gamma30": "7"}}), progress=False)
 
 
+def test_points_may_have_starts_of_either_kind():
+    """Those without p0 to gamma30 start from the angles; the parameters of the others are coordinates all the same."""
+    starts = {"p0": 0.1, "q0": 0.0, "r0": 0.3, "gamma10": 0.0, "gamma20": 0.0, "gamma30": 1.0}
+    either = {name: [np.nan, value] for name, value in starts.items()}
+    ds = atlas.label_points("fixed_point", {"C": 0.5, "m": [1.0, 0.0], **either}, duration=1.0)
+    np.testing.assert_array_equal(ds.coords["p0"], either["p0"])
+    assert ds.label.values.tolist() == [Label.PERMANENT_ROTATION, Label.DRIFTING]
+
+
 def test_a_few_possible_bodies_among_many_points_are_found():
     """The points that are checked first miss them."""
     count = 3 * grid.MAX_CHECKED_STARTS

@@ -21,7 +21,9 @@ _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
 _ZERO = 1e-20  # a component of c on the line of its zeros, where folds are limits of those beside it
 _ON_SPHERE = 8  # iterations
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
-CELLS = 12  # of the coarse grid, along each axis
+CELLS = (
+    13  # of the coarse grid, along each axis: odd, since the middle of ranges is often a plane of symmetry
+)
 _RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
 REACH = 1.5  # cells, within which curves are sought from an equilibrium
 # Further searches, points on an interval in each, and divisions of the segments of curves.

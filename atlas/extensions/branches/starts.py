@@ -25,7 +25,7 @@ CELLS = (
     13  # of the coarse grid, along each axis: odd, since the middle of ranges is often a plane of symmetry
 )
 _RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
-REACH = 1.5  # cells, within which curves are sought from an equilibrium
+REACH = 2.0  # cells, within which curves are sought from an equilibrium
 # Further searches, points on an interval in each, and divisions of the segments of curves.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 

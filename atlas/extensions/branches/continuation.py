@@ -181,9 +181,9 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         ] * ahead_t[accepted]
         tangents[chosen], orientation[chosen] = ahead_t[accepted], sign[accepted]
         growth = np.minimum(_BEND / np.maximum(angle, 1e-9), np.cbrt(_MISSED / np.maximum(missed, 1e-12)))
-        growth = np.clip(growth, 0.5, 2.0)
+        growth = np.clip(growth, 0.5, 1.6)
         step[active] = np.where(
-            accepted, np.minimum(np.where(leaves | meets, step[active], arc) * growth, _LARGEST), 0.3 * arc
+            accepted, np.minimum(np.where(leaves | meets, step[active], arc) * growth, _LARGEST), 0.5 * arc
         )
         steps.append((chosen, new.unknowns[accepted], ahead_t[accepted]))
         same_way = (new_along * target_along[target]).sum(1) > 0

@@ -48,7 +48,7 @@ class Comparison:
         self.size = self.points.duration.size
         scenes = [replace(scene, settings=replace(scene.settings, method=method)) for method in METHODS]
         plans = [ScenePlan(each, self.points) for each in scenes]
-        self.estimate = plans[0].relative_costs()["rk8"]
+        self.estimate = plans[0].relative_costs["rk8"]
         sizes = [plan.step_sizes for plan in plans]
         ensemble = Ensemble.of(scene.system, self.points.points)
         integrations = [

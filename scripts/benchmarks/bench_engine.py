@@ -167,6 +167,8 @@ def peak_kernel(step: Instructions) -> Callable[[int], float]:
     @intrinsic
     def loop(typing_context, rounds):
         def generate(context, builder, signature, arguments):
+            # As `full_vectors` of the kernels: LLVM would split the vectors.
+            set.add(builder.function.attributes, '"prefer-vector-width"="512"')
             entry = builder.block
             body, done = builder.append_basic_block("body"), builder.append_basic_block("done")
             fma = cgutils.get_or_insert_function(

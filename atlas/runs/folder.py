@@ -128,6 +128,8 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
             with suppress(OSError):
                 folder.place.remove(name)
     save = partial(folder.place.write, f"progress-{process_name()}.json", durable=False)
+    if folder.tiles.missing():
+        execution.name_cheaper_method()
     bar = Progress(0, show=execution.progress, save=save, facts=facts)
     try:
         with execution.stack:

@@ -79,14 +79,14 @@ class Execution:
             text = estimate.long_run(plan, 1 if options["scheduler"] else processors, 1 / shard[1], unit)
             dataset.log_warnings([text] if text else [])
         dataset.log_warnings(plan.warnings)
-        if (
-            options.get("progress")
-            and not plan.has_chaos
-            and min(plan.relative_costs.values(), default=1) < 1
-        ):
-            with announced(True):
-                say("\n".join(plan.method_lines()))
         return cls(plan, earlier, **{**options, "shard": shard})
+
+    def name_cheaper_method(self) -> None:
+        """Print, as the first line of the progress, what another method would cost if that is less."""
+        costs = {} if self.plan.has_chaos or not self.progress else self.plan.relative_costs
+        if min(costs.values(), default=1) < 1:
+            with announced(True):
+                say("\n".join(self.plan.method_lines()))
 
     @property
     def time_is_up(self) -> bool:
@@ -111,6 +111,7 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
     """Compute an atlas without a run folder."""
     plan, threads, progress = execution.plan, execution.threads, execution.progress
     scene, stopwatch, reused = plan.scene, Stopwatch(), Counter[str]()
+    execution.name_cheaper_method()
     if scene.refine is None:
         with closing(Progress(scene.size, show=progress)) as bar:
             columns, reused = columns_of(plan, bar, threads, execution.earlier)

@@ -109,7 +109,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     hours |= {name: ratio * hours[scene.settings.method] for name, ratio in plan.relative_costs.items()}
     in_flight = 1 if workers else plan.tiles_in_flight(processors)
     memory = (workers or 1) * (cost.memory + (in_flight - 1) * cost.bytes_per_tile)
-    share = _share_for_labels(plan, threads)
+    statistics = _statistics_lines(plan, threads)
     phase_error = plan.step_sizes.dispersion_error[exists].max()
     division, contents = "near the borders that theory predicts", ""
     if scene.refine is None:
@@ -131,7 +131,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         f" ({plan.mean_steps:.4g} steps a point, {1e9 * cost.seconds_per_step * processors:.3g} ns a step and"
         f" processor), of which theory {clock(expected.theory_seconds)}",
         *plan.method_lines(),
-        *([] if share is None else plan.statistics_lines(share)),
+        *statistics,
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",
@@ -139,20 +139,21 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     return "\n".join([*lines, *plan.step_warnings()])
 
 
-def _share_for_labels(plan: ScenePlan, threads: int | None) -> float | None:
-    """Steps of some points until their labels are certain, over steps of whole runs; None where no run may end early, or all take long."""
+def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
+    """A sentence on the share of the integration that is left without statistics, measured on some points unless whole runs take long."""
     labels = plan.points.without_statistics
     if labels is None:
-        return None
+        return []
     exists, steps = np.flatnonzero(plan.sample.exists), plan.step_sizes.without_unresolved().steps
     count = int(min(LABEL_STEPS / plan.mean_steps, exists.size))
     chosen = exists[np.linspace(0, exists.size - 1, count).astype(np.int64)]
     if count < LEAST_POINTS or steps[chosen].sum() > 2 * LABEL_STEPS:
-        return None
+        return []
     part = plan.sample.subset(chosen)
     ended = evaluate(replace(labels, outputs=[*labels.names, "end_time"]), part, threads=threads)["end_time"]
     share = np.minimum(np.nan_to_num(ended) / part.duration, 1.0)
-    return float((share * steps[chosen]).sum() / steps[chosen].sum())
+    left = (share * steps[chosen]).sum() / steps[chosen].sum()
+    return [f"statistics: they need whole runs; without them about {left:.2g} of the integration"]
 
 
 def check_memory(scene: Scene) -> None:

@@ -120,7 +120,8 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
     """Compute the missing tiles of a run or shard; this process counts as at work while the context is open."""
     explain_kept(folder.progress_text)
     part, parts = execution.shard
-    if isinstance(folder.place, Folder) and any(tile % parts == part - 1 for tile in folder.tiles.missing()):
+    is_missing = any(tile % parts == part - 1 for tile in folder.tiles.missing())
+    if isinstance(folder.place, Folder) and is_missing:
         check_folder(folder.place.path / "tiles" / "tile")
     facts = {"shard": f"{part}/{parts}", "host": socket.gethostname()}
     for name, content, state in folder.processes():
@@ -128,7 +129,7 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
             with suppress(OSError):
                 folder.place.remove(name)
     save = partial(folder.place.write, f"progress-{process_name()}.json", durable=False)
-    if folder.tiles.missing():
+    if is_missing:
         execution.name_cheaper_method()
     bar = Progress(0, show=execution.progress, save=save, facts=facts)
     try:

@@ -186,21 +186,21 @@ class ScenePlan:
 
         return method_lines(self.scene.settings.method, self.relative_costs)
 
-    def statistics_lines(self, share: float | None = None) -> list[str]:
-        """A sentence on the runs that would end early without statistics; share: time of the integration then, if it was measured."""
+    def statistics_lines(self) -> list[str]:
+        """A sentence on the runs that by theory would end early without statistics."""
         if self.points.without_statistics is None:
             return []
-        if share is not None:
-            return [f"statistics: they need whole runs; without them about {share:.2g} of the integration"]
         from ..label.theory import predict_runs
 
         places = np.linspace(0, (exists := np.flatnonzero(self.sample.exists)).size - 1, MAX_PREDICTED)
         part = self.sample.subset(exists[np.unique(places.astype(np.int64))])
         drifting = predict_runs(self.points, part).variables["predicted"] == Label.DRIFTING
+        if not drifting.any():
+            return []
         return [
             f"statistics: they need whole runs; without them the {100 * drifting.mean():.3g} % of the points that drift by theory"
             " would end once that is certain"
-        ] * bool(drifting.any())
+        ]
 
 
 def identity(plan: Plan) -> dict[str, str]:

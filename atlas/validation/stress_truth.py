@@ -200,8 +200,8 @@ def _departure(
     def slope(_: float, d: Array) -> Array:
         """d' at d."""
         states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call costs little more for three states
-        beside, there, opposite = np.array(rhs(states, numbers)).T
-        return beside.imag / 1e-30 + 0.5 * size * (there.real + opposite.real)
+        tangent, ahead, behind = np.array(rhs(states, numbers)).T
+        return tangent.imag / 1e-30 + 0.5 * size * (ahead.real + behind.real)
 
     run = solve_ivp(
         slope, (0.0, duration), offset / size, "DOP853", rtol=1e-11, atol=1e-11, dense_output=True

@@ -38,6 +38,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 import atlas
 from atlas.kernel import blocks, machine_code
 from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.intrinsics import full_vectors
 from atlas.kernel.specialization import Specialization, kernel, source, tangent_kernel
 from atlas.kernel.stepsize import StepSizes
 from atlas.kernel.tangent import METHOD
@@ -167,8 +168,6 @@ def peak_kernel(step: Instructions) -> Callable[[int], float]:
     @intrinsic
     def loop(typing_context, rounds):
         def generate(context, builder, signature, arguments):
-            # As `full_vectors` of the kernels: LLVM would split the vectors.
-            set.add(builder.function.attributes, '"prefer-vector-width"="512"')
             entry = builder.block
             body, done = builder.append_basic_block("body"), builder.append_basic_block("done")
             fma = cgutils.get_or_insert_function(
@@ -203,6 +202,7 @@ def peak_kernel(step: Instructions) -> Callable[[int], float]:
 
     @njit(nogil=True)
     def peak(rounds):
+        full_vectors()
         return loop(rounds)
 
     peak(1)

@@ -240,17 +240,17 @@ def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
 
 def borders_of_plane(plane: Plane, stability: bool = False) -> xr.Dataset:
     """The borders on a plane of the axes of a scene, as `borders`."""
-    found, (first, second) = Borders.of(plane, stability), plane.extent
-    columns = _vertices(found) | _special(found)
-    sides = [0.5 * (found.axis[1:] + found.axis[:-1])] * 2
-    centres = found.values(np.stack(sides, -1)).T
+    curves, (first, second) = Borders.of(plane, stability), plane.extent
+    columns = _vertices(curves) | _special(curves)
+    sides = [0.5 * (curves.axis[1:] + curves.axis[:-1])] * 2
+    centres = curves.values(np.stack(sides, -1)).T
     coordinates = {f"cell_{name}": centre for name, centre in zip((first, second), centres, strict=True)}
     ds = dataset.dataset(replace(plane.scene, outputs=()), {})
     own = {name: ds[name].attrs for name in (first, second)}
     starts = {name for name, parameter in plane.scene.system.parameters.items() if parameter.start}
     varying = {str(name) for name in ds.coords if ds[name].ndim}
     ds = ds.drop_vars([*starts - {*plane.scene.fixed}, *varying], errors="ignore").assign_coords(plane.fixed)
-    ds = ds.assign(columns).assign(cells=(tuple(coordinates), found.cells)).assign_coords(coordinates)
+    ds = ds.assign(columns).assign(cells=(tuple(coordinates), curves.cells)).assign_coords(coordinates)
     for name in [*columns, *coordinates, "cells"]:
         base = name.removeprefix("special_").removeprefix("tangent_").removeprefix("cell_")
         ds[name].attrs = _OWN.get(name) or own.get(base) or attributes(base)
@@ -297,48 +297,50 @@ def table(ds: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _vertices(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Variables over the vertices of all borders."""
-    points = Degenerate.joined([found.potential.none(), *(line.points for line in found.lines)])
-    rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in found.lines)])
-    sizes = [len(line.tangents) for line in found.lines]
+    points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
+    rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
+    sizes = [len(line.tangents) for line in curves.lines]
     index, *_ = points.character()
     residual, matrix = points.equations()
     condition = np.linalg.cond(np.concatenate([matrix, rows[:, None]], 1), 1)
-    columns = _attitudes(found, points) | {
+    columns = _attitudes(curves, points) | {
         "curve": np.repeat(np.arange(len(sizes), dtype=np.int16), sizes),
         "kind": points.kind,
-        "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in found.lines)]),
+        "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in curves.lines)]),
         "index_below": index.astype(np.int8),
         "index_above": (index + (points.kind != BorderKind.LIMIT_OF_STABILITY)).astype(np.int8),
-        "count_change": np.concatenate([np.zeros(0), *found.gains]).astype(np.int8),
+        "count_change": np.concatenate([np.zeros(0), *curves.gains]).astype(np.int8),
         "residual": np.abs(residual).max(1), "condition": condition,
     }  # fmt: skip
-    slopes = found.slopes(points.parts[4], rows[:, -3:-1])
-    columns |= {f"tangent_{name}": slope for name, slope in zip(found.plane.extent, slopes.T, strict=True)}
+    slopes = curves.slopes(points.parts[4], rows[:, -3:-1])
+    columns |= {f"tangent_{name}": slope for name, slope in zip(curves.plane.extent, slopes.T, strict=True)}
     return {name: (("vertex", "body_axis")[: column.ndim], column) for name, column in columns.items()}
 
 
-def _special(found: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def _special(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Variables over the special points of all borders."""
-    points, curve, kind = found.potential.none(), [], []
+    points, curve, kind = curves.potential.none(), [], []
     for i, special in enumerate((SpecialKind.CUSP, SpecialKind.MEETING)):
         for column in (0, 1):
-            chosen = [n for n, line in enumerate(found.lines) if line.points.kind[0] == i + 1]
-            lines = [found.lines[n] for n in chosen]
+            chosen = [n for n, line in enumerate(curves.lines) if line.points.kind[0] == i + 1]
+            lines = [curves.lines[n] for n in chosen]
             if lines and (i or not column):
                 number, at = zeros(lines, partial(_test, column))
                 points = Degenerate.joined([points, at])
                 curve += [chosen[n] for n in number]
                 kind += [special] * len(number)
-    for n, line in enumerate(found.lines):
+    for n, line in enumerate(curves.lines):
         if line.points.kind[0] == BorderKind.LIMIT_OF_STABILITY and not line.closed:
             ends = line.points.take([0, -1])
-            ends = ends.take(np.abs(found.potential.exponents(ends.parts[0], ends.parts[4])[1]) < _MEETS_AT_0)
+            ends = ends.take(
+                np.abs(curves.potential.exponents(ends.parts[0], ends.parts[4])[1]) < _MEETS_AT_0
+            )
             points = Degenerate.joined([points, ends])
             curve += [n] * len(ends.kind)
             kind += [SpecialKind.ZERO_AND_PAIR] * len(ends.kind)
-    columns = _attitudes(found, points) | {
+    columns = _attitudes(curves, points) | {
         "curve": np.array(curve, np.int16),
         "kind": np.array(kind, np.int8),
     }
@@ -353,7 +355,7 @@ def _test(column: int, points: Degenerate) -> Array:
     return points.character()[1][column]
 
 
-def _attitudes(found: Borders, points: Degenerate) -> dict[str, np.ndarray]:
+def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
     """Parameters and attitudes of points."""
-    values = dict(zip(found.plane.extent, found.values(points.parts[4]).T, strict=True))
-    return values | described(frames_of(*found.potential.attitudes(points.parts[0])))
+    values = dict(zip(curves.plane.extent, curves.values(points.parts[4]).T, strict=True))
+    return values | described(frames_of(*curves.potential.attitudes(points.parts[0])))

@@ -96,13 +96,6 @@ def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
     return np.argpartition(distance, min(_NEIGHBOURS, len(targets)) - 1, axis=1)[:, :_NEIGHBOURS]
 
 
-def _to_sides(positions: Array, along: Array) -> Array:
-    """How far the sides of the box are along each axis, (N, 2)."""
-    with np.errstate(all="ignore"):
-        gaps = np.where(along > 0, 1 - positions, -positions) / along
-    return np.where(along == 0, np.inf, np.maximum(gaps, 0))
-
-
 def _of_place(points: Degenerate, rows: Array) -> Array:
     """Components along x and position of rows over the unknowns."""
     return np.concatenate([rows[:, : points.potential.size], rows[:, -3:-1]], 1)
@@ -132,7 +125,10 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
     *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 0)
     bend, step, active = np.zeros_like(tangents), np.full(ends.size, _FIRST), np.arange(ends.size)
-    around, looked = np.zeros((ends.size, min(_NEIGHBOURS, len(targets))), int), np.full(ends.size, -np.inf)
+    around, search_arc = (
+        np.zeros((ends.size, min(_NEIGHBOURS, len(targets))), int),
+        np.full(ends.size, -np.inf),
+    )
     steps = [(active, points.unknowns.copy(), tangents.copy())]
     last, total, mirrored = np.full(ends.size, -2), np.zeros(ends.size), np.zeros(ends.size, bool)
     for _ in range(_STEPS):
@@ -140,10 +136,12 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             break
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
-        gaps = _to_sides(place[:, -2:], along[:, -2:])
+        with np.errstate(all="ignore"):  # how far the sides of the box are along each axis
+            gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -2:]
+        gaps[along[:, -2:] == 0] = np.inf
         side, arc = gaps.argmin(1), step[active]
-        far = active[total[active] - looked[active] > _LOOK]
-        around[far], looked[far] = _nearest(points.take(far).place, targets), total[far]
+        far = active[total[active] - search_arc[active] > _LOOK]
+        around[far], search_arc[far] = _nearest(points.take(far).place, targets), total[far]
         near = around[active]
         ahead, across = _along_and_across(targets[near] - place[:, None], along)
         is_ahead = (ahead > _ON_CURVE) & (ahead < 1.5 * _LARGEST) & (across < (_OBLIQUE * ahead) ** 2)

@@ -128,15 +128,15 @@ def all_curves(
     j = np.where(i % 2, CELLS - j, j)  # neighbours are solved from one another
     numbers = np.empty((axis.size, axis.size))
     near, limits, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
-    found = [np.diff(numbers, axis=along) for along in (0, 1)]
+    jumps = [np.diff(numbers, axis=along) for along in (0, 1)]
     seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
     if stability:
         seeds = Degenerate.joined([seeds, limits().settled(2 * reach)])
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.regular())
         expected = expected_differences(lines, axis)
-        wrong = [f != e for f, e in zip(found, expected, strict=True)]
-        ends = [np.argwhere(each & np.isfinite(f)) for each, f in zip(wrong, found, strict=True)]
+        wrong = [f != e for f, e in zip(jumps, expected, strict=True)]
+        ends = [np.argwhere(each & np.isfinite(f)) for each, f in zip(wrong, jumps, strict=True)]
         if attempt == _SEARCHES or not any(map(len, ends)):
             break
         share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])

@@ -39,9 +39,9 @@ def proved(system: Gyrostat, points: Points, tolerances: Tolerances) -> dict[str
                         columns[PROOFS.proofs_of[name]],
                         columns[name.replace("label", "predicted")],
                     )
-                    found, deviation = label(bounds, tolerances, frame_rate[where])
-                    new = (found > 0) & (kinds[where] == Proof.NONE)
-                    labels[where[new]], kinds[where[new]] = found[new], kind
+                    flags, deviation = label(bounds, tolerances, frame_rate[where])
+                    new = (flags > 0) & (kinds[where] == Proof.NONE)
+                    labels[where[new]], kinds[where[new]] = flags[new], kind
                 columns[BOUND][where] = np.fmin(columns[BOUND][where], deviation)
     return columns
 

@@ -46,8 +46,8 @@ def top(body: Body, w: Array, gamma: Array) -> Bounds:
     ends = []
     for sign in (-1.0, 1.0):
         limit = np.where(sign * x0 > 0, sine2 / (1 + np.abs(x0)), 1 + np.abs(x0))
-        found = reach([sign**k * f[k] + errors[k] for k in range(5)], limit)
-        ends.append(sign * np.where(np.isnan(found), limit, found))
+        distance = reach([sign**k * f[k] + errors[k] for k in range(5)], limit)
+        ends.append(sign * np.where(np.isnan(distance), limit, distance))
     low, high = y = np.array(ends)
     half, farthest = 0.5 * (high - low), np.abs(y).max(0)
     squares = np.maximum(sine2 - 2 * x0 * y - y**2, 0.0)

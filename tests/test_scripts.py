@@ -182,14 +182,16 @@ def test_the_packages_are_checked(tmp_path, monkeypatch, capsys):
 
 def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    for folder in ("atlas", "tests", "scripts/tools"):
+    monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "cache"))
+    for folder in ("atlas", "tests", "scripts/tools", "cache/compiled"):
         (tmp_path / folder).mkdir(parents=True)
     shutil.copy(ROOT / "scripts" / "tools" / "mutants.py", tmp_path / "scripts" / "tools")
     source = "def area(a, b):\n    return a * b\n\n\ndef last(count):\n    return count - 1\n"
     (tmp_path / "atlas" / "__init__.py").touch()
     (tmp_path / "atlas" / "sizes.py").write_text(source)
     (tmp_path / "tests" / "test_sizes.py").write_text(
-        "from atlas.sizes import area\n\n\ndef test_area():\n    assert area(2, 3) == 6\n"
+        "import os\n\nfrom atlas.sizes import area\n\n\n"
+        "def test_area():\n    assert area(2, 3) == 6\n    assert os.listdir(os.environ['ATLAS_CACHE']) == ['compiled']\n"
     )
     command = [sys.executable, tmp_path / "scripts" / "tools" / "mutants.py", "0", "3"]
     table = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()

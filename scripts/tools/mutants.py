@@ -17,7 +17,8 @@ from itertools import islice
 from pathlib import Path
 from random import Random
 
-PYTEST = f'ulimit -d 8388608; ulimit -t 1000; exec "{sys.executable}" -m pytest -xqrfE --tb=no "$@"'
+PYTEST = f'ulimit -d 8388608; ulimit -t 240; exec "{sys.executable}" -m pytest -xqrfE --tb=no "$@"'
+KERNELS = ".pytest_cache/kernels"  # as in tests/conftest.py, where no variable names another folder
 IGNORED = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".[mr]*_cache", ".hypothesis", "out")
 OTHER = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Eq: ast.NotEq, ast.Add: ast.Sub, ast.Mult: ast.Div}
 OTHER |= {"min": "max", "minimum": "maximum", "argmin": "argmax", "any": "all", "sin": "cos", "zeros": "ones"}
@@ -82,11 +83,11 @@ def nearest(file, text, tests):
 
 
 def outcome(tree, *arguments):
-    """First test that fails, or what else happened; no process that it starts gets more than 8 GiB and 1000 s."""
-    variables = os.environ | {"PYTHONPATH": str(tree), "ATLAS_CACHE": str(tree / ".pytest_cache" / "kernels")}
+    """First test that fails, or what else happened; a process gets 8 GiB, 240 s of a processor and, where others work, 1000 s."""
+    variables = os.environ | {"PYTHONPATH": str(tree), "ATLAS_CACHE": str(tree / KERNELS)}
     command = ["sh", "-c", PYTEST, "sh", f"--basetemp={tree}.tests", *arguments]
     try:
-        run = subprocess.run(command, cwd=tree, env=variables, capture_output=True, text=True, timeout=240)
+        run = subprocess.run(command, cwd=tree, env=variables, capture_output=True, text=True, timeout=1000)
     except subprocess.TimeoutExpired:
         return "timed out"
     failed = re.findall(r"^(?:FAILED|ERROR) ([^\s[]+)", run.stdout, re.M)
@@ -102,6 +103,8 @@ def main():
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         base, tree = Path(folder, "base"), Path(folder, "tree")
         shutil.copytree(".", base, ignore=IGNORED)
+        if Path(kernels := os.environ.get("ATLAS_CACHE", KERNELS)).is_dir():
+            shutil.copytree(kernels, base / KERNELS, dirs_exist_ok=True)
         for file, node, before, after in islice(draw(trees, seed), skip, count):
             lines = texts[file].encode().splitlines(keepends=True)
             head, tail = lines[: node.lineno], lines[node.end_lineno - 1 :]

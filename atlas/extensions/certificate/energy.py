@@ -85,7 +85,8 @@ def attitude(body: Body, w: Array, alpha: Array, gamma: Array) -> Bounds:
         )
         return radius + normal
 
-    regular = _GRADIENT * body.steepness()[:, None, None] * np.eye(3)
+    # A Hessian that can be inverted, also without torque.
+    regular = (_GRADIENT * body.steepness() + np.finfo(float).tiny)[:, None, None] * np.eye(3)
     for _ in range(_STEPS):
         hessian = body.hessian(frames[:, 0], frames[:, 2]) + regular
         step = np.linalg.solve(hessian, -slope()[..., None])[..., 0]

@@ -139,6 +139,19 @@ def test_nothing_is_proved_across_a_barrier():
     assert 0 < (found["label_proof"] == ENERGY).sum() < rates.size
 
 
+def test_a_start_beyond_the_rim_is_held_by_no_minimum():
+    """With x = 1 - cos(theta) the potential of a tilt about the radius is 0.04 x - 0.2 x^2, which has its rim at theta = 0.45."""
+    tilt = {"theta0": np.array([0.2, 0.4, 0.5, 0.6, 1.2])}
+    found = proofs("satellite", 1.0, 1.3, A=1.0, B=1.2, C=1.6, k3=-0.36, **tilt)
+    assert [*found["label_proof"]] == [ENERGY, ENERGY, NONE, NONE, NONE]
+
+
+def test_without_torque_there_is_no_minimum():
+    """A slow orbit, and none."""
+    found = proofs("satellite", A=1.0, B=1.2, C=1.5, Omega=np.array([1e-3, 0.0]))
+    assert [*found["label_proof"]] == [ENERGY, NONE]
+
+
 def test_circles_of_minima_are_refused():
     """A symmetric satellite without spin rests at any phi0; damping takes away the momentum that would hold it."""
     body = {"A": 1.0, "B": 1.0, "C": 0.6, "theta0": np.pi / 2, "psi0": np.pi / 2, "m": np.array([0.0, 1e-4])}

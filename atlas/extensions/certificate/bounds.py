@@ -64,7 +64,7 @@ def reach(coefficients: Sequence[Array | float], limit: Array, start: Array | fl
     for _ in range(_DOWN):
         outer = np.where(excluded(distance), distance, outer)
         distance = 0.5 * distance
-    inner = np.maximum(0.5 * outer, start)
+    inner = 0.5 * outer
     for _ in range(_WITHIN):
         middle = 0.5 * (inner + outer)
         passed = excluded(middle)

@@ -62,6 +62,7 @@ def _bounds(
         at_rest = body.turn == 0
         rules = [(energy.in_space, Proof.ENERGY, slow & at_rest), (top, Proof.MOMENTA, axial & at_rest)]
     else:
+        # No rotation of a symmetric body about its axis changes the energy, whose minima the other rules would seek in vain.
         others = slow & ~axial & (body.damping >= 0)
         near = others & (np.hypot(gamma[:, 0], gamma[:, 1]) < tolerances.angle)
         every = (energy.symmetric, axial), (energy.upright, near), (energy.attitude, others)

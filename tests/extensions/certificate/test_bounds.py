@@ -194,6 +194,27 @@ def test_the_range_of_a_top_is_exact():
     assert np.median(used[0]) > 0.999
 
 
+def test_the_range_of_a_top_has_room_for_the_rounding_of_its_rates():
+    """A thin rod turns about an axis that is normal to it: its tilt is that of the axis, which a change of the last bit moves."""
+    rates = 1e-8 * np.linspace(1, 2, COUNT)
+    rod = filled(FIXED_POINT, A=1.0, B=1.0, C=1e-4, n=1.0, theta0=np.pi / 2, phi0=np.pi / 4, theta_dot0=rates)
+    w, _, gamma = FIXED_POINT.start(rod)
+    share = rates / top(FIXED_POINT.body(rod), w, gamma).theta_dot
+    assert np.all((share < 1) & (share > 1 - 1e-5))
+
+
+def test_the_rate_of_a_swinging_satellite_about_the_vertical():
+    """A pendulum in a magnetic field whose spin m and rotor cancel: the rate is m at the bottom, m cos(theta0) at rest."""
+    m, theta0 = np.full(COUNT, 100.0), 0.1
+    points = filled(
+        SATELLITE, A=1.0, B=1.0, C=0.6, Omega=0.0, mu3=-1.0, h3=1.0, theta0=theta0, m=m, k3=-0.6 * m
+    )
+    limits = energy.symmetric(SATELLITE.body(points), *SATELLITE.start(points))
+    np.testing.assert_allclose(limits.theta_dot, 2 * np.sin(theta0 / 2), rtol=1e-6)
+    share = 0.5 * m * (1 - np.cos(theta0)) / limits.normal_rate
+    assert np.all((share <= 1) & (share > 0.49))
+
+
 def recorded(monkeypatch):
     """The calls of `energy.reach`: coefficients, limit, start, and the distance found."""
     calls = []

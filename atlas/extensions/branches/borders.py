@@ -27,9 +27,9 @@ from ...store import dataset
 from ...systems.base import Array, Mask, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.equilibria import described, frames_of
-from .continuation import Curve, Segments, lengths, zeros
+from .continuation import Curve, Segments, lengths, with_zeros
 from .singular import BorderKind, Degenerate, Potential
-from .starts import Cell, all_curves, gain
+from .starts import Cell, all_curves, sides
 
 _MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
 
@@ -80,7 +80,8 @@ class Borders(NamedTuple):
     plane: Plane
     potential: Potential
     lines: list[Curve]
-    gains: list[Array]  # at each vertex
+    morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
+    count_change: Array  # and the number of solutions to the left of it less that to the right
     axis: Array  # of the grid on which equilibria are counted, along both sides
     cells: NDArray[np.int8]
 
@@ -112,8 +113,11 @@ class Borders(NamedTuple):
             meets = (at.kind != BorderKind.LIMIT_OF_STABILITY) | (potential.exponents(x, positions)[1] < 0)
             return np.asarray(possible_body(system, points(positions)) & meets)
 
-        parts = [part for line in lines for part in _possible(line, shown)]
-        return cls(plane, potential, parts, [gain(part) for part in parts], axis, cells)
+        lines = [part for line in lines for part in _possible(line, shown)]
+        values = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros(0))
+        ends = np.cumsum([len(line.tangents) - 1 for line in lines], dtype=int)
+        index, change = (np.insert(value, ends, value[ends - 1]) for value in values)
+        return cls(plane, potential, lines, index, change, axis, cells)
 
     def values(self, positions: Array) -> Array:
         """Values of the parameters, (N, 2)."""
@@ -129,13 +133,12 @@ class Borders(NamedTuple):
 
     def polylines(self, divisions: int, minima: bool) -> list[Array]:
         """Lines through the borders, or those of minima alone, with so many parts for each cubic, in the units of the axes."""
-        lines = []
-        for line in self.lines:
-            inner = np.arange(len(line.tangents)) < len(line.tangents) - 1
-            parts = Segments.of([line], [inner])
-            at = [parts.cubic(np.full(inner.sum(), i / divisions)).parts[4] for i in range(divisions)]
+        lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
+        for line, index in zip(self.lines, np.split(self.morse_index, ends), strict=False):
+            parts = Segments.of([line])
+            at = [parts.cubic(np.full(parts.curve.size, i / divisions)).parts[4] for i in range(divisions)]
             positions = np.concatenate([np.stack(at, 1).reshape(-1, 2), line.points.parts[4][-1:]])
-            shown = np.repeat((line.points.character()[0] == 0) | (not minima), divisions)[: len(positions)]
+            shown = np.repeat((index == 0) | (not minima), divisions)[: len(positions)]
             lines += [part for part in shown_parts(self.values(positions), shown) if len(part) > 1]
         return lines
 
@@ -153,16 +156,10 @@ def _possible(line: Curve, possible: Callable[[Degenerate], Mask]) -> list[Curve
         same = possible(parts.at(middle)[0]) == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends, tangents = parts.at(np.where(first, low, high))
-    k = np.flatnonzero(changes) + 1
-    points = Degenerate(
-        ends.potential,
-        np.insert(line.points.unknowns, k, ends.unknowns, 0),
-        np.insert(line.points.kind, k, line.points.kind[0]),
-    )
-    every, inside = np.insert(line.tangents, k, tangents, 0), np.insert(inside, k, True)
+    line, inside = line.inserted(parts.vertex, ends, tangents), np.insert(inside, parts.vertex + 1, True)
     cuts = np.flatnonzero(np.diff(inside)) + 1
     groups = [own for own in np.split(np.arange(inside.size), cuts) if inside[own[0]] and own.size > 1]
-    return [Curve(points.take(own), every[own], False, line.lost) for own in groups]
+    return [Curve(line.points.take(own), line.tangents[own], False, line.lost) for own in groups]
 
 
 @typed
@@ -199,7 +196,7 @@ def borders(
         Over the dimension "vertex", curve by curve: both parameters by their names, curve, kind (flags), arc, the length of the
         curve in attitude (rad) and parameters (over their ranges), ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
         alpha and gamma of the solution, index_below and index_above, its Morse index on both sides, of which 0 is a minimum,
-        count_change, residual and condition. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
+        count_change, residual and condition; indices and count_change hold from the vertex to the next one. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
         and special_kind (flags). cells (flags) is over a coarse grid, of which the coordinates ``cell_<parameter>`` are the middles: it
         states where the curves explain the numbers of equilibria.
 
@@ -302,16 +299,15 @@ def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
     rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
     sizes = [len(line.tangents) for line in curves.lines]
-    index, *_ = points.character()
     residual, matrix = points.equations()
     condition = np.linalg.cond(np.concatenate([matrix, rows[:, None]], 1), 1)
     columns = _attitudes(curves, points) | {
         "curve": np.repeat(np.arange(len(sizes), dtype=np.int16), sizes),
         "kind": points.kind,
         "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in curves.lines)]),
-        "index_below": index.astype(np.int8),
-        "index_above": (index + (points.kind != BorderKind.LIMIT_OF_STABILITY)).astype(np.int8),
-        "count_change": np.concatenate([np.zeros(0), *curves.gains]).astype(np.int8),
+        "index_below": curves.morse_index.astype(np.int8),
+        "index_above": (curves.morse_index + (points.kind != BorderKind.LIMIT_OF_STABILITY)).astype(np.int8),
+        "count_change": curves.count_change.astype(np.int8),
         "residual": np.abs(residual).max(1), "condition": condition,
     }  # fmt: skip
     slopes = curves.slopes(points.parts[4], rows[:, -3:-1])
@@ -322,15 +318,12 @@ def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
 def _special(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     """Variables over the special points of all borders."""
     points, curve, kind = curves.potential.none(), [], []
-    for i, special in enumerate((SpecialKind.CUSP, SpecialKind.MEETING)):
-        for column in (0, 1):
-            chosen = [n for n, line in enumerate(curves.lines) if line.points.kind[0] == i + 1]
-            lines = [curves.lines[n] for n in chosen]
-            if lines and (i or not column):
-                number, at = zeros(lines, partial(_test, column))
-                points = Degenerate.joined([points, at])
-                curve += [chosen[n] for n in number]
-                kind += [special] * len(number)
+    for column in (0, 1):
+        for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, partial(_test, column)), strict=True)):
+            at = line.points.take(np.flatnonzero(zero[: zero.size - line.closed]))
+            points = Degenerate.joined([points, at])
+            curve += [n] * len(at.kind)
+            kind += list(np.where(at.pitchfork, SpecialKind.MEETING, SpecialKind.CUSP))
     for n, line in enumerate(curves.lines):
         if line.points.kind[0] == BorderKind.LIMIT_OF_STABILITY and not line.closed:
             ends = line.points.take([0, -1])

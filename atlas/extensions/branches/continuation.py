@@ -48,6 +48,13 @@ class Curve(NamedTuple):
     closed: bool
     lost: bool  # an end is not on the border of the box
 
+    def inserted(self, after: NDArray[np.int64], points: Degenerate, tangents: Array) -> Curve:
+        """The curve with more vertices, one after each of these."""
+        unknowns = np.insert(self.points.unknowns, after + 1, points.unknowns, 0)
+        kind = np.full(len(unknowns), self.points.kind[0])
+        every = np.insert(self.tangents, after + 1, tangents, 0)
+        return self._replace(points=points._replace(unknowns=unknowns, kind=kind), tangents=every)
+
 
 def curves(points: Degenerate, tangents: Array) -> list[Curve]:
     """The curves through points with these tangents."""
@@ -245,6 +252,7 @@ class Segments(NamedTuple):
     """Parts of curves between two vertices."""
 
     curve: NDArray[np.int64]  # number of the curve
+    vertex: NDArray[np.int64]  # at which it begins
     start: Degenerate
     end: Degenerate
     slopes: tuple[
@@ -252,8 +260,9 @@ class Segments(NamedTuple):
     ]  # derivatives of the unknowns at both ends by the share of the way, from the tangents
 
     @classmethod
-    def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask]) -> Segments:
-        """The segments that begin at chosen vertices of each curve."""
+    def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
+        """The segments that begin at chosen vertices of each curve but its last, or at all."""
+        chosen = chosen or [np.ones(len(line.tangents) - 1, bool) for line in lines]
         where = [np.flatnonzero(mask) for mask in chosen]
         number = np.repeat(np.arange(len(lines)), [k.size for k in where])
         start = Degenerate.joined([line.points.take(k) for line, k in zip(lines, where, strict=True)])
@@ -263,7 +272,7 @@ class Segments(NamedTuple):
             for i in (0, 1)
         ]
         size = arcs(start.place, end.place, *(_of_place(start, row) for row in rows))[:, None]
-        return cls(number, start, end, (size * rows[0], size * rows[1]))
+        return cls(number, np.concatenate(where), start, end, (size * rows[0], size * rows[1]))
 
     def cubic(self, share: Array) -> Degenerate:
         """Points at these shares of the way, by the cubic through both ends with their tangents."""
@@ -292,13 +301,15 @@ def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
     return length(end - start) / np.sinc(bend / np.pi)
 
 
-def zeros(
+def with_zeros(
     lines: Sequence[Curve], function: Callable[[Degenerate], Array]
-) -> tuple[NDArray[np.int64], Degenerate]:
-    """The points of curves at which a function changes its sign, and the numbers of their curves."""
+) -> tuple[list[Curve], list[Mask]]:
+    """Curves with vertices also where a function changes its sign, and which vertices are its zeros."""
+    if not lines:
+        return [], []
     values = [function(line.points) for line in lines]
     values = [np.where(np.abs(each) < _NONE * np.abs(each).max(), 0.0, each) for each in values]
-    parts = Segments.of(lines, [np.r_[each[:-1] * each[1:] < 0, False] for each in values])
+    parts = Segments.of(lines, [each[:-1] * each[1:] < 0 for each in values])
     at_low = np.concatenate([each[:-1][each[:-1] * each[1:] < 0] for each in values])
     at_high = np.concatenate([each[1:][each[:-1] * each[1:] < 0] for each in values])
     low, high = np.zeros(at_low.size), np.ones(at_low.size)
@@ -309,9 +320,12 @@ def zeros(
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
         high, at_high = share, np.where(value == 0, 1e-300 * np.sign(at_high), value)
-    exact = [
-        np.flatnonzero(each[: len(each) - line.closed] == 0) for line, each in zip(lines, values, strict=True)
+    (points, tangents), owns = parts.at(share), [parts.curve == i for i in range(len(lines))]
+    every = [
+        line.inserted(parts.vertex[own], points.take(own), tangents[own])
+        for line, own in zip(lines, owns, strict=True)
     ]
-    number = np.repeat(np.arange(len(lines)), [k.size for k in exact])
-    vertices = [line.points.take(k) for line, k in zip(lines, exact, strict=True)]
-    return np.concatenate([parts.curve, number]), Degenerate.joined([parts.at(share)[0], *vertices])
+    where = [
+        np.insert(each == 0, parts.vertex[own] + 1, True) for each, own in zip(values, owns, strict=True)
+    ]
+    return every, where

@@ -427,8 +427,8 @@ class Degenerate(NamedTuple):
         """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, (2, N), and a covector.
 
         The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
-        product of the other eigenvalues, and that times the fourth derivative. The covector, (N, 2), points to the side of the curve where
-        two more solutions are.
+        product of the other eigenvalues, and that times the fourth derivative; on limits of stability 1. The covector, (N, 2),
+        points to the side of the curve where two more solutions are.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]
@@ -439,7 +439,7 @@ class Degenerate(NamedTuple):
         degenerate = np.flatnonzero(self.kind != BorderKind.LIMIT_OF_STABILITY)
         values[degenerate, np.abs(values[degenerate]).argmin(1)] = 1.0
         curved = np.einsum("ni,kij,nj->nk", v, forms, v)
-        third = 3 * (m * curved).sum(1)
+        third = np.where(self.kind == BorderKind.LIMIT_OF_STABILITY, 1.0, 3 * (m * curved).sum(1))
         slope = self.force()
         fork = self.pitchfork
         bordered = np.zeros((fork.sum(), first.shape[1] + 1, first.shape[1] + 1))

@@ -13,7 +13,7 @@ from ...flags import Completeness, Flag
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.secular import SecularEquation
-from .continuation import Curve, Segments, curves
+from .continuation import Curve, Segments, curves, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
 # Lines along each axis, samples on each, and values along each axis of the grid for the zeros of a component.
@@ -133,7 +133,8 @@ def all_curves(
     if stability:
         seeds = Degenerate.joined([seeds, limits().settled(2 * reach)])
     for attempt in range(_SEARCHES + 1):
-        lines = curves(*seeds.regular())
+        # The sides of pitchforks with more solutions change where folds meet them.
+        lines, _ = with_zeros(curves(*seeds.regular()), lambda points: points.character()[1][1])
         expected = expected_differences(lines, axis)
         wrong = [f != e for f, e in zip(jumps, expected, strict=True)]
         ends = [np.argwhere(each & np.isfinite(f)) for each, f in zip(wrong, jumps, strict=True)]
@@ -156,14 +157,16 @@ def all_curves(
     return lines, axis, cells.astype(np.int8)
 
 
-def gain(line: Curve) -> Array:
-    """Number of solutions to the left of the direction of a curve less that to the right, at its vertices, (vertices,)."""
-    _, _, covector = line.points.character()
-    (along, across) = line.tangents[:, -3:-1].T
+def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
+    """The lower Morse index of the solutions beside segments, and the number of those to the left of their direction less that to the right."""
+    middle = parts.cubic(np.full(parts.curve.size, 0.5))
+    index, _, covector = middle.character()
+    chord = parts.end.parts[4] - parts.start.parts[4]
+    (along, across) = (1.5 * chord - 0.25 * (parts.slopes[0] + parts.slopes[1])[:, -3:-1]).T
     sign = np.sign(covector[:, 1] * along - covector[:, 0] * across)
-    if line.points.kind[0] == BorderKind.FOLD:
-        sign = np.full(len(sign), np.sign(sign.sum()))
-    return 2 * (1 + line.points.potential.mirrored) * sign
+    total = np.bincount(parts.curve, sign, 1)  # a fold has one sign, beside its cusps not certain
+    sign = np.where(middle.kind == BorderKind.FOLD, np.sign(total[parts.curve]), sign)
+    return index, 2 * (1 + middle.potential.mirrored) * sign
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
@@ -171,8 +174,8 @@ def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Ar
     result = np.zeros((axis.size - 1, axis.size)), np.zeros((axis.size, axis.size - 1))
     if not lines:
         return result
-    parts = Segments.of(lines, [np.arange(len(line.tangents)) < len(line.tangents) - 1 for line in lines])
-    left = np.concatenate([gain(line)[:-1] for line in lines])
+    parts = Segments.of(lines)
+    _, left = sides(parts)
     shares = np.arange(_DIVISIONS + 1) / _DIVISIONS
     for start, end in pairwise(parts.cubic(np.full(left.size, share)).parts[4] for share in shares):
         for along in (0, 1):  # of the intervals, on lines of the grid with a value of the other coordinate

@@ -77,6 +77,27 @@ def test_verified_borders(case):
     assert max(distance.min(0).max(), distance.min(1).max()) < 1e-12
 
 
+def test_sides_change_where_pitchforks_cross():
+    """A rotor in a principal plane: beside each segment near k2 = 0 the numbers of equilibria differ by its count_change."""
+    body = {"A": 1.443, "B": 1.108, "C": 0.502, "k1": 0.0}
+    ds = atlas.borders("satellite", body, {"k2": (-4.2, 4.2), "k3": (-4.2, 4.2)})
+    at = np.stack([ds.k2, ds.k3], -1)
+    same = np.diff(ds.curve) == 0
+    begin = np.flatnonzero(same & (abs(at[1:, 0]) < 0.08) & (abs(at[1:, 1] - 1.5) < 0.12))
+    slope = np.stack([ds.tangent_k2, ds.tangent_k3], -1)
+    chord, arc = at[begin + 1] - at[begin], np.diff(ds.arc)[begin, None]
+    middle = 0.5 * (at[begin + 1] + at[begin]) + 0.125 * arc * (slope[begin] - slope[begin + 1])
+    normal = np.stack([-chord[:, 1], chord[:, 0]], -1) / np.linalg.norm(chord, axis=1)[:, None]
+    bodies = np.concatenate([middle + 1e-4 * normal, middle - 1e-4 * normal])
+    rest = atlas.equilibria("satellite", body | dict(zip(("k2", "k3"), bodies.T, strict=True)))
+    change = ds.count_change.values[begin]
+    assert set(change) == {-4, 4}
+    for index in range(4):
+        left, right = (rest.index.values == index).sum(1).reshape(2, -1)
+        own = (index == ds.index_below.values[begin]) | (index == ds.index_above.values[begin])
+        np.testing.assert_array_equal(left - right, np.where(own, change // 2, 0))
+
+
 @pytest.mark.parametrize(
     ("body", "ranges", "sentence"),
     [

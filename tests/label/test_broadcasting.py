@@ -68,6 +68,19 @@ def test_the_result_has_the_dimensions_and_coordinates_of_the_arrays(grid):
         np.testing.assert_array_equal(ds[name].values.ravel(), flat[name].values, err_msg=name)
 
 
+@pytest.mark.parametrize(
+    "C",
+    [
+        xr.DataArray([0.8, 0.8, 1.2], dims="shape"),
+        xr.DataArray([[0.8, 1.2], [1.0, 1.4]], dims=("shape", "column")),
+    ],
+)
+def test_a_dimension_has_no_coordinate_unless_one_parameter_tells_its_values_apart(C, grid):
+    ds = atlas.label_points("satellite", grid | {"C": C, "m": 0.1}, **SETTINGS)
+    assert ds.C.dims == ds.label.dims == C.dims
+    assert not ds.indexes
+
+
 def test_maps_and_questions_work_at_once(grid):
     spin = xr.DataArray([0.1, 0.5], dims="m")
     ds = atlas.label_points("satellite", grid | {"m": spin}, **SETTINGS)

@@ -458,6 +458,11 @@ def test_family_curves_for_either_axis(scene_text, without_family):
     np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
 
 
+def test_a_family_on_one_axis_is_a_point(scene_text, without_family):
+    (point,) = planes.family_curves(plane(scene_text(without_family), sigma=0.8))["perp_velocity"]
+    np.testing.assert_allclose(point, [[np.pi / 3]], atol=1e-9)  # 4 Omega c (A - C) = C m
+
+
 def test_an_offset_axis_has_its_family_at_zero():
     scene = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
         "from = -4.0\nto = 4.0\ncount = 3", "from = -0.1\nto = 0.2\ncount = 4\noffset_from_family = true"

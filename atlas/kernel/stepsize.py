@@ -135,9 +135,9 @@ class StepSizes:
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
-    def halved(self, method: Method) -> StepSizes:
-        """Twice as many steps of half the size, with twice as many nodes."""
-        return self._in_steps(2 * self.steps, self.steps_per_sample, method)
+    def halved(self, method: Method, where: NDArray[np.bool_] | bool = True) -> StepSizes:
+        """Twice as many steps of half the size, with twice as many nodes, where a mask is true."""
+        return self._in_steps(np.where(where, 2, 1) * self.steps, self.steps_per_sample, method)
 
     def coarsened(self, method: Method) -> StepSizes:
         """Half as many steps, rounded up, of twice the size."""

@@ -35,7 +35,7 @@ def evaluate(
     plan: Plan,
     tile: Grid,
     *,
-    halved: bool = False,
+    halved: Mask | bool = False,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, np.ndarray]:
@@ -43,7 +43,8 @@ def evaluate(
 
     Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan. Statistics that the plan
     does not want may be missing or cover a part of the run, because a point ends once its label is certain; of points that the
-    settings let a proof decide all are. `halved`: at half the step of the settings; `progress`: gets the number of points done.
+    settings let a proof decide all are. `halved`: whether points run at half the step of the settings, all or each; `progress`:
+    gets the number of points done.
     """
     progress = progress or (lambda points: None)
 
@@ -51,7 +52,8 @@ def evaluate(
         """The variables of some points, missing values at the others."""
         columns, registry = {}, variables(plan.system)
         if where.any():
-            some = evaluate(plan, tile.subset(where), halved=halved, threads=threads, progress=progress)
+            part, half = tile.subset(where), np.broadcast_to(halved, where.shape)[where]
+            some = evaluate(plan, part, halved=half, threads=threads, progress=progress)
         else:
             some = {name: np.empty(0, variable.dtype) for name, variable in registry.items()}
         for name, values in some.items():
@@ -178,7 +180,7 @@ class _Runs:
 
 
 def _prepare(
-    plan: Plan, tile: Grid, halved: bool, threads: int | None, progress: Callable[[float], None]
+    plan: Plan, tile: Grid, halved: Mask | bool, threads: int | None, progress: Callable[[float], None]
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Points whose parameters overflow are unresolved."""
     system, settings, main = plan.system, plan.settings, plan.main
@@ -193,8 +195,8 @@ def _prepare(
     with np.errstate(all="ignore"):
         step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration, tile.step)
         step_sizes = step_sizes.in_periods(periods, method)
-        if halved:
-            step_sizes = step_sizes.halved(method)
+        if np.any(halved):
+            step_sizes = step_sizes.halved(method, halved)
         starts = replace(tile, points=points)  # not kept, so that the shared values do not stay in memory
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = None

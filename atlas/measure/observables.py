@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -102,13 +102,9 @@ class Observables(MainInstrument):
             # With several steps between two nodes the error of the interpolation is within the phase error.
             several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
             per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
-            halved = step_sizes.halved(METHODS[settings.method])
             halve = far & ~several & may_halve & step_sizes.resolved
-            columns = {
-                field.name: np.where(halve, getattr(halved, field.name), getattr(step_sizes, field.name))
-                for field in fields(step_sizes)
-            }
-            step_sizes = StepSizes(**(columns | {"steps_per_sample": per_node}))
+            step_sizes = step_sizes.halved(METHODS[settings.method], halve)
+            step_sizes = replace(step_sizes, steps_per_sample=per_node)
         return step_sizes
 
     def resolved(self, run: Run) -> Mask:

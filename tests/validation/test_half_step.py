@@ -43,12 +43,12 @@ def test_half_step_sample_counts_what_changes(scene_text, monkeypatch):
     """With an engine whose labels and rates depend on the step in a known way."""
 
     def labels_by_step(plan, tile, *, halved, threads):
+        number = np.where(halved, halved.cumsum(), (~halved).cumsum()) - 1  # among the points of this step
         label = np.full(tile.duration.size, Label.PERMANENT_ROTATION, np.int8)
-        label[0], label[1] = Label.NOT_COMPUTED, Label.UNRESOLVED
-        if halved:
-            label[:5] = Label.DRIFTING
-        rates = {name: np.full(label.size, 0.05 if halved else 0.1) for name in RATES}
-        estimate = np.where(np.arange(label.size) < 7, 0.0, 1.0)
+        label[number == 0], label[number == 1] = Label.NOT_COMPUTED, Label.UNRESOLVED
+        label[halved & (number < 5)] = Label.DRIFTING
+        rates = {name: np.where(halved, 0.05, 0.1) for name in RATES}
+        estimate = np.where(number < 7, 0.0, 1.0)
         return {"label": label, "label_inertial": label.copy(), "error_estimate": estimate, **rates}
 
     monkeypatch.setattr(half_step, "evaluate", labels_by_step)

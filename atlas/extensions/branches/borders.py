@@ -38,7 +38,7 @@ class SpecialKind(Flag):
     """Kinds of special points of borders; 0 does not occur."""
 
     NONE = 0, "no special point"
-    CUSP = 1, "two folds meet and end: the parameters turn back"
+    CUSP = 1, "two folds, or two limits of stability, meet and end: the parameters turn back"
     MEETING = 2, "a pitchfork meets a fold, or another pitchfork"
     ZERO_AND_PAIR = 3, "a limit of stability ends: the two pairs of exponents, or the third, become 0"
 
@@ -109,9 +109,8 @@ class Borders(NamedTuple):
 
         def shown(at: Degenerate) -> Mask:
             """Where a body is possible and, at limits of stability, all exponents are imaginary."""
-            x, _, _, _, positions, _ = at.parts
-            meets = (at.kind != BorderKind.LIMIT_OF_STABILITY) | (potential.exponents(x, positions)[1] < 0)
-            return np.asarray(possible_body(system, points(positions)) & meets)
+            bounds = ~at.limit | (at.largest_square() < 0)
+            return np.asarray(possible_body(system, points(at.parts[4])) & bounds)
 
         lines = [part for line in lines for part in _possible(line, shown)]
         values = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros(0))
@@ -188,13 +187,15 @@ def borders(
     ties : mapping of str to str, optional
         Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
     stability : bool, optional
-        Also follow the limits at which two pairs of imaginary exponents meet and leave the axis. It takes several times as long.
+        Also follow the limits at which two pairs of imaginary exponents meet and leave the axis, or one of permanent rotations and of
+        bodies with an axis of symmetry vanishes. It takes up to ten times as long.
 
     Returns
     -------
     Dataset
         Over the dimension "vertex", curve by curve: both parameters by their names, curve, kind (flags), arc, the length of the
-        curve in attitude (rad) and parameters (over their ranges), ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
+        curve in attitude (rad) and parameters (over their ranges), on limits of stability also in the square of the double exponent over that of
+        a rate, ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
         alpha and gamma of the solution, index_below and index_above, its Morse index on both sides, of which 0 is a minimum,
         count_change, residual and condition; indices and count_change hold from the vertex to the next one. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
         and special_kind (flags). cells (flags) is over a coarse grid, of which the coordinates ``cell_<parameter>`` are the middles: it
@@ -306,7 +307,7 @@ def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
         "kind": points.kind,
         "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in curves.lines)]),
         "index_below": curves.morse_index.astype(np.int8),
-        "index_above": (curves.morse_index + (points.kind != BorderKind.LIMIT_OF_STABILITY)).astype(np.int8),
+        "index_above": (curves.morse_index + ~points.limit).astype(np.int8),
         "count_change": curves.count_change.astype(np.int8),
         "residual": np.abs(residual).max(1), "condition": condition,
     }  # fmt: skip
@@ -325,11 +326,9 @@ def _special(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
             curve += [n] * len(at.kind)
             kind += list(np.where(at.pitchfork, SpecialKind.MEETING, SpecialKind.CUSP))
     for n, line in enumerate(curves.lines):
-        if line.points.kind[0] == BorderKind.LIMIT_OF_STABILITY and not line.closed:
+        if line.points.limit[0] and not line.closed:
             ends = line.points.take([0, -1])
-            ends = ends.take(
-                np.abs(curves.potential.exponents(ends.parts[0], ends.parts[4])[1]) < _MEETS_AT_0
-            )
+            ends = ends.take(np.abs(ends.largest_square()) < _MEETS_AT_0)
             points = Degenerate.joined([points, ends])
             curve += [n] * len(ends.kind)
             kind += [SpecialKind.ZERO_AND_PAIR] * len(ends.kind)

@@ -1,7 +1,7 @@
 """Curves of degenerate critical points by pseudo-arclength continuation from many points on them at once.
 
 From each point the curve is followed to the next one of these points, so that no part of it is followed twice however many there
-are; the parts are then joined. Lengths are of x and position.
+are; the parts are then joined. Lengths are of x, position and s.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
 _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps, and their number
-_CROSSING = 1e-5  # length of a step across a point at which another curve crosses
+# Length of a step across a point at which another curve crosses; limits of stability are more singular there.
+_CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
 _NONE = 1e-10  # share of the largest value that counts as 0
 _ILLINOIS = 14  # iterations, the secant method with brackets
@@ -104,12 +105,12 @@ def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
 
 
 def _of_place(points: Degenerate, rows: Array) -> Array:
-    """Components along x and position of rows over the unknowns."""
-    return np.concatenate([rows[:, : points.potential.size], rows[:, -3:-1]], 1)
+    """Components along x, position and s of rows over the unknowns."""
+    return np.concatenate([rows[:, : points.potential.size], rows[:, -3:]], 1)
 
 
 def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
-    """x and position of points and then of their mirror images, and the tangents along these."""
+    """x, position and s of points and then of their mirror images, and the tangents along these."""
     place, along = points.place, _of_place(points, tangents)
     if not points.potential.mirrored:
         return place, along
@@ -118,9 +119,9 @@ def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
 
 
 def _in_unknowns(points: Degenerate, rows: Array) -> Array:
-    """Rows over the unknowns with these components along x and position, 0 elsewhere."""
+    """Rows over the unknowns with these components along x, position and s, 0 elsewhere."""
     n, result = points.potential.size, np.zeros((len(rows), points.unknowns.shape[1]))
-    result[:, :n], result[:, -3:-1] = rows[:, :n], rows[:, n:]
+    result[:, :n], result[:, -3:] = rows[:, :n], rows[:, n:]
     return result
 
 
@@ -144,8 +145,8 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
         with np.errstate(all="ignore"):  # how far the sides of the box are along each axis
-            gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -2:]
-        gaps[along[:, -2:] == 0] = np.inf
+            gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -3:-1]
+        gaps[along[:, -3:-1] == 0] = np.inf
         side, arc = gaps.argmin(1), step[active]
         far = active[total[active] - search_arc[active] > _LOOK]
         around[far], search_arc[far] = _nearest(points.take(far).place, targets), total[far]
@@ -163,16 +164,18 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         row = _in_unknowns(now, along)
         for i in (0, 1):
             own = leaves & (side == i)
-            start.unknowns[own, i - 3] = np.where(along[own, i - 2] > 0, 1.0, 0.0)
-            row[own] = np.eye(row.shape[1])[i - 3] * np.sign(along[own, i - 2])[:, None]
+            start.unknowns[own, i - 3] = np.where(along[own, i - 3] > 0, 1.0, 0.0)
+            row[own] = np.eye(row.shape[1])[i - 3] * np.sign(along[own, i - 3])[:, None]
         new, error, ahead_t, sign = start.corrected(row, 2)
         new_along, moved = _of_place(now, ahead_t), new.place - place
         cosine = np.clip((new_along * along).sum(1), -1, 1)
         size = np.sqrt((moved**2).sum(1))
         with np.errstate(invalid="ignore"):
             accepted = (error < _SETTLED) & (cosine > np.cos(1.5 * _BEND)) & (size < 1.2 * arc + _ON_CURVE)
-        accepted &= np.abs(new.unknowns[:, -1]) < _ON_CURVE
-        accepted &= (sign == orientation[active]) | (arc < _CROSSING)
+        accepted &= new.excess < _ON_CURVE
+        accepted &= (sign == orientation[active]) | (
+            arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
+        )
         first = ~bend[active].any(1)  # there the prediction is of lower order
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED

@@ -44,10 +44,17 @@ MARKERS: dict[BifurcationKind, Style] = {
 
 # Borders by their kind, and where a minimum ends: text and line; special points: text and marker.
 MINIMUM = 0
-BORDER_TEXTS = {MINIMUM: "a minimum ends", 1: "fold", 2: "pitchfork", 3: "limit of stability"}
+BORDER_TEXTS = {
+    MINIMUM: "a minimum ends",
+    1: "fold",
+    2: "pitchfork",
+    3: "limit of stability",
+    4: "extremal momentum",
+}
 BORDERS: dict[int, Style] = {
     MINIMUM: {"color": COLOURS["energy_stable"], "linewidth": 1.4},
-    1: {"color": "black", "linewidth": 0.7}, 3: {"color": COLOURS["linearly_stable"], "linewidth": 0.9}, 2: {"color": "black", "linewidth": 0.7, "linestyle": (0, (3.5, 1.6))},
+    1: {"color": "black", "linewidth": 0.7}, 3: {"color": COLOURS["linearly_stable"], "linewidth": 0.9},
+    4: {"color": COLOURS["linearly_stable"], "linewidth": 0.9, "linestyle": (0, (1, 1.2))}, 2: {"color": "black", "linewidth": 0.7, "linestyle": (0, (3.5, 1.6))},
 }  # fmt: skip
 SPECIAL: dict[int, tuple[str, Style]] = {
     i: (text, MARKERS[kind] | {"markersize": 2.5}) for i, (text, kind) in enumerate(

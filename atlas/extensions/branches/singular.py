@@ -9,6 +9,9 @@ one that has such an axis. With multipliers l and m they are degenerate, with th
 These polynomials of degree 2 define curves of folds in (x, l, v, m) and both parameters, smooth at cusps too. At a pitchfork of
 a symmetric body their derivative is singular; there s v is added to the first of them with one more unknown s, 0 on the curve, and x
 moves across v, which leaves it in the plane of symmetry.
+
+On limits of stability the conditions with v and m are replaced by P(s) = P'(s) = 0 with the characteristic polynomial P of the squares of
+the exponents: s, that of the double one, is unknown, so that points at which all three are the same are regular.
 """
 
 from __future__ import annotations
@@ -26,12 +29,11 @@ from ...errors import BadInput
 from ...flags import Flag
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.body import Body, Direction, across, length
+from ...systems.gyrostat.body import Body, across, length
 
 # Nodes along each axis of the interpolation by polynomials, and relative sizes of terms that are left out of them.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # of least squares, relative
-_DIFFERENCE = 1e-5  # step of central differences
 _WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
@@ -61,6 +63,10 @@ class BorderKind(Flag):
         3,
         "two pairs of imaginary exponents meet and leave the axis at a frequency that is not zero",
     )
+    EXTREMAL_MOMENTUM = (
+        4,
+        "a pair of exponents vanishes and leaves the axis, where the momentum has an extremum",
+    )
 
 
 class Potential(NamedTuple):
@@ -73,8 +79,9 @@ class Potential(NamedTuple):
     axis: int  # of symmetry of all bodies; -1: none
     upright: bool  # nothing acts along alpha
     mirrored: bool  # alpha -> -alpha leaves all potentials the same
-    bodies: Array  # Chebyshev coefficients of the bodies themselves, (a, b, 15)
-    square: float  # of a rate, unit of the squares of exponents
+    bodies: tuple[
+        Array, Array, Array
+    ]  # coefficients of I, k, Omega (2 I - tr I), and Q and c along alpha and gamma, and of their derivatives, (a, b, 21)
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
@@ -86,15 +93,9 @@ class Potential(NamedTuple):
             axes = [i for i in range(3) if body.symmetric_about(i).all()]
             upright, axis = not body.acts_along(body.alpha).any(), axes[0] if len(axes) == 1 else -1
             inverse = np.linalg.inv(chebvander(nodes, count - 1))
-            parts = (
-                body.inertia,
-                body.rotor,
-                body.turn[:, None],
-                *(part for d in (body.alpha, body.gamma) for part in (d.gradient[:, None], d.field)),
-            )
-            values = np.concatenate([_coefficients(body, upright, axis), *parts], 1).reshape(count, count, -1)
-            every = np.einsum("ai,bj,ijk->abk", inverse, inverse, values)
-            terms, bodies = every[..., :-15], every[..., -15:]
+            values = np.concatenate([_coefficients(body, upright, axis), _linear(body)], 1)
+            every = np.einsum("ai,bj,ijk->abk", inverse, inverse, values.reshape(count, count, -1))
+            terms, bodies = every[..., :-21], every[..., -21:]
             size = np.abs(terms).max()
             if not np.isfinite(size):
                 raise BadInput("borders: a part of the range has no body")
@@ -112,11 +113,10 @@ class Potential(NamedTuple):
         terms = terms[: used[0], : used[1]]
         n = terms.shape[2] // 2
         forms = FRAMES if n == 6 else np.eye(n)[None]
-        derivatives = 2 * chebder(terms, axis=0), 2 * chebder(terms, axis=1)
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max())
         bodies = bodies[: used[0] + 2, : used[1] + 2]  # c contains products with the turn
-        return cls((terms, *derivatives), forms, axis, upright, mirrored, bodies, square)
+        both = [(t, 2 * chebder(t, axis=0), 2 * chebder(t, axis=1)) for t in (terms, bodies)]
+        return cls(both[0], forms, axis, upright, mirrored, both[1])
 
     @property
     def size(self) -> int:
@@ -125,50 +125,49 @@ class Potential(NamedTuple):
 
     def at(self, positions: Array) -> Array:
         """Q and c, and their derivatives by both parameters, (3, 2, N, n)."""
-        u, w = (
-            chebvander(2 * side - 1, max(t.shape[i] for t in self.terms) - 1)
-            for i, side in enumerate(positions.T)
-        )
-        values = [np.einsum("na,nb,abk->nk", u[:, : t.shape[0]], w[:, : t.shape[1]], t) for t in self.terms]
-        return np.moveaxis(np.reshape(values, (3, len(positions), 2, self.size)), 2, 1)
+        values = _values(self.terms, positions)
+        return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
-    def exponents(self, x: Array, positions: Array) -> tuple[Array, Array]:
-        """Discriminant of the polynomial of the squares of the exponents of solutions, and their largest square where it is 0.
+    @property
+    def cyclic(self) -> bool:
+        """Whether a turn changes nothing, so that two exponents are 0."""
+        return self.upright or self.axis >= 0
 
-        In the frame the body obeys I xi'' + v x xi' + H xi = 0 with the Hessian H of the potential. Squares that symmetries make 0 are left out.
+    def characteristic(self, x: Array, positions: Array) -> tuple[Array, Array]:
+        """Coefficients of the polynomial in the squares s of exponents, lowest first, and their derivatives by x and position.
+
+        In the frame the body obeys I xi'' + v x xi' + H xi = 0, so that it is det(s I + H) + s v.(s I + H) v; a root that is 0 by a
+        symmetry is left out. (N, 4) and (N, 4, n + 2).
         """
-        sides = [
-            chebvander(2 * side - 1, size - 1)
-            for side, size in zip(positions.T, self.bodies.shape, strict=False)
-        ]
-        inertia, rotor, turn, p, alpha_field, r, gamma_field = np.split(
-            np.einsum("na,nb,abk->nk", *sides, self.bodies), [3, 6, 7, 8, 11, 12], 1
-        )
-        body = Body(
-            inertia,
-            rotor,
-            turn[:, 0],
-            Direction(p[:, 0], alpha_field),
-            Direction(r[:, 0], gamma_field),
-            0 * p[:, 0],
-        )
         alpha, gamma = self.attitudes(x)
-        hessian, v = body.hessian(alpha, gamma), body.gyroscopic(turn * gamma)
-        cofactors = np.cross(np.roll(hessian, -1, 1), np.roll(hessian, 1, 1))
-        product = inertia.prod(1) * self.square
-        traces = (np.roll(inertia, 1, 1) * np.roll(inertia, -1, 1) * np.einsum("nii->ni", hessian)).sum(1)
-        a = (traces + (inertia * v**2).sum(1)) / product
-        b = (
-            (np.einsum("nii,ni->n", cofactors, inertia) + np.einsum("ni,nij,nj->n", v, hessian, v))
-            / product
-            / self.square
-        )
-        c = (hessian[:, 0] * cofactors[:, 0]).sum(1) / product / self.square**2
-        if self.upright or self.axis >= 0:
-            return a**2 - 4 * b, -0.5 * a
-        double = (9 * c - a * b) / (2 * (a**2 - 3 * b))
-        discriminant = (a * b) ** 2 - 4 * b**3 - 4 * a**3 * c + 18 * a * b * c - 27 * c**2
-        return discriminant, np.maximum(double, -a - 2 * double)
+        inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 7, 2)
+        fields = (alpha, *along[:2]), (gamma, *along[2:])
+        hessians = np.sum([_hessian(*field) for field in fields], 0)
+        H, I, v = hessians[0], inertia[0, :, None] * np.eye(3), rotor + turning * gamma
+        # Derivatives of the coefficients by H, v and I.
+        forces, nothing = np.einsum("njik,nk->nji", np.stack([H, I], 1), v[0]), np.zeros((len(x), 1, 3))
+        K = np.stack([0.5 * _polar(H, H), _polar(H, I), 0.5 * _polar(I, I), 0 * I], 1)
+        by_v = np.concatenate([nothing, 2 * forces, nothing], 1)
+        pairs = np.stack([K[:, 0] / 3, K[:, 0], K[:, 2], K[:, 2] / 3], 1), np.stack([H, I, H, I], 1)
+        values = (pairs[0] * pairs[1]).sum((2, 3))
+        values[:, 1:3] += (forces * v[0, :, None]).sum(2)
+        K[:, 1] += v[0, :, :, None] * v[0, :, None]
+        by_I = np.concatenate([nothing, np.einsum("njii->nji", K[:, :3])], 1)
+        by_position = np.einsum("njik,pnik->njp", K, hessians[1:])
+        by_position += np.einsum("nji,pni->njp", by_v, v[1:]) + np.einsum("nji,pni->njp", by_I, inertia[1:])
+        by_alpha, by_gamma = (_by_direction(K, d, q[0], c[0]) for d, q, c in fields)
+        by_gamma += turning[0, :, None] * by_v
+        if self.axis < 0:
+            by_x = by_gamma if self.upright else np.concatenate([by_alpha, by_gamma], 2)
+        else:
+            torque = np.cross(by_alpha, alpha[:, None]) + np.cross(by_gamma, gamma[:, None])
+            rows = [alpha, gamma] if self.size == 2 else [alpha, np.cross(gamma, alpha), gamma]
+            by_x = np.cross(torque, np.eye(3)[self.axis]) @ np.stack(rows, 2)
+        slopes = np.concatenate([by_x, by_position], 2)
+        if self.cyclic:
+            values, slopes = (np.roll(each, -1, 1) for each in (values, slopes))
+            values[:, -1], slopes[:, -1] = 0.0, 0.0
+        return values, slopes
 
     def none(self) -> Degenerate:
         """No point."""
@@ -203,6 +202,45 @@ class Potential(NamedTuple):
         return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)[..., self.axis]
 
 
+def _values(tables: Sequence[Array], positions: Array) -> Array:
+    """Values of Chebyshev series in positions, (tables, N, series)."""
+    u, w = (
+        chebvander(2 * side - 1, max(t.shape[i] for t in tables) - 1) for i, side in enumerate(positions.T)
+    )
+    return np.array([np.einsum("na,nb,abk->nk", u[:, : t.shape[0]], w[:, : t.shape[1]], t) for t in tables])
+
+
+def _polar(a: Array, b: Array) -> Array:
+    """Polar form of the adjugate of symmetric matrices (..., 3, 3), twice the adjugate where both are the same."""
+    product, traces = a @ b, [np.einsum("...ii->...", each)[..., None, None] for each in (a, b, a @ b)]
+    unit = (traces[0] * traces[1] - traces[2]) * np.eye(3)
+    return product + np.swapaxes(product, -1, -2) - traces[0] * b - traces[1] * a + unit
+
+
+def _hessian(d: Array, q: Array, c: Array) -> Array:
+    """Hessian under rotations of d.(q d) / 2 + c.d for a direction d in body axes, symmetric part, (..., 3, 3)."""
+    outer, slope = d[:, :, None] * d[:, None], q * d + c
+    mixed = 0.5 * slope[..., :, None] * d[:, None]
+    tilt = _polar(outer, q[..., None] * np.eye(3))
+    return tilt + mixed + np.swapaxes(mixed, -1, -2) - (slope * d).sum(-1)[..., None, None] * np.eye(3)
+
+
+def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
+    """Derivatives of the contractions of matrices K with that Hessian by d, (N, matrices, 3)."""
+    rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
+    tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
+    return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
+
+
+def _linear(body: Body) -> Array:
+    """I, k, Omega (2 I - tr I), and Q and c along alpha and gamma of bodies, in units of a moment and a rate, (bodies, 21)."""
+    square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
+    I, rate = body.inertia, np.sqrt(square)
+    forces = [part for d in body.amended() for part in (d.gradient[:, None] * I, d.field)]
+    momenta = [body.rotor, body.gyroscopic(body.turn[:, None] * np.ones(3)) - body.rotor]
+    return np.concatenate([I, *(m / rate for m in momenta), *(f / square for f in forces)], 1) / I.max()
+
+
 def _coefficients(body: Body, upright: bool, axis: int) -> Array:
     """Q and c of bodies, (bodies, 2 n)."""
     alpha, gamma = body.amended()
@@ -220,14 +258,23 @@ class Degenerate(NamedTuple):
 
     potential: Potential
     unknowns: Array
-    kind: NDArray[
-        np.int8
-    ]  # BorderKind: pitchforks have s as an unknown and x moved across v, limits neither v nor m; else s = 0, (N,)
+    # BorderKind, (N,): on pitchforks s is unknown and x moves across v, on limits s is the square of the double exponent and v = m = 0.
+    kind: NDArray[np.int8]
 
     @property
     def pitchfork(self) -> Mask:
         """Which are pitchforks."""
         return np.asarray(self.kind == BorderKind.PITCHFORK)
+
+    @property
+    def limit(self) -> Mask:
+        """Which are limits of stability without a change of the number of solutions."""
+        return np.asarray(self.kind >= BorderKind.LIMIT_OF_STABILITY)
+
+    @property
+    def excess(self) -> Array:
+        """Size of the force along the null vector that no body exerts, 0 on curves, (N,)."""
+        return np.where(self.limit, 0.0, np.abs(self.unknowns[:, -1]))
 
     @property
     def parts(self) -> list[Array]:
@@ -238,8 +285,8 @@ class Degenerate(NamedTuple):
 
     @property
     def place(self) -> Array:
-        """x and position, in which distances and lengths of curves are measured, (N, n + 2)."""
-        return np.concatenate([self.unknowns[:, : self.potential.size], self.unknowns[:, -3:-1]], 1)
+        """x, position and s, in which distances and lengths of curves are measured, (N, n + 3)."""
+        return np.concatenate([self.unknowns[:, : self.potential.size], self.unknowns[:, -3:]], 1)
 
     @classmethod
     def joined(cls, parts: Sequence[Degenerate]) -> Degenerate:
@@ -289,11 +336,34 @@ class Degenerate(NamedTuple):
         slopes[:, :n, -1] = slopes[:, -2, size : size + n] = v
         slopes[:, -1, -1] = ~self.pitchfork
         slopes[:, -1, :n] = v * self.pitchfork[:, None]
-        if (limit := self.kind == BorderKind.LIMIT_OF_STABILITY).any():
+        if (limit := self.limit).any():
             slopes[limit, size : 2 * size] = np.eye(2 * size + 3)[size : 2 * size]
             residual[limit, size : 2 * size] = self.unknowns[limit, size : 2 * size]
-            residual[limit, -2], slopes[limit, -2] = _discriminants(self.take(limit))
+            values, gradients = self.take(limit).characteristic()
+            residual[limit, -2:] = values[:, :2]
+            slopes[limit, -2:, :n], slopes[limit, -2:, -3:-1] = gradients[..., :n], gradients[..., n:]
+            slopes[limit, -2:, -1] = values[:, 1:]
+            zero = self.kind == BorderKind.EXTREMAL_MOMENTUM
+            residual[zero, -1], slopes[zero, -1] = s[zero, 0], np.eye(2 * size + 3)[-1]
         return residual, slopes
+
+    def characteristic(self) -> tuple[Array, Array]:
+        """The characteristic polynomial at s and two derivatives, (N, 3), and the derivatives of the former two by x and position."""
+        x, _, _, _, position, s = self.parts
+        s = np.where(self.limit[:, None], s, 0.0)
+        coefficients, slopes = self.potential.characteristic(x, position)
+        one, no = np.ones_like(s), np.zeros_like(s)
+        powers = np.array([[one, s, s**2, s**3], [no, one, 2 * s, 3 * s**2], [no, no, 2 * one, 6 * s]])
+        values = np.einsum("dkni,nk->nd", powers, coefficients)
+        return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
+
+    def largest_square(self) -> Array:
+        """At limits of stability the largest square of the exponents, apart from a pair that vanishes, (N,)."""
+        x, _, _, _, position, s = self.parts
+        (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
+        with np.errstate(all="ignore"):
+            other = s if self.potential.cyclic else -second / third - 2 * s
+            return np.where(self.kind == BorderKind.EXTREMAL_MOMENTUM, -first / second, np.maximum(s, other))
 
     def moved(self, change: Array) -> Degenerate:
         """Points after a change of the unknowns."""
@@ -336,7 +406,7 @@ class Degenerate(NamedTuple):
             points = points.moved(change)
         tangent = solution[..., 1]
         n = self.potential.size
-        tangent = tangent / length(tangent[:, [*range(n), -3, -2]])[:, None]
+        tangent = tangent / length(tangent[:, [*range(n), -3, -2, -1]])[:, None]
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
     def regular(self) -> tuple[Degenerate, Array]:
@@ -345,10 +415,13 @@ class Degenerate(NamedTuple):
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
         points, step, tangent, _ = self.take(good).corrected(right[good, -1], 3)
-        good = (step < _EXACT) & (np.abs(points.unknowns[:, -1]) < _EXACT)
+        good = (step < _EXACT) & (points.excess < _EXACT)
         forks = np.flatnonzero(points.pitchfork)
         _, (product, flat), _ = points.take(forks).character()
         good[forks] &= np.abs(flat) > _EXACT * np.abs(product)  # else equilibria form a line
+        limits = np.flatnonzero(points.limit)  # Newton's method is as fast at singular ones
+        sizes = np.linalg.svd(points.take(limits).equations()[1], compute_uv=False)
+        good[limits] &= sizes[:, -1] > _REGULAR * sizes[:, 0]
         return points.take(good), tangent[good]
 
     @classmethod
@@ -386,20 +459,29 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Unknowns at solutions beside which two pairs of imaginary exponents meet within a reach to first order."""
+        """Unknowns at solutions that are stable, or nearly, and lose their stability at a limit within a reach to first order."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B = np.einsum("kij,nj->nki", potential.forms, x)
         l = -np.einsum("nki,ni->nk", _solved(B @ np.swapaxes(B, 1, 2), B), now[0] * x + now[1])
         unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1)
-        points = cls(potential, unknowns, np.full(N, BorderKind.LIMIT_OF_STABILITY, np.int8))
-        first, *_ = points.matrices()
+        first, *_ = cls(potential, unknowns, np.zeros(N, np.int8)).matrices()
         forces = np.concatenate([np.stack([q * x + c for q, c in by], -1), np.zeros((N, m, 2))], 1)
         moved = -_solved(first + 1e-13 * np.eye(n + m), forces)[:, :n]
-        value, slopes = _discriminants(points)
-        rates = slopes[:, -3:-1] + np.einsum("ni,nif->nf", slopes[:, :n], moved)
-        is_near = np.abs(value) < reach * length(rates)
-        return points.take(is_near & (potential.exponents(x, position)[1] < 0))
+        coefficients, _ = potential.characteristic(x, position)
+        kinds = [(BorderKind.LIMIT_OF_STABILITY, s) for s in _extrema(coefficients).T]
+        if potential.cyclic:
+            kinds.append((BorderKind.EXTREMAL_MOMENTUM, np.zeros(N)))
+        parts = []
+        for kind, s in kinds:
+            unknowns[:, -1] = s
+            points = cls(potential, unknowns.copy(), np.full(N, kind, np.int8))
+            values, slopes = points.characteristic()
+            rates = slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved)
+            parts.append(
+                points.take((np.abs(values[:, 0]) < reach * length(rates)) & (points.largest_square() < 0))
+            )
+        return cls.joined(parts)
 
     def settled(self, reach: float) -> Degenerate:
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
@@ -427,8 +509,8 @@ class Degenerate(NamedTuple):
         """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, (2, N), and a covector.
 
         The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
-        product of the other eigenvalues, and that times the fourth derivative; on limits of stability 1. The covector, (N, 2),
-        points to the side of the curve where two more solutions are.
+        product of the other eigenvalues, and that times the fourth derivative; on limits of stability the second derivative of the
+        characteristic polynomial, 0 at cusps, and 1. The covector, (N, 2), points to the side of the curve where two more solutions are.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]
@@ -436,10 +518,11 @@ class Degenerate(NamedTuple):
         _, *by = self.potential.at(position)
         basis = np.linalg.svd(first[:, n:, :n])[2][:, len(forms) :]
         values = np.linalg.eigvalsh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
-        degenerate = np.flatnonzero(self.kind != BorderKind.LIMIT_OF_STABILITY)
+        degenerate = np.flatnonzero(~self.limit)
         values[degenerate, np.abs(values[degenerate]).argmin(1)] = 1.0
         curved = np.einsum("ni,kij,nj->nk", v, forms, v)
-        third = np.where(self.kind == BorderKind.LIMIT_OF_STABILITY, 1.0, 3 * (m * curved).sum(1))
+        third = 3 * (m * curved).sum(1)
+        third[self.limit] = self.take(self.limit).characteristic()[0][:, 2]
         slope = self.force()
         fork = self.pitchfork
         bordered = np.zeros((fork.sum(), first.shape[1] + 1, first.shape[1] + 1))
@@ -458,16 +541,10 @@ class Degenerate(NamedTuple):
         return (values < 0).sum(1), tests, -np.sign(third)[:, None] * slope
 
 
-def _discriminants(points: Degenerate) -> tuple[Array, Array]:
-    """Discriminants of the exponents, and their derivatives by the unknowns by central differences."""
-    x, _, _, _, position, _ = points.parts
-    n, size = x.shape[1], points.unknowns.shape[1]
-    both = np.concatenate([x, position], 1)
-    steps = _DIFFERENCE * np.concatenate([np.eye(n + 2), -np.eye(n + 2), np.zeros((1, n + 2))])
-    moved = (both[:, None] + steps).reshape(-1, n + 2)
-    values = points.potential.exponents(moved[:, :n], moved[:, n:])[0].reshape(len(x), -1)
-    slopes = np.zeros((len(x), size))
-    slopes[:, [*range(n), size - 3, size - 2]] = (values[:, : n + 2] - values[:, n + 2 : -1]) / (
-        2 * _DIFFERENCE
-    )
-    return values[:, -1], slopes
+def _extrema(coefficients: Array) -> Array:
+    """Real numbers at which polynomials of degree 2 or 3 have extrema, else nan, (N, 2)."""
+    _, first, second, third = coefficients.T
+    with np.errstate(all="ignore"):
+        larger = -second - np.copysign(np.sqrt(second**2 - 3 * first * third), second)
+        roots = np.stack([larger / (3 * third), first / larger], 1)
+    return np.where(np.isfinite(roots), roots, np.nan)

@@ -176,4 +176,50 @@ def test_limits_of_stability(system, body, ranges):
         growth.append(rest.growth_rate.isel(equilibrium=near).values)
     growth = np.sort(growth, axis=0)
     assert (growth[0] < 1e-8).mean() > 0.95  # and on the other side it is about the root of the distance
-    assert (growth[1] > 1e-4).mean() > 0.9  # but near points where two limits cross
+    assert (growth[1] > 1e-4).mean() > 0.9  # but where another exponent is near
+
+
+@pytest.mark.parametrize("k3", [0.0, 0.05])
+def test_limits_pass_other_exponents(k3):
+    """Curves end at the border of the ranges alone, through cusps, at which all three pairs of exponents meet.
+
+    There growth is the cube root of the distance. With k3 = 0 a pair that takes no part passes the others elsewhere.
+    """
+    body, ranges = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": k3}, {"k1": (-3.1, 3.3), "k2": (0.5, 3.0)}
+    ds = atlas.borders("satellite", body, ranges, stability=True)
+    assert (ds.cells == Cell.COUNTED).all()
+    limits = np.flatnonzero(ds.kind.values == BorderKind.LIMIT_OF_STABILITY)
+    first = np.flatnonzero(np.diff(ds.curve.values[limits], prepend=-1))
+    for vertex in limits[np.r_[first, first[1:] - 1, -1]]:
+        end = {name: float(ds[name][vertex]) for name in ranges}
+        assert any(value == pytest.approx(side) for name, value in end.items() for side in ranges[name])
+    cusps = ds.isel(special=np.isin(ds.special_curve, ds.curve.values[limits]))
+    assert (cusps.special_kind == SpecialKind.CUSP).all()
+    assert sorted(np.sign(cusps.special_k1.values)) == [-1, 1]
+    gamma, growth = cusps.special_gamma.rename(special="point"), []
+    for distance in (1e-9, 1e-6):
+        at = {"k1": cusps.special_k1.values * (1 + distance), "k2": cusps.special_k2.values}
+        rest = atlas.equilibria("satellite", body | at)
+        near = np.abs(rest.gamma - gamma).max("body_axis").argmin("equilibrium")
+        growth.append(rest.growth_rate.isel(equilibrium=near).values)
+    np.testing.assert_allclose(growth[1] / growth[0], 10, rtol=0.05)
+
+
+def test_momentum_has_an_extremum():
+    """A pair of exponents vanishes where a change of the rate, and of the attitude with it, keeps the momentum about the vertical."""
+    top = {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l2": 0.1}
+    ds = atlas.borders("fixed_point", top, {"n": (0.2, 4.0), "l3": (-2.0, 2.0)}, stability=True)
+    assert (ds.cells == Cell.COUNTED).all()
+    ds = ds.isel(vertex=np.flatnonzero(ds.kind.values == BorderKind.EXTREMAL_MOMENTUM)[5:-5:40])
+    inertia, momenta = np.array([1.0, 1.3, 1.7]), []
+    for change in (-1e-4, 0.0, 1e-4):
+        n = ds.n.values + change
+        rest = atlas.equilibria("fixed_point", top | {"n": n, "l3": ds.l3.values})
+        near = np.abs(rest.gamma - ds.gamma.rename(vertex="point")).max("body_axis").argmin("equilibrium")
+        gamma = rest.gamma.isel(equilibrium=near).values
+        rotor = np.stack([0 * n, 0 * n + 0.1, ds.l3.values], -1)
+        momenta.append(((n[:, None] * inertia * gamma + rotor) * gamma).sum(-1))
+    low, middle, high = np.array(momenta)
+    assert len(middle) > 10
+    slope, bend = (high - low) / 2e-4, (high - 2 * middle + low) / 1e-8
+    assert (np.abs(slope) < 1e-5 * np.abs(bend)).all()

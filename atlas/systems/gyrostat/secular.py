@@ -17,8 +17,8 @@ class SecularEquation:
     """sum b_i^2 / (d_i - L)^2 = 1 for L, as origin + shift with the origin at a pole d_i; arrays (3, points)."""
 
     def __init__(self, d: Array, b: Array):
-        self.d, self.b = d, b
         active = b != 0
+        self.d, self.b = np.where(active, d, np.inf), b  # a pole without residue may be met exactly
         self.exists = active.any(0)
         # A pole without residue is moved onto one that has it: the empty interval between them has no root.
         anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
@@ -26,8 +26,7 @@ class SecularEquation:
         self.total = length(b)
 
     def sum(self, shift: Array, origin: Array, power: int = 2) -> Array:
-        terms = self.b**2 / (self.d - origin - shift) ** power
-        return np.where(self.b == 0, 0.0, terms).sum(0)  # a pole without residue may be met exactly
+        return np.asarray(self.b**2 / (self.d - origin - shift) ** power).sum(0)
 
     def direction(self, shift: Array, origin: Array) -> Array:
         return unit(-self.b / (self.d - origin - shift))

@@ -102,7 +102,7 @@ class Borders(NamedTuple):
                 f"borders: damping = {corners['damping'].max():g}; the body has to be without damping"
             )
         potential = Potential.of(system, points)
-        for name, changes in zip(plane.extent, potential.terms[1:], strict=True):
+        for name, changes in zip(plane.extent, np.split(potential.terms, 3, -1)[1:], strict=True):
             if not changes.any():
                 raise BadInput(f"borders: {name} changes no equilibria; take a parameter of body or field")
         lines, axis, cells = all_curves(system, potential, points, stability)

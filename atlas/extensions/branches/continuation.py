@@ -24,7 +24,7 @@ _NONE = 1e-10  # share of the largest value that counts as 0
 _ILLINOIS = 14  # iterations, the secant method with brackets
 _MISSED = 3e-5  # distance of a predicted vertex, with which the cubic between two is wrong by less than 1e-6
 _ON_CURVE = 1e-6  # distance from a vertex within which a point is the same
-_SETTLED = 1e-11  # step of Newton's method that no other follows
+_SETTLED = 1e-6  # step of Newton's method that no other follows: the equations are quadratic
 # Points near a vertex among which the next one is looked for, and the length after which these are others.
 _NEIGHBOURS, _LOOK = 32, 0.2
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
@@ -131,7 +131,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
     kinds = np.resize(seeds.kind, len(targets))
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
-    *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 0)
+    *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 1)
     bend, step, active = np.zeros_like(tangents), np.full(ends.size, _FIRST), np.arange(ends.size)
     around, search_arc = (
         np.zeros((ends.size, min(_NEIGHBOURS, len(targets))), int),
@@ -172,7 +172,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         size = np.sqrt((moved**2).sum(1))
         with np.errstate(invalid="ignore"):
             accepted = (error < _SETTLED) & (cosine > np.cos(1.5 * _BEND)) & (size < 1.2 * arc + _ON_CURVE)
-        accepted &= new.excess < _ON_CURVE
+        accepted &= (new.excess < _ON_CURVE) & new.inside()
         accepted &= (sign == orientation[active]) | (
             arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
         )

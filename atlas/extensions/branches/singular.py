@@ -72,16 +72,13 @@ class BorderKind(Flag):
 class Potential(NamedTuple):
     """Amended potentials of bodies that depend on two parameters, at positions in a box: fractions of its sides."""
 
-    terms: tuple[
-        Array, Array, Array
-    ]  # Chebyshev coefficients of (Q, c) and of their derivatives, (a, b, 2 n)
+    terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
     forms: Array  # E_k, (m, n, n)
     axis: int  # of symmetry of all bodies; -1: none
     upright: bool  # nothing acts along alpha
     mirrored: bool  # alpha -> -alpha leaves all potentials the same
-    bodies: tuple[
-        Array, Array, Array
-    ]  # coefficients of I, k, Omega (2 I - tr I), and Q and c along alpha and gamma, and of their derivatives, (a, b, 21)
+    # Those of I, k, Omega (2 I - tr I), and Q and c along alpha and gamma, and of their derivatives, (a, b, 63).
+    bodies: Array
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
@@ -115,8 +112,7 @@ class Potential(NamedTuple):
         forms = FRAMES if n == 6 else np.eye(n)[None]
         mirrored = n == 6 and not terms[..., n : n + 3].any()
         bodies = bodies[: used[0] + 2, : used[1] + 2]  # c contains products with the turn
-        both = [(t, 2 * chebder(t, axis=0), 2 * chebder(t, axis=1)) for t in (terms, bodies)]
-        return cls(both[0], forms, axis, upright, mirrored, both[1])
+        return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
 
     @property
     def size(self) -> int:
@@ -202,12 +198,21 @@ class Potential(NamedTuple):
         return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)[..., self.axis]
 
 
-def _values(tables: Sequence[Array], positions: Array) -> Array:
-    """Values of Chebyshev series in positions, (tables, N, series)."""
-    u, w = (
-        chebvander(2 * side - 1, max(t.shape[i] for t in tables) - 1) for i, side in enumerate(positions.T)
-    )
-    return np.array([np.einsum("na,nb,abk->nk", u[:, : t.shape[0]], w[:, : t.shape[1]], t) for t in tables])
+def _with_derivatives(coefficients: Array) -> Array:
+    """Coefficients of Chebyshev series (a, b, k) and of their derivatives by both positions, (a, b, 3 k)."""
+    a, b, k = coefficients.shape
+    every = np.zeros((a, b, 3, k))
+    every[:, :, 0] = coefficients
+    every[:-1, :, 1], every[:, :-1, 2] = (2 * chebder(coefficients, axis=axis) for axis in (0, 1))
+    return every.reshape(a, b, -1)
+
+
+def _values(coefficients: Array, positions: Array) -> Array:
+    """Values of Chebyshev series and of their derivatives, (3, N, k / 3)."""
+    a, b, k = coefficients.shape
+    u, w = np.moveaxis(chebvander(2 * positions - 1, max(a, b) - 1), 1, 0)
+    products = (u[:, :a, None] * w[:, None, :b]).reshape(-1, a * b)
+    return np.moveaxis((products @ coefficients.reshape(a * b, k)).reshape(-1, 3, k // 3), 1, 0)
 
 
 def _polar(a: Array, b: Array) -> Array:
@@ -365,6 +370,10 @@ class Degenerate(NamedTuple):
             other = s if self.potential.cyclic else -second / third - 2 * s
             return np.where(self.kind == BorderKind.EXTREMAL_MOMENTUM, -first / second, np.maximum(s, other))
 
+    def inside(self) -> Mask:
+        """Which are in the box but for rounding errors."""
+        return np.asarray((np.abs(self.parts[4] - 0.5) < 0.5 + _EXACT).all(1))
+
     def moved(self, change: Array) -> Degenerate:
         """Points after a change of the unknowns."""
         return self._replace(unknowns=self.unknowns + change)
@@ -394,17 +403,13 @@ class Degenerate(NamedTuple):
         cross it.
         """
         points = self
-        for i in range(iterations + 1):
+        for _ in range(iterations):
             residual, slopes = points.equations()
             matrix = np.concatenate([slopes, row[:, None]], 1)
             right = np.zeros((*row.shape, 2))
             right[:, :-1, 0], right[:, -1, 1] = -residual, 1.0
-            solution = _solved(matrix, right)
-            change = solution[..., 0]
-            if i == iterations:
-                break
+            change, tangent = np.moveaxis(_solved(matrix, right), -1, 0)
             points = points.moved(change)
-        tangent = solution[..., 1]
         n = self.potential.size
         tangent = tangent / length(tangent[:, [*range(n), -3, -2, -1]])[:, None]
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
@@ -414,8 +419,8 @@ class Degenerate(NamedTuple):
         residual, slopes = self.equations()
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
-        points, step, tangent, _ = self.take(good).corrected(right[good, -1], 3)
-        good = (step < _EXACT) & (points.excess < _EXACT)
+        points, step, tangent, _ = self.take(good).corrected(right[good, -1], 4)
+        good = (step < _EXACT) & (points.excess < _EXACT) & points.inside()
         forks = np.flatnonzero(points.pitchfork)
         _, (product, flat), _ = points.take(forks).character()
         good[forks] &= np.abs(flat) > _EXACT * np.abs(product)  # else equilibria form a line
@@ -487,7 +492,7 @@ class Degenerate(NamedTuple):
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
         points, step = self.nearest(_ITERATIONS)
         inside = length(points.parts[4] - self.parts[4]) < reach
-        inside &= (np.abs(points.parts[4] - 0.5) <= 0.5).all(1) & (step < _NEAR)
+        inside &= points.inside() & (step < _NEAR)
         points = points.take(inside)
         force = points.force()
         is_pitchfork = (length(force) < _NO_FORCE) & (points.kind == BorderKind.FOLD)

@@ -85,8 +85,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     unknowns = np.stack([*x, -L, *v, m, *position.T, 0 * L], -1)
     usable = np.isfinite(unknowns).all(1)
     kind = np.where(forks, BorderKind.PITCHFORK, BorderKind.FOLD).astype(np.int8)
-    points, _ = Degenerate(potential, unknowns[usable], kind[usable]).nearest(_ON_SPHERE)
-    return points.take((np.abs(points.parts[4] - 0.5) <= 0.5).all(1))
+    return Degenerate(potential, unknowns[usable], kind[usable]).nearest(_ON_SPHERE)[0]
 
 
 def near_solutions(

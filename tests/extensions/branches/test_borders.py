@@ -142,6 +142,22 @@ def test_figures_and_tables(tmp_path):
     np.testing.assert_allclose(table.gamma_2, ds.gamma[:, 1], rtol=0, atol=1e-12)
 
 
+def test_curves_end_on_the_sides_of_the_ranges():
+    """Also where a step along the tangent stays inside and the curve does not."""
+    body = {"A": 1.352, "B": 1.445, "C": 0.956, "k2": -0.22180597552426218, "h1": 0.559637412812156, "h3": 0.7869113652768456,
+            "mu1": -0.42619257491935897, "mu2": 0.4219967358948798, "mu3": -0.06699111954668029}  # fmt: skip
+    side = 2.20316247973306
+    ds = atlas.borders("satellite", body, {"k1": (-side, side), "k3": (-side, side)})
+    assert (ds.cells == Cell.COUNTED).all()
+    at = np.stack([ds.k1, ds.k3], -1)
+    change = np.diff(ds.curve.values) != 0
+    first, last = at[np.r_[True, change]], at[np.r_[change, True]]
+    on_side = [np.abs(np.abs(end).max(1) - side) < 1e-12 for end in (first, last)]
+    closed = np.abs(first - last).max(1) < 1e-12
+    np.testing.assert_array_equal(on_side, [~closed, ~closed])
+    assert 0 < closed.sum() < closed.size
+
+
 def test_bodies_that_cannot_exist_cut_borders():
     ds = atlas.borders("satellite", {"A": 1.0, "k1": 0.3, "k3": 0.5}, {"B": (0.5, 1.0), "C": (1.2, 1.8)})
     excess = (1 + ds.B - ds.C).values

@@ -55,6 +55,11 @@ class Variable:
             attributes["comment"] = self.comment
         return attributes
 
+    @staticmethod
+    def table(*variables: Variable) -> dict[str, dict[str, object]]:
+        """Name -> CF attributes."""
+        return {variable.name: variable.attributes() for variable in variables}
+
 
 @dataclass(frozen=True)
 class Tolerances:

@@ -21,12 +21,11 @@ from ...errors import BadInput
 from ...flags import Flag
 from ...measure.instrument import Variable
 from ...scene.checks import typed
-from ...scene.model import SCHEMA, Duration, Scene
-from ...scene.read import scene_from
-from ...store import dataset
+from ...scene.model import Duration, Scene
 from ...systems.base import Array, Mask, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.equilibria import described, frames_of
+from .branches import empty_dataset, scene_of
 from .continuation import Curve, Segments, lengths, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, sides
@@ -43,35 +42,28 @@ class SpecialKind(Flag):
     ZERO_AND_PAIR = 3, "a limit of stability ends: the two pairs of exponents, or the third, become 0"
 
 
-_OWN = {
-    variable.name: variable.attributes()
-    for variable in (
-        Variable("curve", "int16", "1", "number of the curve to which the vertex belongs"),
-        Variable("kind", "int8", "1", "kind of border", BorderKind.meanings()),
-        Variable(
-            "arc", "float64", "1", "length of the curve in attitude and parameters, these over their ranges"
-        ),
-        Variable("index_below", "int8", "1", "Morse index of the solutions on one side of the border"),
-        Variable(
-            "index_above",
-            "int8",
-            "1",
-            "Morse index on the other side, larger by 1 but at limits of stability",
-        ),
-        Variable(
-            "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"
-        ),
-        Variable(
-            "residual", "float64", "1", "largest residual of the equations, over the size of the potential"
-        ),
-        Variable("condition", "float64", "1", "condition number of the equations with the tangent"),
-        Variable("special_curve", "int16", "1", "curve on which the special point lies"),
-        Variable("special_kind", "int8", "1", "kind of special point", SpecialKind.meanings()),
-        Variable(
-            "cells", "int8", "1", "whether the curves explain the numbers of equilibria", Cell.meanings()
-        ),
-    )
-}
+_OWN = Variable.table(
+    Variable("curve", "int16", "1", "number of the curve to which the vertex belongs"),
+    Variable("kind", "int8", "1", "kind of border", BorderKind.meanings()),
+    Variable(
+        "arc", "float64", "1", "length of the curve in attitude and parameters, these over their ranges"
+    ),
+    Variable("index_below", "int8", "1", "Morse index of the solutions on one side of the border"),
+    Variable(
+        "index_above",
+        "int8",
+        "1",
+        "Morse index on the other side, larger by 1 but at limits of stability",
+    ),
+    Variable(
+        "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"
+    ),
+    Variable("residual", "float64", "1", "largest residual of the equations, over the size of the potential"),
+    Variable("condition", "float64", "1", "condition number of the equations with the tangent"),
+    Variable("special_curve", "int16", "1", "curve on which the special point lies"),
+    Variable("special_kind", "int8", "1", "kind of special point", SpecialKind.meanings()),
+    Variable("cells", "int8", "1", "whether the curves explain the numbers of equilibria", Cell.meanings()),
+)
 
 
 class Borders(NamedTuple):
@@ -220,12 +212,7 @@ def borders(
     for name, values in ranges.items():
         if len(values) != 2 or not values[0] < values[1]:
             raise BadInput(f"ranges.{name} = {list(values)}: must be a lowest and a higher value")
-    table = {
-        "schema": SCHEMA, "title": "borders", "system": system, "fixed": dict(body), "ties": dict(ties or {}),
-        "axes": {name: {"values": [float(value) for value in values]} for name, values in ranges.items()},
-        "integration": {"duration": 1.0},
-    }  # fmt: skip
-    return borders_of_scene(scene_from(table, folder=None), stability)
+    return borders_of_scene(scene_of("borders", system, body, ranges, ties), stability)
 
 
 def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
@@ -238,25 +225,22 @@ def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
 
 def borders_of_plane(plane: Plane, stability: bool = False) -> xr.Dataset:
     """The borders on a plane of the axes of a scene, as `borders`."""
-    curves, (first, second) = Borders.of(plane, stability), plane.extent
-    columns = _vertices(curves) | _special(curves)
-    sides = [0.5 * (curves.axis[1:] + curves.axis[:-1])] * 2
-    centres = curves.values(np.stack(sides, -1)).T
-    coordinates = {f"cell_{name}": centre for name, centre in zip((first, second), centres, strict=True)}
-    ds = dataset.dataset(replace(plane.scene, outputs=()), {})
-    own = {name: ds[name].attrs for name in (first, second)}
-    starts = {name for name, parameter in plane.scene.system.parameters.items() if parameter.start}
-    varying = {str(name) for name in ds.coords if ds[name].ndim}
-    ds = ds.drop_vars([*starts - {*plane.scene.fixed}, *varying], errors="ignore").assign_coords(plane.fixed)
+    curves = Borders.of(plane, stability)
+    parts = ("vertex", _vertices(curves)), ("special", _special(curves))
+    columns = {
+        name: ((dim, "body_axis")[: column.ndim], column)
+        for dim, part in parts
+        for name, column in part.items()
+    }
+    centres = curves.values(np.stack([0.5 * (curves.axis[1:] + curves.axis[:-1])] * 2, -1)).T
+    coordinates = {f"cell_{name}": centre for name, centre in zip(plane.extent, centres, strict=True)}
+    ds = empty_dataset(plane.scene)
+    own = {name: ds[name].attrs for name in plane.extent}
+    ds = ds.drop_vars([name for name in ds.coords if ds[name].ndim]).assign_coords(plane.fixed)
     ds = ds.assign(columns).assign(cells=(tuple(coordinates), curves.cells)).assign_coords(coordinates)
     for name in [*columns, *coordinates, "cells"]:
         base = name.removeprefix("special_").removeprefix("tangent_").removeprefix("cell_")
         ds[name].attrs = _OWN.get(name) or own.get(base) or attributes(base)
-    ds.attrs = {
-        "title": plane.scene.title,
-        "references": plane.scene.system.reference,
-        "atlas_system": plane.scene.system.name,
-    }
     return ds
 
 
@@ -295,7 +279,7 @@ def table(ds: xr.Dataset) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def _vertices(curves: Borders) -> dict[str, np.ndarray]:
     """Variables over the vertices of all borders."""
     points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
     rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
@@ -313,10 +297,10 @@ def _vertices(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
     }  # fmt: skip
     slopes = curves.slopes(points.parts[4], rows[:, -3:-1])
     columns |= {f"tangent_{name}": slope for name, slope in zip(curves.plane.extent, slopes.T, strict=True)}
-    return {name: (("vertex", "body_axis")[: column.ndim], column) for name, column in columns.items()}
+    return columns
 
 
-def _special(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+def _special(curves: Borders) -> dict[str, np.ndarray]:
     """Variables over the special points of all borders."""
     points, curve, kind = curves.potential.none(), [], []
     for column in (0, 1):
@@ -336,10 +320,7 @@ def _special(curves: Borders) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
         "curve": np.array(curve, np.int16),
         "kind": np.array(kind, np.int8),
     }
-    return {
-        f"special_{name}": (("special", "body_axis")[: column.ndim], column)
-        for name, column in columns.items()
-    }
+    return {f"special_{name}": column for name, column in columns.items()}
 
 
 def _test(column: int, points: Degenerate) -> Array:

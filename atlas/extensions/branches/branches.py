@@ -22,17 +22,13 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.equilibria import described
 from .bifurcations import BodyFamily, Branches, follow
 
-_OWN = {  # variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>
-    variable.name: variable.attributes()
-    for variable in (
-        Variable("index_sum", "float64", "1", "sum of (-1)^index over the equilibria"),
-        Variable("fold_kind", "int8", "1", "kind of bifurcation", BifurcationKind.meanings()),
-        Variable(
-            "fold_direction", "float64", "1", "rotation vector in body axes along which solutions separate"
-        ),
-        Variable("fold_branch", "int64", "1", "branches that meet; -1: no more"),
-    )
-}
+# Variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>.
+_OWN = Variable.table(
+    Variable("index_sum", "float64", "1", "sum of (-1)^index over the equilibria"),
+    Variable("fold_kind", "int8", "1", "kind of bifurcation", BifurcationKind.meanings()),
+    Variable("fold_direction", "float64", "1", "rotation vector in body axes along which solutions separate"),
+    Variable("fold_branch", "int64", "1", "branches that meet; -1: no more"),
+)
 
 
 @typed
@@ -82,12 +78,36 @@ def branches(
     not predict one another, a closed line of equilibria between two values where complex solutions at one of them, by their
     linear equations, become real before the other.
     """
+    return branches_of_scene(scene_of("branches", system, body, along, ties))
+
+
+def scene_of(
+    title: str,
+    system: str,
+    body: Mapping[str, float],
+    axes: Mapping[str, Sequence[float]],
+    ties: Mapping[str, str] | None,
+) -> Scene:
+    """The scene of bodies over axes with these values."""
     table = {
-        "schema": SCHEMA, "title": "branches", "system": system, "fixed": dict(body), "ties": dict(ties or {}),
-        "axes": {name: {"values": np.asarray(values).tolist()} for name, values in along.items()},
+        "schema": SCHEMA, "title": title, "system": system, "fixed": dict(body), "ties": dict(ties or {}),
+        "axes": {name: {"values": np.asarray(values).tolist()} for name, values in axes.items()},
         "integration": {"duration": 1.0},
     }  # fmt: skip
-    return branches_of_scene(scene_from(table, folder=None))
+    return scene_from(table, folder=None)
+
+
+def empty_dataset(scene: Scene) -> xr.Dataset:
+    """The parameters of a scene, of which a start that it does not fix is none, without motions."""
+    ds = dataset.dataset(replace(scene, outputs=()), {})
+    starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
+    ds = ds.drop_vars(starts - {*scene.axes, *scene.fixed, *scene.ties}, errors="ignore")
+    ds.attrs = {
+        "title": scene.title,
+        "references": scene.system.reference,
+        "atlas_system": scene.system.name,
+    }
+    return ds
 
 
 def branches_of_scene(scene: Scene) -> xr.Dataset:
@@ -116,15 +136,12 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
     family = BodyFamily.of(system, points, some[:, None])
     result = follow(family, some, possible - np.arange(possible.size), stability=True)
     variables = _variables(name, values.size, possible, family, result)
-    ds = dataset.dataset(replace(scene, outputs=()), {})
-    starts = {name for name, parameter in system.parameters.items() if parameter.start}
-    given = {name, *scene.fixed, *scene.ties} - set(variables)
-    ds = ds.drop_vars(starts - given, errors="ignore").assign(variables)
+    ds = empty_dataset(scene)
+    ds = ds.drop_vars([each for each in variables if each in ds]).assign(variables)
     parameter = ds[name].attrs
     of_axis = {f"fold_{name}": parameter, "fold_error": {"units": parameter["units"]}}
     for each in variables:
         ds[each].attrs = _OWN.get(each) or of_axis.get(each) or attributes(each.removeprefix("fold_"))
-    ds.attrs = {"title": scene.title, "references": system.reference, "atlas_system": system.name}
     return ds
 
 

@@ -105,7 +105,7 @@ def main():
         shutil.copytree(".", base, ignore=IGNORED)
         if Path(kernels := os.environ.get("ATLAS_CACHE", KERNELS)).is_dir():
             shutil.copytree(kernels, base / KERNELS, dirs_exist_ok=True)
-        for file, node, before, after in islice(draw(trees, seed), skip, count):
+        for file, node, before, after in islice(draw(trees, seed), skip, skip + count):
             lines = texts[file].encode().splitlines(keepends=True)
             head, tail = lines[: node.lineno], lines[node.end_lineno - 1 :]
             head[-1], tail[0] = head[-1][: node.col_offset], tail[0][node.end_col_offset :]

@@ -58,6 +58,12 @@ _OWN = Variable.table(
     Variable(
         "count_change", "int8", "1", "number of solutions to the left of the curve less that to the right"
     ),
+    Variable(
+        "stable_change",
+        "int8",
+        "1",
+        "number of linearly stable solutions to the left of the curve less that to the right",
+    ),
     Variable("residual", "float64", "1", "largest residual of the equations, over the size of the potential"),
     Variable("condition", "float64", "1", "condition number of the equations with the tangent"),
     Variable("special_curve", "int16", "1", "curve on which the special point lies"),
@@ -73,7 +79,7 @@ class Borders(NamedTuple):
     potential: Potential
     lines: list[Curve]
     morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
-    count_change: Array  # and the number of solutions to the left of it less that to the right
+    changes: Array  # and the numbers of all and of stable solutions to the left of it less those to the right, (2, vertices)
     axis: Array  # of the grid on which equilibria are counted, along both sides
     cells: NDArray[np.int8]
 
@@ -105,10 +111,11 @@ class Borders(NamedTuple):
             return np.asarray(possible_body(system, points(at.parts[4])) & bounds)
 
         lines = [part for line in lines for part in _possible(line, shown)]
-        values = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros(0))
+        index, changes = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros((2, 0)))
         ends = np.cumsum([len(line.tangents) - 1 for line in lines], dtype=int)
-        index, change = (np.insert(value, ends, value[ends - 1]) for value in values)
-        return cls(plane, potential, lines, index, change, axis, cells)
+        index = np.insert(index, ends, index[ends - 1])
+        changes = np.insert(changes, ends, changes[:, ends - 1], 1)
+        return cls(plane, potential, lines, index, changes, axis, cells)
 
     def values(self, positions: Array) -> Array:
         """Values of the parameters, (N, 2)."""
@@ -189,7 +196,7 @@ def borders(
         curve in attitude (rad) and parameters (over their ranges), on limits of stability also in the square of the double exponent over that of
         a rate, ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
         alpha and gamma of the solution, index_below and index_above, its Morse index on both sides, of which 0 is a minimum,
-        count_change, residual and condition; indices and count_change hold from the vertex to the next one. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
+        count_change, stable_change, residual and condition; indices and changes hold from the vertex to the next one. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
         and special_kind (flags). cells (flags) is over a coarse grid, of which the coordinates ``cell_<parameter>`` are the middles: it
         states where the curves explain the numbers of equilibria.
 
@@ -292,7 +299,8 @@ def _vertices(curves: Borders) -> dict[str, np.ndarray]:
         "arc": np.concatenate([np.zeros(0), *(lengths(line) for line in curves.lines)]),
         "index_below": curves.morse_index.astype(np.int8),
         "index_above": (curves.morse_index + ~points.limit).astype(np.int8),
-        "count_change": curves.count_change.astype(np.int8),
+        "count_change": curves.changes[0].astype(np.int8),
+        "stable_change": curves.changes[1].astype(np.int8),
         "residual": np.abs(residual).max(1), "condition": condition,
     }  # fmt: skip
     slopes = curves.slopes(points.parts[4], rows[:, -3:-1])
@@ -325,7 +333,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 
 def _test(column: int, points: Degenerate) -> Array:
     """A function of `Degenerate.character` that vanishes at special points."""
-    return points.character()[1][column]
+    return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
 
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:

@@ -39,6 +39,11 @@ _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
 # which it is one; least singular value of regular points, relative, and their last step.
 _ITERATIONS, _NEAR, _NO_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
+_VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
+_BESIDE, _STEPS_BESIDE = (
+    1e-3,
+    5,
+)  # distance from a pitchfork at which solutions are compared, and iterations to it
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -164,6 +169,19 @@ class Potential(NamedTuple):
             values, slopes = (np.roll(each, -1, 1) for each in (values, slopes))
             values[:, -1], slopes[:, -1] = 0.0, 0.0
         return values, slopes
+
+    def stability_margin(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
+        """Numbers that are positive where all exponents are imaginary and different, (N,); left_out: where a pair vanishes, without it."""
+        c = coefficients.copy()
+        if self.size == 2:  # both gamma and the axis of symmetry can be turned about, but where they are one
+            left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
+        out = np.broadcast_to(left_out, len(c))
+        c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
+        discriminant = (c[:, 1] * c[:, 2]) ** 2 - 4 * c[:, 1] ** 3 * c[:, 3] - 4 * c[:, 0] * c[:, 2] ** 3
+        discriminant += 18 * c.prod(1) - 27 * (c[:, 0] * c[:, 3]) ** 2
+        degree = 3 - self.cyclic - out
+        conditions = np.concatenate([c[:, :3], discriminant[:, None]], 1)
+        return np.where(degree[:, None] > [0, 1, 2, 1], conditions, np.inf).min(1)
 
     def none(self) -> Degenerate:
         """No point."""
@@ -362,6 +380,54 @@ class Degenerate(NamedTuple):
         values = np.einsum("dkni,nk->nd", powers, coefficients)
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
+    def values_and_rates(self) -> tuple[Array, Array]:
+        """The characteristic polynomial of solutions at s, (N,), and its derivatives by both parameters with the solution, (N, 2)."""
+        (x, *_), n = self.parts, self.potential.size
+        first, _, (_, *by) = self.matrices()
+        forces = np.zeros((*first.shape[:2], 2))
+        forces[:, :n] = np.stack([q * x + c for q, c in by], -1)
+        moved = -_solved(first + 1e-13 * np.eye(first.shape[1]), forces)[:, :n]
+        values, slopes = self.characteristic()
+        return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved)
+
+    def margin(self) -> tuple[Array, Array]:
+        """Numbers that are positive where exponents that do not vanish are imaginary, and by how many stable solutions curves change, (N,).
+
+        Of two solutions that merge one is stable, but both if the exponents that vanish do so at another momentum.
+        """
+        x, _, _, _, position, _ = self.parts
+        both, fork = self.potential.cyclic & ~self.limit, self.pitchfork
+        vanishes = fork | ~both
+        coefficients, _ = self.potential.characteristic(x, position)
+        margin = np.where(
+            self.limit, -self.largest_square(), self.potential.stability_margin(coefficients, vanishes)
+        )
+        change = np.where(both, 2, 1)
+        if self.potential.size == 3 and fork.any():
+            change[fork] = self.take(fork)._change_at_pitchforks()
+        return margin, change
+
+    def _change_at_pitchforks(self) -> NDArray[np.int64]:
+        """By how many the stable solutions are more on the side with more solutions, from the first of these beside a pitchfork, (N,)."""
+        _, _, toward = self.character()
+        toward = toward / length(toward)[:, None]
+        _, rates = self.values_and_rates()
+        v, n, size = self.parts[2], self.potential.size, sum(self.potential.forms.shape[:2])
+        points = self._replace(unknowns=self.unknowns.copy())
+        points.unknowns[:, -1] = 0.0
+        points.unknowns[:, :n] += _BESIDE * v
+        for _ in range(_STEPS_BESIDE):
+            residual, slopes = points.equations()
+            matrix = np.zeros((len(v), size + 1, size + 1))
+            matrix[:, :-1, :-1], matrix[:, -1, :n] = slopes[:, :size, :size], v
+            matrix[:, :-1, -1] = np.einsum("nij,nj->ni", slopes[:, :size, -3:-1], toward)
+            right = np.concatenate([-residual[:, :size], np.zeros((len(v), 1))], 1)
+            change = _solved(matrix, right[..., None])[..., 0]
+            points.unknowns[:, :size] += change[:, :-1]
+            points.unknowns[:, -3:-1] += change[:, -1:] * toward
+        values, _ = points.characteristic()
+        return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
+
     def largest_square(self) -> Array:
         """At limits of stability the largest square of the exponents, apart from a pair that vanishes, (N,)."""
         x, _, _, _, position, s = self.parts
@@ -465,26 +531,20 @@ class Degenerate(NamedTuple):
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
         """Unknowns at solutions that are stable, or nearly, and lose their stability at a limit within a reach to first order."""
-        n, (N, m) = potential.size, (len(x), len(potential.forms))
-        now, *by = potential.at(position)
+        now, *_ = potential.at(position)
         B = np.einsum("kij,nj->nki", potential.forms, x)
         l = -np.einsum("nki,ni->nk", _solved(B @ np.swapaxes(B, 1, 2), B), now[0] * x + now[1])
-        unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1)
-        first, *_ = cls(potential, unknowns, np.zeros(N, np.int8)).matrices()
-        forces = np.concatenate([np.stack([q * x + c for q, c in by], -1), np.zeros((N, m, 2))], 1)
-        moved = -_solved(first + 1e-13 * np.eye(n + m), forces)[:, :n]
         coefficients, _ = potential.characteristic(x, position)
         kinds = [(BorderKind.LIMIT_OF_STABILITY, s) for s in _extrema(coefficients).T]
         if potential.cyclic:
-            kinds.append((BorderKind.EXTREMAL_MOMENTUM, np.zeros(N)))
+            kinds.append((BorderKind.EXTREMAL_MOMENTUM, np.zeros(len(x))))
         parts = []
         for kind, s in kinds:
-            unknowns[:, -1] = s
-            points = cls(potential, unknowns.copy(), np.full(N, kind, np.int8))
-            values, slopes = points.characteristic()
-            rates = slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved)
+            unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, s[:, None]], 1)
+            points = cls(potential, unknowns, np.full(len(x), kind, np.int8))
+            values, rates = points.values_and_rates()
             parts.append(
-                points.take((np.abs(values[:, 0]) < reach * length(rates)) & (points.largest_square() < 0))
+                points.take((np.abs(values) < reach * length(rates)) & (points.largest_square() < 0))
             )
         return cls.joined(parts)
 
@@ -515,7 +575,8 @@ class Degenerate(NamedTuple):
 
         The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
         product of the other eigenvalues, and that times the fourth derivative; on limits of stability the second derivative of the
-        characteristic polynomial, 0 at cusps, and 1. The covector, (N, 2), points to the side of the curve where two more solutions are.
+        characteristic polynomial, 0 at cusps, and 1. The covector, (N, 2), points to the side of the curve where two more solutions are,
+        or one more is stable.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]
@@ -527,8 +588,12 @@ class Degenerate(NamedTuple):
         values[degenerate, np.abs(values[degenerate]).argmin(1)] = 1.0
         curved = np.einsum("ni,kij,nj->nk", v, forms, v)
         third = 3 * (m * curved).sum(1)
-        third[self.limit] = self.take(self.limit).characteristic()[0][:, 2]
         slope = self.force()
+        if (limit := self.limit).any():
+            limits = self.take(limit)
+            bend = limits.characteristic()[0][:, 2]
+            third[limit] = np.where(limits.kind == BorderKind.EXTREMAL_MOMENTUM, -1.0, bend)
+            _, slope[limit] = limits.values_and_rates()
         fork = self.pitchfork
         bordered = np.zeros((fork.sum(), first.shape[1] + 1, first.shape[1] + 1))
         bordered[:, :-1, :-1] = first[fork]
@@ -542,7 +607,9 @@ class Degenerate(NamedTuple):
         third[fork] = -3 * reaction[:, 0]
         slope[fork] = np.stack([(q * v**2).sum(1) for q, _ in by], -1)[fork] - reaction[:, 1:]
         product = values.prod(1)
-        tests = np.stack([np.where(fork, product, third), np.where(fork, product * third, 1.0)])
+        tests = np.stack(
+            [np.where(fork, product, third), np.where(fork, product * third, np.where(limit, product, 1.0))]
+        )
         return (values < 0).sum(1), tests, -np.sign(third)[:, None] * slope
 
 

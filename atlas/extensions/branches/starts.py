@@ -33,7 +33,10 @@ _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 class Cell(Flag):
     """What is known of a cell of the coarse grid."""
 
-    COUNTED = 0, "the numbers of equilibria at its corners differ as the curves between them say"
+    COUNTED = (
+        0,
+        "the numbers of equilibria, and with limits of stability of stable ones, at its corners differ as the curves between them say",
+    )
     NOT_CERTAIN = 1, "the number of equilibria at a corner is not certain, or they are not isolated"
     UNEXPLAINED = (
         2,
@@ -89,28 +92,38 @@ def on_sphere(potential: Potential) -> Degenerate:
 
 
 def near_solutions(
-    system: Gyrostat, potential: Potential, points: Callable[[Array], Points], positions: Array, reach: float
-) -> tuple[Degenerate, Callable[[], Degenerate], Array]:
-    """Solutions that may be degenerate within a reach, nearly real ones too, those near limits of stability, and their numbers, (bodies,).
+    system: Gyrostat,
+    potential: Potential,
+    points: Callable[[Array], Points],
+    positions: Array,
+    reach: float,
+    stability: bool,
+) -> tuple[Degenerate, Degenerate, Array]:
+    """Solutions that may be degenerate within a reach, nearly real ones too, those near limits of stability, and numbers of all and of stable ones, (2, bodies).
 
-    A number is nan where it is not certain.
+    A number is nan where it is not certain; limits and numbers of stable solutions are only with stability.
     """
     listed = system.equilibria_of_bodies(points(positions), lambda: None, False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
     x, solves = potential.from_attitudes(alpha, listed["gamma"]), listed["index"] >= 0
     certain = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (potential.axis >= 0)
     weight = 1 + (listed["circle"] & (potential.size == 2))  # a circle meets the plane of x twice
-    numbers = np.where(np.isin(listed["completeness"], certain), (solves * weight).sum(1), np.nan)
     known = ~np.isnan(x[..., -1])
     if potential.mirrored:
         known &= x[..., :3] @ _ANY > 0
     row, place = np.nonzero(known)
     near = Degenerate.near(potential, x[row, place], positions[row], solves[row, place], reach)
-
-    def limits() -> Degenerate:
-        row, place = np.nonzero(known & solves)
-        return Degenerate.near_limits(potential, x[row, place], positions[row], reach)
-
+    row, place = np.nonzero(known & solves)
+    weight, limits, stable = (
+        weight[row, place] * (1 + potential.mirrored),
+        potential.none(),
+        np.zeros(row.size, bool),
+    )
+    if stability:
+        limits = Degenerate.near_limits(potential, x[row, place], positions[row], reach)
+        stable = potential.stability_margin(potential.characteristic(x[row, place], positions[row])[0]) > 0
+    numbers = np.array([np.bincount(row, weight * chosen, len(positions)) for chosen in (1, stable)])
+    numbers[:, ~np.isin(listed["completeness"], certain)] = np.nan
     return near, limits, numbers
 
 
@@ -119,33 +132,44 @@ def all_curves(
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
     """The curves of bodies over two parameters, maybe with limits of stability, the axis of a coarse grid, and what is known of its cells, values of `Cell`.
 
-    Where the numbers of equilibria at neighbouring corners differ otherwise than the curves between them say, more curves are
+    Where the numbers of equilibria, or of stable ones, at neighbouring corners differ otherwise than the curves between them say, more curves are
     sought from points between the two.
     """
     axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
     i, j = np.divmod(np.arange(axis.size**2), axis.size)
     j = np.where(i % 2, CELLS - j, j)  # neighbours are solved from one another
-    numbers = np.empty((axis.size, axis.size))
-    near, limits, numbers[i, j] = near_solutions(system, potential, points, axis[np.stack([i, j], -1)], reach)
-    jumps = [np.diff(numbers, axis=along) for along in (0, 1)]
+    numbers = np.empty((2, axis.size, axis.size))
+    positions = axis[np.stack([i, j], -1)]
+    near, limits, numbers[:, i, j] = near_solutions(system, potential, points, positions, reach, stability)
+    jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
+    seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
+    # The sides of curves with more solutions, or more stable ones, change where these vanish.
+    tests: list[Callable[[Degenerate], Array]] = [lambda points: points.character()[1][1]]
     if stability:
-        seeds = Degenerate.joined([seeds, limits().settled(2 * reach)])
+        tests += [
+            lambda points: np.where(points.limit, points.character()[1][0], 1.0),
+            lambda points: points.margin()[0],
+            lambda points: np.where(points.pitchfork, np.abs(points.margin()[1] - 1.0) - 1.0, 1.0),
+        ]
     for attempt in range(_SEARCHES + 1):
-        # The sides of pitchforks with more solutions change where folds meet them.
-        lines, _ = with_zeros(curves(*seeds.regular()), lambda points: points.character()[1][1])
+        lines = curves(*seeds.regular())
+        for test in tests:
+            lines, _ = with_zeros(lines, test)
         expected = expected_differences(lines, axis)
-        wrong = [f != e for f, e in zip(jumps, expected, strict=True)]
-        ends = [np.argwhere(each & np.isfinite(f)) for each, f in zip(wrong, jumps, strict=True)]
+        differs = [f[: 1 + stability] != e[: 1 + stability] for f, e in zip(jumps, expected, strict=True)]
+        wrong = [each.any(0) for each in differs]
+        ends = [np.argwhere(each & np.isfinite(f[0])) for each, f in zip(wrong, jumps, strict=True)]
         if attempt == _SEARCHES or not any(map(len, ends)):
             break
         share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])
         between = [
             axis[each][:, None] + share[:, None] * side for each, side in zip(ends, np.eye(2), strict=True)
         ]
-        more, _, _ = near_solutions(system, potential, points, np.concatenate(between).reshape(-1, 2), reach)
-        seeds = Degenerate.joined([seeds, more.settled(reach)])
-    unknown = np.isnan(numbers)
+        positions = np.concatenate(between).reshape(-1, 2)
+        near, limits, _ = near_solutions(system, potential, points, positions, reach, stability)
+        seeds = Degenerate.joined([seeds, near.settled(reach), limits.settled(reach)])
+    unknown = np.isnan(numbers[0])
     uncertain = unknown[1:, 1:] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[:-1, :-1]
     missed = wrong[0][:, 1:] | wrong[0][:, :-1] | wrong[1][1:] | wrong[1][:-1]
     for line in lines:
@@ -157,7 +181,10 @@ def all_curves(
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """The lower Morse index of the solutions beside segments, and the number of those to the left of their direction less that to the right."""
+    """The lower Morse index of the solutions beside segments, and their numbers to the left of the direction less those to the right.
+
+    These are of all and of the stable ones, (2, segments).
+    """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]
@@ -165,18 +192,20 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     sign = np.sign(covector[:, 1] * along - covector[:, 0] * across)
     total = np.bincount(parts.curve, sign, 1)  # a fold has one sign, beside its cusps not certain
     sign = np.where(middle.kind == BorderKind.FOLD, np.sign(total[parts.curve]), sign)
-    return index, 2 * (1 + middle.potential.mirrored) * sign
+    margin, change = middle.margin()
+    change = np.stack([np.where(middle.limit, 0, 2), np.where(margin > 0, change, 0)])
+    return index, (1 + middle.potential.mirrored) * sign * change
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """Differences of the number of solutions between neighbouring corners of a grid, along each axis, from the curves between."""
-    result = np.zeros((axis.size - 1, axis.size)), np.zeros((axis.size, axis.size - 1))
+    """Differences of the numbers of all and of stable solutions between neighbouring corners of a grid, along each axis, from the curves between."""
+    result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result
     parts = Segments.of(lines)
     _, left = sides(parts)
     shares = np.arange(_DIVISIONS + 1) / _DIVISIONS
-    for start, end in pairwise(parts.cubic(np.full(left.size, share)).parts[4] for share in shares):
+    for start, end in pairwise(parts.cubic(np.full(parts.curve.size, share)).parts[4] for share in shares):
         for along in (0, 1):  # of the intervals, on lines of the grid with a value of the other coordinate
             low, high = start[:, 1 - along], end[:, 1 - along]
             part, line = np.nonzero((low[:, None] > axis) != (high[:, None] > axis))
@@ -185,6 +214,6 @@ def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Ar
             interval = np.searchsorted(axis, place) - 1
             inside = (interval >= 0) & (interval < axis.size - 1)
             where = (interval, line) if along == 0 else (line, interval)
-            change = np.sign(high - low)[part] * left[part] * (2 * along - 1)
-            np.add.at(result[along], tuple(each[inside] for each in where), change[inside])
+            change = np.sign(high - low)[part] * left[:, part] * (2 * along - 1)
+            np.add.at(result[along], (slice(None), *(each[inside] for each in where)), change[:, inside])
     return result

@@ -16,7 +16,7 @@ from atlas.extensions.branches.starts import Cell
 CASES = json.loads((REFERENCE / "fold_curves.json").read_text())["cases"]
 
 
-def crossings(ds, name, value, other):
+def crossings(ds, name, value, other, change_of="count_change"):
     """Values of the other parameter where curves cross name = value, their kinds, and solutions to their left, seen towards larger `name`."""
     found = []
     for curve in np.unique(ds.curve):
@@ -35,7 +35,7 @@ def crossings(ds, name, value, other):
                 middle = 0.5 * (low + high)
                 same = cubic(middle, p, slopes[0]) * p[k] > 0
                 low, high = (middle, high) if same else (low, middle)
-            change = np.sign(p[k + 1] - p[k]) * float(line.count_change[k])
+            change = np.sign(p[k + 1] - p[k]) * float(line[change_of][k])
             found.append((cubic(low, q, slopes[1]), int(line.kind[0]), change))
     return sorted(found)
 
@@ -219,6 +219,36 @@ def test_limits_pass_other_exponents(k3):
         near = np.abs(rest.gamma - gamma).max("body_axis").argmin("equilibrium")
         growth.append(rest.growth_rate.isel(equilibrium=near).values)
     np.testing.assert_allclose(growth[1] / growth[0], 10, rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("system", "body", "ranges"),
+    [
+        ("satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (-4.5, 4.5), "k2": (-4.5, 4.5)}),
+        ("satellite", {"A": 1.0, "B": 1.3, "C": 1.7}, {"k1": (0.1, 3.3), "k3": (0.1, 3.0)}),
+        ("satellite", {"A": 1.0, "k1": 0.3, "k2": 0.2, "k3": 0.5}, {"B": (0.9, 1.4), "C": (1.2, 1.8)}),
+        ("fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l2": 0.1},
+         {"n": (0.2, 4.0), "l3": (-2.0, 2.0)}),
+        ("fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "z0": 0.5}, {"n": (0.21, 4.0), "l3": (-2.0, 2.0)}),
+    ],
+)  # fmt: skip
+def test_numbers_of_stable_solutions(system, body, ranges):
+    """They change across curves, along several lines, as `stable_change` says, and nowhere else."""
+    ds, (first, second), seen = atlas.borders(system, body, ranges, stability=True), ranges, 0
+    assert (ds.cells == Cell.COUNTED).all()
+    low, high = ranges[second]
+    for value in ranges[first][0] + np.diff(ranges[first]) * [0.13, 0.28, 0.41, 0.57, 0.71, 0.94]:
+        found = crossings(ds, first, value, second, "stable_change")
+        places = np.array([place for place, _, _ in found])
+        edges = np.sort(np.r_[low, places, high])
+        between = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 1e-4]  # nearer ones count as one
+        rest = atlas.equilibria(system, body | {first: value, second: between})
+        changes = np.diff((rest.stable == 1).sum("equilibrium"))
+        for i, change in enumerate(changes):
+            own = (places > between[i]) & (places < between[i + 1])
+            assert change == sum(found[k][2] for k in np.flatnonzero(own))
+        seen += np.count_nonzero(changes)
+    assert seen > 5
 
 
 def test_momentum_has_an_extremum():

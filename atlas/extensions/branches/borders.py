@@ -129,14 +129,15 @@ class Borders(NamedTuple):
             values[:, i] = rates[:, i] * (values[:, i] * np.log(high / low) if is_log else high - low)
         return values
 
-    def polylines(self, divisions: int, minima: bool) -> list[Array]:
-        """Lines through the borders, or those of minima alone, with so many parts for each cubic, in the units of the axes."""
+    def polylines(self, divisions: int, chosen: Mask) -> list[Array]:
+        """Lines through the borders from chosen vertices to the next ones, with so many parts for each cubic, in the units of the axes."""
         lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
-        for line, index in zip(self.lines, np.split(self.morse_index, ends), strict=False):
+        for line, own in zip(self.lines, np.split(chosen, ends), strict=False):
             parts = Segments.of([line])
             at = [parts.cubic(np.full(parts.curve.size, i / divisions)).parts[4] for i in range(divisions)]
             positions = np.concatenate([np.stack(at, 1).reshape(-1, 2), line.points.parts[4][-1:]])
-            shown = np.repeat((index == 0) | (not minima), divisions)[: len(positions)]
+            shown = np.repeat(own, divisions)[: len(positions)]
+            shown[1:] |= shown[:-1]
             lines += [part for part in shown_parts(self.values(positions), shown) if len(part) > 1]
         return lines
 

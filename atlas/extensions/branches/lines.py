@@ -19,11 +19,15 @@ from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
 from .bifurcations import BodyFamily, follow
 from .borders import Borders
+from .starts import Cell
 
 CHANGE = "change of the number"
 COUNT_TRISECTIONS = 4  # share of the distance between two neighbouring points of the atlas
-# Counts that change only where equilibria merge.
-MERGING_COUNTS = ("equilibrium_count", "equilibrium_energy_stable_count")
+# Counts that change only where equilibria merge, and one that changes at limits of stability too.
+MERGING_COUNTS, STABLE_COUNT = (
+    ("equilibrium_count", "equilibrium_energy_stable_count"),
+    "equilibrium_stable_count",
+)
 MANY_COUNTS = 300  # vertices, which take more than a second
 BETWEEN = (
     6  # straight lines for the cubic between two vertices of a border, at most 1e-5 of the plane from it
@@ -47,17 +51,13 @@ of_all, of_stable, of_minima = (
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    Those of MERGING_COUNTS are the borders of the bodies, where the plane has smooth ones. Others miss regions narrower than a
-    cell, and each change of a count that skips values gives its own line.
+    They are the borders of the bodies, where the plane has smooth ones; those of stable equilibria on two axes alone, and
+    where the borders explain their numbers. Else regions narrower than a cell are missed, and each change of a count that skips
+    values gives its own line.
     """
-    name, system = str(counts.name), plane.scene.system
-    if name in MERGING_COUNTS and isinstance(system, Gyrostat):
-        minima = name == MERGING_COUNTS[1]
-        with suppress(BadInput):
-            if len(plane.extent) == 2:
-                lines = Borders.of(plane).polylines(BETWEEN, minima)
-            else:
-                lines = _merging_points(plane, system, counts[next(iter(plane.extent))].values, minima)
+    name = str(counts.name)
+    with suppress(BadInput):
+        if (lines := _exact_lines(name, plane, counts)) is not None:
             return {CHANGE: lines} if lines else {}
     values = counts.transpose(*plane.extent).values
     axes = [counts[dim].values for dim in plane.extent]
@@ -73,6 +73,21 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
     classes = [(level, partial(is_above, level=level), COUNT_TRISECTIONS) for level in levels]
     lines = [values_at(line, axes) for each in classes for line in narrowed_lines(values, *each)[0]]
     return {CHANGE: lines} if lines else {}
+
+
+def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] | None:
+    """Lines, or points on a single axis, at which the number of equilibria changes; None where not all are known."""
+    system, minima = plane.scene.system, name == MERGING_COUNTS[1]
+    if not isinstance(system, Gyrostat):
+        return None
+    if len(plane.extent) == 1:
+        values = counts[next(iter(plane.extent))].values
+        return None if name == STABLE_COUNT else _merging_points(plane, system, values, minima)
+    curves = Borders.of(plane, name == STABLE_COUNT)
+    number, stable = curves.changes != 0
+    if name != STABLE_COUNT:
+        return curves.polylines(BETWEEN, number & ((curves.morse_index == 0) | (not minima)))
+    return None if (curves.cells == Cell.UNEXPLAINED).any() else curves.polylines(BETWEEN, stable)
 
 
 def _merging_points(plane: Plane, system: Gyrostat, values: Array, minima: bool) -> list[Array]:

@@ -13,7 +13,7 @@ from truth import REFERENCE
 import atlas
 from atlas.analysis.metadata import scene_of
 from atlas.analysis.plane import Plane
-from atlas.extensions.branches.lines import CHANGE, MERGING_COUNTS, count_borders
+from atlas.extensions.branches.lines import CHANGE, MERGING_COUNTS, STABLE_COUNT, count_borders
 from atlas.plotting.content import panel_of
 from atlas.scene.read import scene_from
 
@@ -96,6 +96,36 @@ def test_curve_around_a_region_that_no_point_meets():
     folds = np.array([float(fold["k1"]) for fold in verified])  # at k2 = 0.02
     assert np.abs(crossings[:, None] - folds).min(0).max() < 1e-3
     assert np.abs(crossings[:, None] - folds).min(1).max() < 1e-3
+
+
+def test_lines_between_numbers_of_stable_equilibria():
+    """On both sides of each part of a line other numbers are stable, and sample points see no others than the lines separate."""
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}
+    axes = {"k1": np.linspace(-3.0, -0.5, 12), "k2": np.linspace(0.8, 2.2, 12)}
+    scene = scene_from(
+        {
+            "schema": 1, "title": "counts", "system": "satellite", "fixed": body,
+            "axes": {name: {"values": values.tolist()} for name, values in axes.items()}, "integration": {"duration": 0.1},
+            "outputs": {"variables": [STABLE_COUNT]},
+        }
+    )  # fmt: skip
+    ds = atlas.run(scene, progress=False)
+    lines = ds.atlas.boundary(variable=STABLE_COUNT)
+    line, at = lines.line.values, np.stack([lines.k1, lines.k2], -1)
+    cusp = [-1.29313360, 1.53621419]  # all three frequencies are the same
+    far = np.abs(at - cusp).max(1) > 0.05  # elsewhere the line is near itself
+    parts = np.flatnonzero((np.diff(line) == 0) & far[1:])[3::20]
+    middle, along = 0.5 * (at[parts] + at[parts + 1]), at[parts + 1] - at[parts]
+    normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=1)[:, None]
+    sides = []
+    for distance in (-3e-5, 3e-5):
+        k1, k2 = (middle + distance * normal).T
+        sides.append(
+            (atlas.equilibria("satellite", body | {"k1": k1, "k2": k2}).stable == 1).sum("equilibrium")
+        )
+    assert len(parts) > 20
+    assert (sides[0] != sides[1]).all()
+    np.testing.assert_allclose(at[np.abs(at - cusp).max(1).argmin()], cusp, atol=1e-5)
 
 
 def test_maps_draw_the_lines(rotor_map):

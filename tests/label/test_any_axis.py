@@ -434,6 +434,36 @@ def test_no_prediction_about_any_axes_contradicts_a_label():
     assert (np.bincount(predicted)[1:] > 9).all()
 
 
+@pytest.mark.parametrize("duration", [60.0, 0.2])
+def test_starts_far_from_every_circle(duration):
+    """A free body: predicted to drift where Euler's equations take it ten tolerances from rest and from a circle, in a radian at most."""
+    inertia, tolerance = np.array([1.0, 1.3, 1.7]), 1e-5
+    size = np.geomspace(1e-3, 0.3, 120)
+    w = np.stack([size, 2 * size, np.ones(120)], -1)
+    names = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
+    values = (*w.T, *np.full((3, 120), [[0.6], [0.0], [0.8]]))
+    points = {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 0.0} | dict(zip(names, values, strict=True))
+    ds = labelled("fixed_point", points, duration, ["predicted_any_axis"], rate_tolerance=tolerance)
+    # Derivatives of I w' = I w x w.
+    first = np.cross(inertia * w, w) / inertia
+    second = (np.cross(inertia * first, w) + np.cross(inertia * w, first)) / inertia
+    third = (
+        np.cross(inertia * second, w) + 2 * np.cross(inertia * first, first) + np.cross(inertia * w, second)
+    )
+    bound = SYSTEMS["fixed_point"].frequency_bound(default_points("fixed_point", **points))
+    time, speed, turn = np.minimum(1 / bound, duration), *(np.linalg.norm(v, axis=1) for v in (first, second))
+    centripetal = third / inertia + (turn / speed)[:, None] ** 2 * first
+    leaves_rest = speed * time + turn * time**2 / 2
+    off_circle = np.maximum(
+        np.abs((first * second).sum(1)) / speed * time**2 / 2,
+        np.linalg.norm(centripetal, axis=1) * time**3 / 6,
+    )
+    distance = np.minimum(leaves_rest, off_circle) / tolerance
+    expected = np.where(distance > 10, Label.DRIFTING, Label.NOT_COMPUTED)
+    assert ((distance > 9) & (distance < 11)).sum() > 3
+    np.testing.assert_array_equal(ds.predicted_any_axis, expected)
+
+
 def test_spin_rates_that_rounding_hides_have_no_prediction():
     """A spin of 2e6 and a weight: across the axis of a rate of 8 the torque changes the spin rate by 0.03."""
     point = {

@@ -36,9 +36,9 @@ _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # of least squares, relative
 _WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
-# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
-# which it is one; least singular value of regular points, relative, and their last step.
-_ITERATIONS, _NEAR, _NO_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
+# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the forces along the null vector below
+# which it may be one, and is one; least singular value of regular points, relative, and their last step.
+_ITERATIONS, _NEAR, _LITTLE_FORCE, _NO_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-6, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
 _BESIDE, _STEPS_BESIDE = (
     1e-3,
@@ -554,15 +554,16 @@ class Degenerate(NamedTuple):
         inside = length(points.parts[4] - self.parts[4]) < reach
         inside &= points.inside() & (step < _NEAR)
         points = points.take(inside)
-        force = points.force()
-        is_pitchfork = (length(force) < _NO_FORCE) & (points.kind == BorderKind.FOLD)
-        forks, _ = (
-            points.take(is_pitchfork)
-            ._replace(kind=np.full(is_pitchfork.sum(), BorderKind.PITCHFORK, np.int8))
-            .nearest(_ITERATIONS)
+        candidates = np.flatnonzero(
+            (length(points.force()) < _LITTLE_FORCE) & (points.kind == BorderKind.FOLD)
         )
-        points = points.take(~is_pitchfork)
-        return Degenerate.joined([points, forks])
+        forks = points.take(candidates)._replace(
+            kind=np.full_like(points.kind[candidates], BorderKind.PITCHFORK)
+        )
+        forks, _ = forks.nearest(_ITERATIONS)
+        symmetric = length(forks.force()) < _NO_FORCE
+        others = points.take(np.delete(np.arange(len(points.kind)), candidates[symmetric]))
+        return Degenerate.joined([others, forks.take(symmetric)])
 
     def force(self) -> Array:
         """Derivatives of the gradient by both parameters along the null vector, (N, 2): 0 at pitchforks."""

@@ -1,6 +1,7 @@
 """Borders of equilibria as curves, against verified folds, pitchforks and cusps, closed forms and numbers of equilibria."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -156,6 +157,29 @@ def test_curves_end_on_the_sides_of_the_ranges():
     closed = np.abs(first - last).max(1) < 1e-12
     np.testing.assert_array_equal(on_side, [~closed, ~closed])
     assert 0 < closed.sum() < closed.size
+
+
+def test_a_body_without_symmetry_has_folds_alone():
+    """Also over wide ranges, in which the magnet is so weak that folds look like pitchforks from afar."""
+    body = {"A": 1.05, "B": 1.638, "C": 1.197, "k3": -0.09892719176930284, "h1": -1.5399972735490655, "h3": -0.2222643644,
+            "mu1": 0.010414919842403335, "mu2": 0.027175547610085154, "mu3": -0.3087054833900708}  # fmt: skip
+    side = 10.579040020948021
+    ds = atlas.borders("satellite", body, {"k1": (-side, side), "k2": (-side, side)})
+    assert (ds.cells == Cell.COUNTED).all()
+    assert (ds.kind == BorderKind.FOLD).all()
+
+
+def test_curve_between_the_corners_of_the_coarse_grid():
+    """No corner has a solution that merges on the inner curve: complex ones lead to it. Four more equilibria are inside."""
+    body = {"A": 1.922, "B": 0.829, "C": 1.971, "k1": 0.5537536068166906, "k2": -0.3977839282871051}
+    ds = atlas.borders(
+        "satellite", body, {"Omega": (0.3, 2.0), "k3": (-20.56655983171697, 20.56655983171697)}
+    )
+    found = crossings(ds, "Omega", 1.9, "k3")
+    middles = np.array([-9.0, *(0.5 * (a[0] + b[0]) for a, b in pairwise(found)), 9.0])
+    rest = atlas.equilibria("satellite", body | {"Omega": np.full(5, 1.9), "k3": middles})
+    assert list((rest.index >= 0).sum("equilibrium")) == [8, 12, 16, 12, 8]
+    assert [change for *_, change in found] == [4, 4, -4, -4]
 
 
 def test_bodies_that_cannot_exist_cut_borders():

@@ -101,6 +101,7 @@ def test_a_command_ends_while_a_server_is_silent(number):
             [sys.executable, "-m", "atlas", "status", "s3://bucket/night.zarr"], text=True, stderr=subprocess.PIPE,
             env=os.environ | keys | {"AWS_ENDPOINT": address, "AWS_ALLOW_HTTP": "true"},
         )  # fmt: skip
+        server.settimeout(60)  # where the command ends before it asks
         connection, _ = server.accept()
         with connection:
             connection.recv(1)

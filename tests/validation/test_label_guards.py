@@ -92,6 +92,17 @@ def test_unsure_where_the_error_reaches_a_threshold():
     assert unsure({"sine_max": 1e-6, "psi_dot_std": 1e-6}, **edge, normal_rate_std=0.5, psi_dot_std=0.95e-5)
 
 
+def test_a_tolerance_between_a_measured_and_the_true_deviation_is_unsure():
+    """Free tops that pass close by the vertical, where phi' varies by more than they turn, and its error is larger as well."""
+    n, options = np.array([20.0, 30.0, 40.0]), {"cylinder_tolerance": 1e-5, "check_half_step": "none"}
+    tops = {"A": 1.0, "B": 1.0, "C": 0.5, "theta0": 1 / n, "n": n, "m": 1 - n * np.cos(1 / n)}
+    true = run("fixed_point", tops, 5.0, method="rk8", tolerance=1e-13, **options)["phi_dot_std"]
+    measured = run("fixed_point", tops, 5.0, step=0.05, **options)["phi_dot_std"]
+    for i, between in enumerate(0.5 * (measured + true)):
+        found = run("fixed_point", tops, 5.0, step=0.05, rate_tolerance=between, **options)
+        assert found["status"][i] == Status.STEP_SENSITIVE
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("share", [0.2, 0.1, 0.05, 0.02])
 def test_an_exact_fast_motion_is_never_labelled_drifting(method, share):

@@ -44,6 +44,7 @@ _BESIDE, _STEPS_BESIDE = (
     1e-3,
     5,
 )  # distance from a pitchfork at which solutions are compared, and iterations to it
+_ON_SIDE = 5  # iterations onto a side of the box
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -551,6 +552,13 @@ class Degenerate(NamedTuple):
     def settled(self, reach: float) -> Degenerate:
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
         points, step = self.nearest(_ITERATIONS)
+        beyond = np.flatnonzero(~points.inside())  # on curves of which a part may be inside
+        onto, row = points.take(beyond), np.zeros_like(points.unknowns[beyond])
+        row[:, -3:-1] = np.sign(onto.parts[4] - np.clip(onto.parts[4], 0, 1))
+        onto.unknowns[:, -3:-1] = np.clip(onto.parts[4], 0, 1)
+        with np.errstate(all="ignore"):
+            onto, step[beyond], *_ = onto.corrected(row, _ON_SIDE)
+        points.unknowns[beyond] = onto.unknowns
         inside = length(points.parts[4] - self.parts[4]) < reach
         inside &= points.inside() & (step < _NEAR)
         points = points.take(inside)

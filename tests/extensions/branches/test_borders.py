@@ -169,17 +169,24 @@ def test_a_body_without_symmetry_has_folds_alone():
     assert (ds.kind == BorderKind.FOLD).all()
 
 
-def test_curve_between_the_corners_of_the_coarse_grid():
-    """No corner has a solution that merges on the inner curve: complex ones lead to it. Four more equilibria are inside."""
-    body = {"A": 1.922, "B": 0.829, "C": 1.971, "k1": 0.5537536068166906, "k2": -0.3977839282871051}
-    ds = atlas.borders(
-        "satellite", body, {"Omega": (0.3, 2.0), "k3": (-20.56655983171697, 20.56655983171697)}
-    )
-    found = crossings(ds, "Omega", 1.9, "k3")
-    middles = np.array([-9.0, *(0.5 * (a[0] + b[0]) for a, b in pairwise(found)), 9.0])
-    rest = atlas.equilibria("satellite", body | {"Omega": np.full(5, 1.9), "k3": middles})
-    assert list((rest.index >= 0).sum("equilibrium")) == [8, 12, 16, 12, 8]
-    assert [change for *_, change in found] == [4, 4, -4, -4]
+@pytest.mark.parametrize(
+    ("body", "ranges", "name", "value", "other", "total"),
+    [  # complex solutions alone lead to one curve of the former, and points beyond the ranges to one of the latter
+        ({"A": 1.922, "B": 0.829, "C": 1.971, "k1": 0.5537536068166906, "k2": -0.3977839282871051},
+         {"Omega": (0.3, 2.0), "k3": (-20.56655983171697, 20.56655983171697)}, "Omega", 1.9, "k3", 4),
+        ({"A": 0.619, "B": 1.385, "k1": -0.4254231697308194, "k3": 0.10201631971735522},
+         {"C": (0.6, 1.9), "k2": (-5.902814263865798, 5.902814263865798)}, "C", 1.874, "k2", 8),
+    ],
+)  # fmt: skip
+def test_curves_between_the_corners_of_the_coarse_grid(body, ranges, name, value, other, total):
+    """On a line across them the numbers of equilibria between the curves differ as these say."""
+    found = crossings(atlas.borders("satellite", body, ranges), name, value, other)
+    assert len(found) == total
+    ends = [0.99 * end for end in ranges[other]]
+    middles = np.array([ends[0], *(0.5 * (a[0] + b[0]) for a, b in pairwise(found)), ends[1]])
+    rest = atlas.equilibria("satellite", body | {name: np.full(middles.size, value), other: middles})
+    numbers = (rest.index >= 0).sum("equilibrium").values
+    np.testing.assert_array_equal(np.diff(numbers), [change for *_, change in found])
 
 
 def test_bodies_that_cannot_exist_cut_borders():

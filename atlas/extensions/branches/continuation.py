@@ -157,7 +157,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side <= to_target)
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a point may be on the side
         meets = (to_target <= 1.2 * arc) & ~leaves  # else the next step may begin at a point, not before it
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])

@@ -36,9 +36,9 @@ _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # of least squares, relative
 _WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
-# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the forces along the null vector below
-# which it may be one, and is one; least singular value of regular points, relative, and their last step.
-_ITERATIONS, _NEAR, _LITTLE_FORCE, _NO_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-6, 1e-7, 1e-9
+# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
+# which it may be one; least singular value of regular points, relative, and their last step, and force at pitchforks.
+_ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
 _BESIDE, _STEPS_BESIDE = (
     1e-3,
@@ -569,7 +569,7 @@ class Degenerate(NamedTuple):
             kind=np.full_like(points.kind[candidates], BorderKind.PITCHFORK)
         )
         forks, _ = forks.nearest(_ITERATIONS)
-        symmetric = length(forks.force()) < _NO_FORCE
+        symmetric = length(forks.force()) < _EXACT
         others = points.take(np.delete(np.arange(len(points.kind)), candidates[symmetric]))
         return Degenerate.joined([others, forks.take(symmetric)])
 

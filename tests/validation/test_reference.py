@@ -11,6 +11,7 @@ import atlas
 from atlas.flags import Label
 from atlas.kernel.statistics import RATES
 from atlas.kernel.tableaux import METHODS
+from atlas.measure.rates import state_distance
 from atlas.scene import grid
 from atlas.scene.model import Settings
 from atlas.scene.read import load_scene
@@ -146,3 +147,12 @@ def test_statistics_of_passages_at_an_end_of_the_run(at, method):
     assert np.median(error) < 1e-6
     assert np.quantile(error, 0.9) < 1e-4
     assert error.max() < 0.02
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=SYSTEMS)
+def test_the_distance_of_states_is_that_of_the_component_that_differs_most(system):
+    """A rate by 0.4, in units of the bound, and a direction by 0.05."""
+    state = np.zeros((len(system.equations.STATE), 2))
+    other = state.copy()
+    other[1], other[-1] = 0.4, -0.05
+    np.testing.assert_allclose(state_distance(system, state, other, np.array([4.0, 16.0])), [0.1, 0.05])

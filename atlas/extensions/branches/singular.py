@@ -40,10 +40,8 @@ _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # which it may be one; least singular value of regular points, relative, and their last step, and force at pitchforks.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
-_BESIDE, _STEPS_BESIDE = (
-    1e-3,
-    5,
-)  # distance from a pitchfork at which solutions are compared, and iterations to it
+# Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
+_BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
@@ -486,7 +484,7 @@ class Degenerate(NamedTuple):
         residual, slopes = self.equations()
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
-        points, step, tangent, _ = self.take(good).corrected(right[good, -1], 4)
+        points, step, tangent, _ = self.take(good).corrected(right[good, -1], 7)
         good = (step < _EXACT) & (points.excess < _EXACT) & points.inside()
         forks = np.flatnonzero(points.pitchfork)
         _, (product, flat), _ = points.take(forks).character()
@@ -548,6 +546,13 @@ class Degenerate(NamedTuple):
                 points.take((np.abs(values) < reach * length(rates)) & (points.largest_square() < 0))
             )
         return cls.joined(parts)
+
+    def extremal_momenta(self) -> Degenerate:
+        """Unknowns beside degenerate solutions, where extrema of the momentum often are."""
+        x, l, v, m, position, s = self.parts
+        kind = np.full(len(x), BorderKind.EXTREMAL_MOMENTUM, np.int8)
+        sides = [np.concatenate([x + size * v, l, 0 * v, 0 * m, position, 0 * s], 1) for size in _ASIDE]
+        return Degenerate.joined([Degenerate(self.potential, unknowns, kind) for unknowns in sides])
 
     def settled(self, reach: float) -> Degenerate:
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""

@@ -150,21 +150,31 @@ def all_curves(
         tests += [
             lambda points: np.where(points.limit, points.character()[1][0], 1.0),
             lambda points: points.margin()[0],
-            lambda points: np.where(points.pitchfork, np.abs(points.margin()[1] - 1.0) - 1.0, 1.0),
         ]
     for attempt in range(_SEARCHES + 1):
-        lines = curves(*seeds.regular())
+        lines = curves(*seeds.take(~seeds.limit).regular())
+        if stability:
+            # Extrema of the momentum end where other ones of the solutions that bifurcate are stable, or are close all along.
+            lines, ends = with_zeros(
+                lines, lambda points: np.where(points.pitchfork, np.abs(points.margin()[1] - 1.0) - 1.0, 1.0)
+            )
+            beside = [
+                line.points.take(end | (np.arange(end.size) % 2 == 0)).extremal_momenta().settled(reach)
+                for line, end in zip(lines, ends, strict=True)
+                if potential.cyclic
+            ]
+            lines += curves(*Degenerate.joined([seeds.take(seeds.limit), *beside]).regular())
         for test in tests:
             lines, _ = with_zeros(lines, test)
         expected = expected_differences(lines, axis)
         differs = [f[: 1 + stability] != e[: 1 + stability] for f, e in zip(jumps, expected, strict=True)]
         wrong = [each.any(0) for each in differs]
-        ends = [np.argwhere(each & np.isfinite(f[0])) for each, f in zip(wrong, jumps, strict=True)]
-        if attempt == _SEARCHES or not any(map(len, ends)):
+        edges = [np.argwhere(each & np.isfinite(f[0])) for each, f in zip(wrong, jumps, strict=True)]
+        if attempt == _SEARCHES or not any(map(len, edges)):
             break
         share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])
         between = [
-            axis[each][:, None] + share[:, None] * side for each, side in zip(ends, np.eye(2), strict=True)
+            axis[each][:, None] + share[:, None] * side for each, side in zip(edges, np.eye(2), strict=True)
         ]
         positions = np.concatenate(between).reshape(-1, 2)
         near, limits, _ = near_solutions(system, potential, points, positions, reach, stability)

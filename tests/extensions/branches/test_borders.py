@@ -261,6 +261,7 @@ def test_limits_pass_other_exponents(k3):
         ("fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l2": 0.1},
          {"n": (0.2, 4.0), "l3": (-2.0, 2.0)}),
         ("fixed_point", {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "z0": 0.5}, {"n": (0.21, 4.0), "l3": (-2.0, 2.0)}),
+        ("fixed_point", {"A": 1.2458, "B": 1.0119, "C": 1.0429, "Mg": 1.0, "z0": 0.1593, "l3": 0.3598}, {"n": (0.3, 3.0), "N": (-3.0, 3.0)}),
     ],
 )  # fmt: skip
 def test_numbers_of_stable_solutions(system, body, ranges):

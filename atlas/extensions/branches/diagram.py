@@ -97,7 +97,7 @@ def diagram(
         Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
         unstable; dots, diamonds and crosses are folds, pitchforks and exchanges. Between the values of the parameter lines are
         interpolated without corners, and are vertical at folds. Borders are cubics, thick where a minimum ends, dashed at
-        pitchforks, with dots at cusps and diamonds where a pitchfork meets another border.
+        pitchforks, dotted at extrema of the momentum, with dots at cusps and diamonds where a pitchfork meets another border.
     """
     chosen = MapOptions(ax=ax, title=title, legend=legend, width=width)
     if "count_change" in ds:

@@ -32,7 +32,7 @@ EXACT_RESIDUAL = 1e-14
 # DOP853 runs in Python and takes too long for more radians than this at the frequency bound.
 MAX_RADIANS = 1e5
 # Points are integrated as one system if their runs differ in length by at most this factor.
-GROUP_FACTOR = 1.5
+GROUP_FACTOR = 2.0
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
 Run = dict[str, Array]  # the statistics, "sine_max", all (points,), and "state" (state, points)

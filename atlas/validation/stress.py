@@ -64,15 +64,20 @@ def stress(
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    truths = [true_labels(system, part, Settings()) for part in parts]
+    # First the cases without a truth of their own, which theory and the reference decide at once.
+    parts.sort(key=lambda part: part.truth != "")
+    plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
+    if plain:
+        points, duration = _joined(system, plain)
+        truths.append(true_labels(system, replace(plain[0], points=points, duration=duration), Settings()))
+    truths += [true_labels(system, part, Settings()) for part in parts[len(plain) :]]
     if cases is None and not own_cases:
         generic = [case_points(system, case) for case in generic_cases(system)]
         truth, known = generic_true_labels(system, *_joined(system, generic), Settings())
+        truths.append(truth.subset(known))
         ends = np.cumsum([part.duration.size for part in generic])
-        for part, members in zip(generic, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
-            if known[members].any():
-                parts.append(part.subset(known[members]))
-                truths.append(truth.subset(members[known[members]]))
+        shares = zip(generic, np.split(known, ends[:-1]), strict=True)
+        parts += [part.subset(share) for part, share in shares if share.any()]
     if not parts:
         raise BadInput(f"stress: the reference determines no label of the generic cases of {system.name}")
     points, duration = _joined(system, parts)

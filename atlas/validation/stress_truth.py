@@ -107,10 +107,7 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> TrueLab
     if truth == "departure":
         rest, constants = system.initial_state(part.base), system.constants(points)
         offset = system.initial_state(points) - rest
-        runs = [
-            _departure(system, rest[:, i], offset[:, i], constants[:, i], duration[i])
-            for i in range(duration.size)
-        ]
+        runs = _departures(system, rest, offset, constants, duration)
         return _labels_of_runs(
             system, runs, settings, "departure", 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
         )
@@ -187,38 +184,38 @@ def _labels_of_runs(
     )
 
 
-def _departure(
-    system: System, rest: Array, offset: Array, constants: Array, duration: float
-) -> dict[str, float]:
-    """Statistics of a run that starts at a tiny offset from an equilibrium.
+def _departures(
+    system: System, rest: Array, offset: Array, constants: Array, duration: Array
+) -> list[dict[str, float]]:
+    """Statistics of runs that start at tiny offsets from equilibria, integrated as one system in the time t / duration.
 
     The right-hand side is quadratic in the state and 0 at the equilibrium x: with the state x + e d, e the size of the offset,
     d' = J d + e Q(d), without cancellation for any e.
     """
-    rhs, size, numbers = system.equations.rhs, float(np.abs(offset).max()), constants.tolist()
+    rhs, size, wide = system.equations.rhs, np.abs(offset).max(0), tuple(constants[:, None])
 
-    def slope(_: float, d: Array) -> Array:
-        """d' at d."""
+    def slope(_: float, flat: Array) -> Array:
+        """d' at d, times the duration."""
+        d = flat.reshape(rest.shape)
         states = np.stack([rest + 1e-30j * d, d, -d], axis=1)  # one call costs little more for three states
-        tangent, ahead, behind = np.array(rhs(states, numbers)).T
-        return tangent.imag / 1e-30 + 0.5 * size * (ahead.real + behind.real)
+        tangent, ahead, behind = np.moveaxis(np.array(rhs(states, wide)), 1, 0)
+        return (duration * (tangent.imag / 1e-30 + 0.5 * size * (ahead.real + behind.real))).ravel()
 
-    run = solve_ivp(
-        slope, (0.0, duration), offset / size, "DOP853", rtol=1e-11, atol=1e-11, dense_output=True
-    )
+    first = (offset / size).ravel()
+    run = solve_ivp(slope, (0.0, 1.0), first, "DOP853", rtol=1e-11, atol=1e-11, dense_output=True)
     if not run.success:
-        raise ValueError("the departure from an equilibrium cannot be integrated")
+        raise ValueError("the departures from equilibria cannot be integrated")
     length = np.diff(run.t)[:, None]
     time = (run.t[:-1, None] + 0.5 * length * (1 + exact.GAUSS_NODES)).ravel()
-    weight = (0.5 * length * exact.GAUSS_WEIGHTS).ravel() / duration
-    u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(
-        rest[:, None] + size * run.sol(time), constants[:, None]
-    )
-    motion = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
-    return exact.moments(motion, weight) | {
-        "theta_min": float(motion.theta.min()),
-        "theta_max": float(motion.theta.max()),
-    }
+    weight = (0.5 * length * exact.GAUSS_WEIGHTS).ravel()
+    states = rest[..., None] + size[:, None] * run.sol(time).reshape(*rest.shape, -1)
+    result = []
+    for i in range(duration.size):
+        u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(states[:, i], constants[:, i, None])
+        motion = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
+        ends = {"theta_min": float(motion.theta.min()), "theta_max": float(motion.theta.max())}
+        result.append(exact.moments(motion, weight) | ends)
+    return result
 
 
 def linear_growth(system: System, points: Points, flags: Flags, duration: Array) -> Array:

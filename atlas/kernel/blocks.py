@@ -23,6 +23,8 @@ from .stepsize import StepSizes
 
 # Largest number of point-steps in a call of the kernel, about 0.1 s: Ctrl-C and the progress line wait for its end.
 CHUNK = 20_000_000
+# Number of point-steps, about 1 ms, for which starting threads takes longer than they save.
+FEW = 100_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
@@ -109,8 +111,8 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    `segment` is the first and the last node of each block (default: whole runs). Worker threads call `progress` with the
-    point-steps since the last call. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
+    `segment` is the first and the last node of each block (default: whole runs). Worker threads, or the calling one where no
+    number of threads is given and there are few steps, call `progress` with the point-steps since the last call. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -118,6 +120,9 @@ def integrate(
     steps = np.minimum((last - first) * schedule.steps_per_sample, schedule.steps) * WIDTH
     if not arrays.resume.size and (steps > CHUNK).any():
         arrays = resumable(kernel, arrays)
+    # A kernel that has not been called may be compiled: in a thread, so that Ctrl-C need not wait for it.
+    if threads is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
+        threads = 0
     call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads, progress)
 
 

@@ -1,5 +1,6 @@
 """The kernel, compiled and as plain Python: order, exact motions, statistics, and independence of neighbours."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,14 +41,23 @@ def satellites(count: int, seed: int = 0, **given) -> dict[str, np.ndarray]:
 
 
 def integrate(
-    module, points, steps, duration, *, system=SATELLITE, threads=1, steps_per_sample=1, cylinder=1e-5
+    module,
+    points,
+    steps,
+    duration,
+    *,
+    system=SATELLITE,
+    threads=1,
+    steps_per_sample=1,
+    cylinder=1e-5,
+    progress=None,
 ):
     """Statistics and final state of points with the given numbers of steps."""
     ensemble = Ensemble.of(system, points)
     steps = np.broadcast_to(steps, (ensemble.size,)).astype(np.int64)
     schedule = blocks.pack_blocks(steps, np.full(ensemble.size, steps_per_sample))
     arrays = ensemble.arrays(module, duration / steps, cylinder)
-    blocks.integrate(module, schedule, arrays, threads=threads)
+    blocks.integrate(module, schedule, arrays, threads=threads, progress=progress)
     measured = finish(arrays.sums, steps // steps_per_sample, np.full(ensemble.size, duration))
     return measured, arrays.state[: len(ensemble.state)]
 
@@ -152,6 +162,21 @@ def test_results_do_not_depend_on_threads_blocks_or_neighbours(module_of):
         np.testing.assert_array_equal(final, state[:, order])
         for name, values in repeated.items():
             np.testing.assert_array_equal(values, statistics[name][order], err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("threads", "steps", "elsewhere"), [(None, 64, False), (None, 4096, True), (2, 64, True)]
+)
+def test_threads_are_started_for_many_steps_and_where_they_are_asked_for(threads, steps, elsewhere):
+    """A kernel that has been called: one that may be compiled is called in a thread."""
+    points, module, called = satellites(40, seed=5), kernel(SATELLITE, "rk4"), set()
+    integrate(module, points, 16, 3.0)
+    assert module.integrate.signatures
+    integrate(
+        module, points, steps, 3.0, threads=threads, progress=lambda _: called.add(threading.get_ident())
+    )
+    assert called
+    assert (threading.get_ident() not in called) == elsewhere
 
 
 def test_nan_and_overflow_stay_visible(module_of):

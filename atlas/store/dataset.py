@@ -83,6 +83,7 @@ def with_parameters(
     ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
 ) -> xr.Dataset:
     """A dataset with the parameters of a system as coordinates; BadInput if an index of the same name has other values."""
+    coordinates = dict[str, Any]()  # assigned at once, because each assignment copies the dataset
     for name, parameter in system.parameters.items():
         if name in leave_out:
             continue
@@ -95,7 +96,8 @@ def with_parameters(
                 )
             ds[name].attrs = attributes
         elif array.chunks is not None or not np.isnan(array).all():
-            ds = ds.assign_coords({name: (array.dims, array.data, attributes)})
+            coordinates[name] = array.dims, array.data, attributes
+    ds = ds.assign_coords(coordinates)
     # A dimension without coordinate gets the values of its only array, if that is in memory.
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:

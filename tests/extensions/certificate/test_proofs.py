@@ -15,6 +15,8 @@ from atlas.measure.instrument import Tolerances
 from atlas.systems.fixed_point import FIXED_POINT
 from atlas.systems.satellite import SATELLITE
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SYSTEMS = {"satellite": SATELLITE, "fixed_point": FIXED_POINT}
 CASES = json.loads((Path(__file__).parents[2] / "reference" / "energy_cases.json").read_text())
 NONE, ENERGY, MOMENTA = Proof

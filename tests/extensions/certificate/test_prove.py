@@ -14,7 +14,7 @@ from atlas.plotting import content, maps
 from atlas.runs.estimate import dry_run
 from atlas.runs.reuse import Earlier
 
-pytestmark = pytest.mark.usefixtures("coarse_lines")
+pytestmark = pytest.mark.usefixtures("coarse_lines", "whole_kernels")
 
 VARIABLES = [
     "label", "label_inertial", "status", "family", "stable", "predicted", "predicted_inertial", "agreement",

@@ -12,7 +12,7 @@ from typing import Any
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import augmented, generated, integrate, observe, tangent
+from . import augmented, generated, integrate, observe, quadratures, tangent
 from .differentiate import differential, simplify
 from .ensemble import Plug
 from .statistics import Row
@@ -163,7 +163,7 @@ def generated_functions(
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = "scaled", augmented.SCALED
+    in_any_units = texts.keys() if of is quadratures else ("scaled", augmented.SCALED)
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()

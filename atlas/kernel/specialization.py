@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from ..systems.base import System
-from . import assemble, integrate, observe, tangent
+from . import assemble, integrate, observe, quadratures, tangent
 from .ensemble import Plug
 
 
@@ -57,6 +57,12 @@ def kernel(
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module that integrates a system with a tangent vector."""
     return _jit().load(source(system, tangent.METHOD.name, specialization, of=tangent))
+
+
+@cache
+def slope_kernel(system: System) -> ModuleType:
+    """The compiled module of the slopes that reference solutions integrate."""
+    return _jit().load(source(system, tangent.METHOD.name, of=quadratures))
 
 
 @cache

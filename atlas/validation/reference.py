@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,8 @@ import numpy as np
 from scipy.integrate import DOP853, solve_ivp
 
 from ..errors import BadInput
+from ..kernel.quadratures import euler_rates
+from ..kernel.specialization import slope_kernel
 from ..kernel.statistics import NEEDS_PSI, RATES, Row, finish
 from ..measure import observables, rates
 from ..measure.rates import state_distance
@@ -18,7 +20,7 @@ from ..systems.base import Array, Flags, Mask, Points, System, families_of, subs
 from ..systems.steady import condition_residual
 from ..variables import main_instrument
 
-# Sums of the rates, integrated beside the states in this order.
+# Sums of the rates, integrated beside the states in this order, which is that of `kernel.quadratures`.
 RATE_SUMS = (
     Row.THETA_DOT_SQUARED, Row.THETA_DOT_CHANGE, Row.THETA_DOT_CHANGE_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
     Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
@@ -29,7 +31,7 @@ REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
 ROUNDING = 1e-15
 # Largest residual, rounding, of a start that follows the closed form of its family.
 EXACT_RESIDUAL = 1e-14
-# DOP853 runs in Python and takes too long for more radians than this at the frequency bound.
+# SciPy's DOP853 takes too long for more radians than this at the frequency bound.
 MAX_RADIANS = 1e5
 # Points are integrated as one system if their runs differ in length by at most this factor.
 GROUP_FACTOR = 2.0
@@ -156,18 +158,6 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     return run, exact
 
 
-def euler_rates(motion: Sequence[Array], cylinder: float) -> tuple[Array, ...]:
-    """theta', psi', phi', the rate about the vertical, 1.0 outside the cylinder, and theta; inside psi', phi' and the 1.0 are 0."""
-    u1, u2, u3, g1, g2, g3 = motion
-    sine = np.hypot(g1, g2)
-    outside = np.where(sine >= cylinder, 1.0, 0.0)
-    safe_sine = np.where(sine == 0.0, 1.0, sine)
-    psi_dot = (u1 * g1 + u2 * g2) / safe_sine**2 * outside
-    theta_dot, normal_rate = (u1 * g2 - u2 * g1) / safe_sine, u1 * g1 + u2 * g2 + u3 * g3
-    phi_dot = (u3 - psi_dot * g3) * outside
-    return theta_dot, psi_dot, phi_dot, normal_rate, outside, np.arctan2(sine, g3)
-
-
 def _dop853(
     system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance
 ) -> tuple[Run, Mask]:
@@ -214,21 +204,15 @@ def _integrate_group(
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
     equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
     states, size = start.shape
-    rate0, psi0, phi0, normal0, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
-
-    # Rows taken once, which costs a tenth of a slope.
-    each, wide = tuple(constants), tuple(constants[:, :, None])
+    *first, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
+    rates0, wide, write_slopes = np.array(first), tuple(constants[:, :, None]), slope_kernel(system).integrate
 
     def slope(time: float, flat: Array) -> Array:
         """Slopes of the states, then of the sums in the order of RATE_SUMS."""
-        state = tuple(flat.reshape(-1, size)[:states])
-        motion = equations.frame_motion(state, each)
-        theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(motion, cylinder)
-        psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
-        change = theta_dot - rate0
-        rows = [duration * rate for rate in equations.rhs(state, each)]
-        sums = (theta_dot**2, change, change**2, outside, psi, psi**2, phi, phi**2, normal, normal**2)
-        return np.concatenate([*rows, *sums])
+        slopes = np.empty_like(flat)
+        path = flat.reshape(-1, size)
+        write_slopes(path, constants, duration, rates0, cylinder, slopes.reshape(path.shape))
+        return slopes
 
     def theta_along(path: Array) -> tuple[Array, Array]:
         theta_dot, *_, theta = euler_rates(equations.frame_motion(path, wide), cylinder)
@@ -242,7 +226,7 @@ def _integrate_group(
     out = np.zeros((len(Row), size))
     out[list(RATE_SUMS)] = final[states:]
     references = list(range(Row.THETA_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE + 1))
-    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = rate0, psi0, phi0, normal0, theta0, theta
+    out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = *rates0, theta0, theta
     result = finish(out, np.ones(size, np.int64), duration)
     return {name: result[name] for name in RATES} | {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),

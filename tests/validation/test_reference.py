@@ -9,6 +9,7 @@ from strategies import default_points, evaluate
 
 import atlas
 from atlas.flags import Label
+from atlas.kernel.specialization import slope_kernel
 from atlas.kernel.statistics import RATES
 from atlas.kernel.tableaux import METHODS
 from atlas.measure.rates import state_distance
@@ -60,6 +61,36 @@ def test_extremes_are_those_of_the_trajectory():
     path = atlas.trajectory("satellite", point, duration=6.0, samples=3001)
     for name, extreme in (("theta_min", path.theta.min()), ("theta_max", path.theta.max())):
         assert solution.statistics[name][0] == pytest.approx(extreme.item(), abs=1e-5)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_compiled_slopes_are_those_of_the_equations(name):
+    """At a point outside the cylinder and one inside; rates of the angles follow from the motion of gamma."""
+    system = SYSTEMS[name]
+    points = default_points(name, theta0=[0.4, 0.02], phi0=0.7, theta_dot0=0.2, m=0.9)
+    state, constants, cylinder = system.initial_state(points), system.constants(points), 0.1
+    duration, first = np.array([3.0, 7.0]), np.zeros((4, 2))
+    path = np.concatenate([state, np.full((len(reference.RATE_SUMS), 2), 5.0)])
+    slopes = np.full_like(path, np.nan)
+    slope_kernel(system).integrate(path, constants, duration, first, cylinder, slopes)
+    size = len(state)
+    np.testing.assert_allclose(
+        slopes[:size], duration * system.equations.rhs(state, constants), rtol=1e-13, atol=1e-15
+    )
+    theta_dot, psi_dot, phi_dot, normal = sums = slopes[size:][[1, 4, 6, 8]]
+    np.testing.assert_array_equal(slopes[size:][[0, 2, 5, 7, 9]], sums[[0, 0, 1, 2, 3]] ** 2)
+    np.testing.assert_array_equal(slopes[size + 3], [1.0, 0.0])
+    np.testing.assert_allclose(theta_dot, points["theta_dot0"], rtol=1e-13)
+    u1, u2, u3, *gamma = system.equations.frame_motion(state, constants)
+    # gamma' = gamma x u, and gamma is (sin theta sin phi, sin theta cos phi, cos theta).
+    change = np.cross(np.array(gamma), np.array([u1, u2, u3]), axis=0)
+    np.testing.assert_allclose(
+        phi_dot[0], (change[0] * gamma[1] - change[1] * gamma[0])[0] / np.sin(0.4) ** 2, rtol=1e-12
+    )
+    np.testing.assert_allclose(normal, u1 * gamma[0] + u2 * gamma[1] + u3 * gamma[2], rtol=1e-12)
+    # The component of u along the third body axis is phi' + psi' cos theta.
+    np.testing.assert_allclose(u3[0], phi_dot[0] + psi_dot[0] * np.cos(0.4), rtol=1e-12)
+    np.testing.assert_array_equal([psi_dot[1], phi_dot[1]], 0.0)
 
 
 def test_a_point_that_fails_does_not_fail_its_group(monkeypatch):

@@ -107,8 +107,7 @@ class Borders(NamedTuple):
 
         def shown(at: Degenerate) -> Mask:
             """Where a body is possible and, at limits of stability, all exponents are imaginary."""
-            bounds = ~at.limit | (at.largest_square() < 0)
-            return np.asarray(possible_body(system, points(at.parts[4])) & bounds)
+            return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
         lines = [part for line in lines for part in _possible(line, shown)]
         index, changes = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros((2, 0)))

@@ -428,12 +428,15 @@ class Degenerate(NamedTuple):
         return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
 
     def largest_square(self) -> Array:
-        """At limits of stability the largest square of the exponents, apart from a pair that vanishes, (N,)."""
-        x, _, _, _, position, s = self.parts
+        """At limits of stability the largest square of the exponents, apart from a pair that vanishes, -inf elsewhere, (N,)."""
+        limits, result = self.take(self.limit), np.full(len(self.kind), -np.inf)
+        x, _, _, _, position, s = limits.parts
         (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
         with np.errstate(all="ignore"):
             other = s if self.potential.cyclic else -second / third - 2 * s
-            return np.where(self.kind == BorderKind.EXTREMAL_MOMENTUM, -first / second, np.maximum(s, other))
+            single = limits.kind == BorderKind.EXTREMAL_MOMENTUM
+            result[self.limit] = np.where(single, -first / second, np.maximum(s, other))
+        return result
 
     def inside(self) -> Mask:
         """Which are in the box but for rounding errors."""

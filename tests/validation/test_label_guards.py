@@ -99,8 +99,8 @@ def test_a_tolerance_between_a_measured_and_the_true_deviation_is_unsure():
     true = run("fixed_point", tops, 5.0, method="rk8", tolerance=1e-13, **options)["phi_dot_std"]
     measured = run("fixed_point", tops, 5.0, step=0.05, **options)["phi_dot_std"]
     for i, between in enumerate(0.5 * (measured + true)):
-        found = run("fixed_point", tops, 5.0, step=0.05, rate_tolerance=between, **options)
-        assert found["status"][i] == Status.STEP_SENSITIVE
+        result = run("fixed_point", tops, 5.0, step=0.05, rate_tolerance=between, **options)
+        assert result["status"][i] == Status.STEP_SENSITIVE
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -98,9 +98,10 @@ def _merging_points(plane: Plane, system: Gyrostat, values: Array, minima: bool)
         return plane.points({dim: values[:, 0]}).base
 
     family = BodyFamily.of(system, points, values[:, None])
-    found = follow(family, values, np.zeros(values.size, int)).points
-    where = np.array([p.value for p in found if p.kind in (BifurcationKind.FOLD, BifurcationKind.PITCHFORK)])
-    frames = np.array([p.frame for p in found if p.kind in (BifurcationKind.FOLD, BifurcationKind.PITCHFORK)])
+    merging = BifurcationKind.FOLD, BifurcationKind.PITCHFORK
+    mergers = [p for p in follow(family, values, np.zeros(values.size, int)).points if p.kind in merging]
+    where = np.array([p.value for p in mergers])
+    frames = np.array([p.frame for p in mergers])
     if minima and where.size:
         where = where[np.abs(np.linalg.eigvalsh(family.linear(where[:, None], frames)[1])).argmin(1) == 0]
     return list(where[np.unique(where.round(9), return_index=True)[1]].reshape(-1, 1, 1))

@@ -19,7 +19,7 @@ CASES = json.loads((REFERENCE / "fold_curves.json").read_text())["cases"]
 
 def crossings(ds, name, value, other, change_of="count_change"):
     """Values of the other parameter where curves cross name = value, their kinds, and solutions to their left, seen towards larger `name`."""
-    found = []
+    cuts = []
     for curve in np.unique(ds.curve):
         line = ds.isel(vertex=np.flatnonzero(ds.curve.values == curve))
         p, q, s = line[name].values - value, line[other].values, line.arc.values
@@ -37,8 +37,8 @@ def crossings(ds, name, value, other, change_of="count_change"):
                 same = cubic(middle, p, slopes[0]) * p[k] > 0
                 low, high = (middle, high) if same else (low, middle)
             change = np.sign(p[k + 1] - p[k]) * float(line[change_of][k])
-            found.append((cubic(low, q, slopes[1]), int(line.kind[0]), change))
-    return sorted(found)
+            cuts.append((cubic(low, q, slopes[1]), int(line.kind[0]), change))
+    return sorted(cuts)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case['system']}, {case['kind']}")
@@ -55,23 +55,23 @@ def test_verified_borders(case):
         ((name, value),) = line["fixed"].items()
         other = line["vary"]
         low, high = line["range"]
-        found = [each for each in crossings(ds, name, value, other) if low < each[0] < high]
-        values = np.array([each[0] for each in found])
+        cuts = [each for each in crossings(ds, name, value, other) if low < each[0] < high]
+        values = np.array([each[0] for each in cuts])
         expected = np.array([float(fold[0]) for fold in line["folds"]])
         kinds = [BorderKind[fold[1].upper()] for fold in line["folds"]]
         nearest = np.abs(values[:, None] - expected).argmin(1) if len(values) else np.zeros(0, int)
         np.testing.assert_allclose(values, expected[nearest], rtol=0, atol=1e-6 * spans[other])
-        assert [each[1] for each in found] == [kinds[i] for i in nearest]
+        assert [each[1] for each in cuts] == [kinds[i] for i in nearest]
         assert set(nearest) == set(range(len(expected)))
         # Towards larger values of `first` the left side has the larger values of `second`.
         way = 1 if name == first else -1
         for i, fold in enumerate(line["folds"]):
-            change = sum(way * each[2] for each, own in zip(found, nearest, strict=True) if own == i)
+            change = sum(way * each[2] for each, own in zip(cuts, nearest, strict=True) if own == i)
             assert change == fold[2][1] - fold[2][0]
     cusps = ds.isel(special=np.flatnonzero(ds.special_kind.values == SpecialKind.CUSP))
-    found = np.stack([cusps[f"special_{name}"] for name in (first, second)], -1)
+    points = np.stack([cusps[f"special_{name}"] for name in (first, second)], -1)
     expected = np.array(case["cusps"], float)
-    distance = np.abs(found[:, None] - expected).max(-1)
+    distance = np.abs(points[:, None] - expected).max(-1)
     assert max(distance.min(0).max(), distance.min(1).max()) < 1e-12
 
 
@@ -180,13 +180,13 @@ def test_a_body_without_symmetry_has_folds_alone():
 )  # fmt: skip
 def test_curves_between_the_corners_of_the_coarse_grid(body, ranges, name, value, other, total):
     """On a line across them the numbers of equilibria between the curves differ as these say."""
-    found = crossings(atlas.borders("satellite", body, ranges), name, value, other)
-    assert len(found) == total
+    cuts = crossings(atlas.borders("satellite", body, ranges), name, value, other)
+    assert len(cuts) == total
     ends = [0.99 * end for end in ranges[other]]
-    middles = np.array([ends[0], *(0.5 * (a[0] + b[0]) for a, b in pairwise(found)), ends[1]])
+    middles = np.array([ends[0], *(0.5 * (a[0] + b[0]) for a, b in pairwise(cuts)), ends[1]])
     rest = atlas.equilibria("satellite", body | {name: np.full(middles.size, value), other: middles})
     numbers = (rest.index >= 0).sum("equilibrium").values
-    np.testing.assert_array_equal(np.diff(numbers), [change for *_, change in found])
+    np.testing.assert_array_equal(np.diff(numbers), [change for *_, change in cuts])
 
 
 def test_bodies_that_cannot_exist_cut_borders():
@@ -270,15 +270,15 @@ def test_numbers_of_stable_solutions(system, body, ranges):
     assert (ds.cells == Cell.COUNTED).all()
     low, high = ranges[second]
     for value in ranges[first][0] + np.diff(ranges[first]) * [0.13, 0.28, 0.41, 0.57, 0.71, 0.94]:
-        found = crossings(ds, first, value, second, "stable_change")
-        places = np.array([place for place, _, _ in found])
+        cuts = crossings(ds, first, value, second, "stable_change")
+        places = np.array([place for place, _, _ in cuts])
         edges = np.sort(np.r_[low, places, high])
         between = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 1e-4]  # nearer ones count as one
         rest = atlas.equilibria(system, body | {first: value, second: between})
         changes = np.diff((rest.stable == 1).sum("equilibrium"))
         for i, change in enumerate(changes):
             own = (places > between[i]) & (places < between[i + 1])
-            assert change == sum(found[k][2] for k in np.flatnonzero(own))
+            assert change == sum(cuts[k][2] for k in np.flatnonzero(own))
         seen += np.count_nonzero(changes)
     assert seen > 5
 

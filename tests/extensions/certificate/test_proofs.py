@@ -42,26 +42,28 @@ def test_verified_cases(case):
         case["rate_tolerance"],
         case["cylinder_tolerance"],
     )
-    found = {name: values[0] for name, values in proofs(case["system"], rate, angle, **start).items()}
+    result = {name: values[0] for name, values in proofs(case["system"], rate, angle, **start).items()}
     kind = MOMENTA if case["kind"].startswith("top") else ENERGY
-    assert found["label_proof"] == (kind if case["proved"] else NONE)
+    assert result["label_proof"] == (kind if case["proved"] else NONE)
     if case["proved"]:
         assert (
-            found["predicted"] == Label[case["label_proved"].upper()] == Label[case["label_measured"].upper()]
+            result["predicted"]
+            == Label[case["label_proved"].upper()]
+            == Label[case["label_measured"].upper()]
         )
         measured = case["measured"]
         rates = ["normal_rate_std"] if case["cylinder"] else ["theta_dot_rms", "psi_dot_std", "phi_dot_std"]
-        assert max(measured[name] for name in rates) <= found["proof_bound"] <= 1.02 * case["bound"]
-        assert proofs(case["system"], 0.99 * found["proof_bound"], angle, **start)["label_proof"] == NONE
+        assert max(measured[name] for name in rates) <= result["proof_bound"] <= 1.02 * case["bound"]
+        assert proofs(case["system"], 0.99 * result["proof_bound"], angle, **start)["label_proof"] == NONE
 
 
 def test_inertial_labels_need_a_rate_that_is_clearly_zero_or_not():
     """A symmetric satellite that points to the radius turns once in an orbit in space; its spin may be 0, or too near to tell."""
     body = {"A": 1.0, "B": 1.0, "C": 0.6, "theta0": np.pi / 2, "psi0": np.pi / 2 + 1e-5}
     spin = np.array([0.0, 9.8e-4, 1e-3, 1.02e-3, 0.4])
-    found = proofs("satellite", m=spin, k3=-0.6 * spin, **body)
-    assert [*found["predicted"]] == 5 * [Label.PERMANENT_ROTATION]
-    assert [*found["label_proof"]] == 5 * [ENERGY]
+    result = proofs("satellite", m=spin, k3=-0.6 * spin, **body)
+    assert [*result["predicted"]] == 5 * [Label.PERMANENT_ROTATION]
+    assert [*result["label_proof"]] == 5 * [ENERGY]
     kinds = [
         Label.PERMANENT_ROTATION,
         Label.PERMANENT_ROTATION,
@@ -69,11 +71,11 @@ def test_inertial_labels_need_a_rate_that_is_clearly_zero_or_not():
         Label.REGULAR_PRECESSION,
         Label.REGULAR_PRECESSION,
     ]
-    assert [*found["predicted_inertial"]] == kinds
-    assert [*found["label_inertial_proof"]] == [ENERGY, ENERGY, NONE, ENERGY, ENERGY]
+    assert [*result["predicted_inertial"]] == kinds
+    assert [*result["label_inertial_proof"]] == [ENERGY, ENERGY, NONE, ENERGY, ENERGY]
     for orbit, label in ((1e-4, 2), (2e-3, 1)):  # the slow orbit alone turns the axis
-        found = proofs("satellite", **body | {"m": 0.4, "k3": -0.24, "Omega": orbit, "psi0": np.pi / 2})
-        assert (found["predicted_inertial"], found["predicted"]) == (label, 2)
+        result = proofs("satellite", **body | {"m": 0.4, "k3": -0.24, "Omega": orbit, "psi0": np.pi / 2})
+        assert (result["predicted_inertial"], result["predicted"]) == (label, 2)
 
 
 @pytest.mark.parametrize(
@@ -87,16 +89,16 @@ def test_inertial_labels_need_a_rate_that_is_clearly_zero_or_not():
 def test_gyroscopic_stability_is_no_proof_by_the_energy(system, points):
     """Motions that stay, at a maximum or a saddle of the energy."""
     tilt = np.array([0.0, 1e-5])
-    found = atlas.label_points(
+    result = atlas.label_points(
         system,
         points | {"theta0": tilt},
         duration=60.0,
         rate_tolerance=1e-3,
         variables=[*VARIABLES, "stable"],
     )
-    assert found["stable"][0] == 1
-    assert [*found["label"]] == [Label.PERMANENT_ROTATION, Label.PERMANENT_ROTATION]
-    assert [*found["label_proof"]] == [NONE, NONE]
+    assert result["stable"][0] == 1
+    assert [*result["label"]] == [Label.PERMANENT_ROTATION, Label.PERMANENT_ROTATION]
+    assert [*result["label_proof"]] == [NONE, NONE]
 
 
 def test_what_the_second_variation_of_the_energy_decides_is_proved():
@@ -122,36 +124,36 @@ def test_two_momenta_prove_a_sleeping_top():
         "m": np.array([30.0, 1.0]),
         "theta0": 1e-5,
     }
-    found = proofs("fixed_point", **upright)
-    assert [*found["label_proof"]] == [MOMENTA, NONE]
-    assert found["predicted"][0] == Label.PERMANENT_ROTATION
+    result = proofs("fixed_point", **upright)
+    assert [*result["label_proof"]] == [MOMENTA, NONE]
+    assert result["predicted"][0] == Label.PERMANENT_ROTATION
 
 
 def test_nothing_is_proved_across_a_barrier():
     """With enough energy a satellite turns over its nearest saddle, whatever the tolerance; with less it is held."""
     body = {"A": 1.0, "B": 1.2, "C": 1.5, "k1": 0.02, "k2": 0.01, "k3": 0.3}
     rates = np.array([0.01, 0.1, 0.3, 1.0, 2.0])
-    found = proofs("satellite", 10.0, 1e-5, theta0=0.6, phi0=0.3, n=rates, **body)
-    assert found["label_proof"].sum() == 0
+    result = proofs("satellite", 10.0, 1e-5, theta0=0.6, phi0=0.3, n=rates, **body)
+    assert result["label_proof"].sum() == 0
     rest = atlas.equilibria("satellite", body)
     at = {
         name: float(rest[name][np.flatnonzero(rest["index"] == 0)[0]]) for name in ("theta0", "psi0", "phi0")
     }
-    found = proofs("satellite", 10.0, 1e-9, theta_dot0=rates, **body | at)
-    assert 0 < (found["label_proof"] == ENERGY).sum() < rates.size
+    result = proofs("satellite", 10.0, 1e-9, theta_dot0=rates, **body | at)
+    assert 0 < (result["label_proof"] == ENERGY).sum() < rates.size
 
 
 def test_a_start_beyond_the_rim_is_held_by_no_minimum():
     """With x = 1 - cos(theta) the potential of a tilt about the radius is 0.04 x - 0.2 x^2, which has its rim at theta = 0.45."""
     tilt = {"theta0": np.array([0.2, 0.4, 0.5, 0.6, 1.2])}
-    found = proofs("satellite", 1.0, 1.3, A=1.0, B=1.2, C=1.6, k3=-0.36, **tilt)
-    assert [*found["label_proof"]] == [ENERGY, ENERGY, NONE, NONE, NONE]
+    result = proofs("satellite", 1.0, 1.3, A=1.0, B=1.2, C=1.6, k3=-0.36, **tilt)
+    assert [*result["label_proof"]] == [ENERGY, ENERGY, NONE, NONE, NONE]
 
 
 def test_without_torque_there_is_no_minimum():
     """A slow orbit, and none."""
-    found = proofs("satellite", A=1.0, B=1.2, C=1.5, Omega=np.array([1e-3, 0.0]))
-    assert [*found["label_proof"]] == [ENERGY, NONE]
+    result = proofs("satellite", A=1.0, B=1.2, C=1.5, Omega=np.array([1e-3, 0.0]))
+    assert [*result["label_proof"]] == [ENERGY, NONE]
 
 
 def test_circles_of_minima_are_refused():
@@ -168,8 +170,8 @@ def test_damping_leaves_no_momentum():
     top["l3"] = 1.2 * np.cos(1.0) - 0.4 / 1.2 - 1.5 * (1.0 + 1.2 * np.cos(1.0))
     hanging = {"A": 1.2, "B": 1.0, "C": 1.5, "Mg": 1.0, "z0": 0.4, "theta0": 1e-5}
     for damping, kinds in ((0.0, [MOMENTA, ENERGY, ENERGY]), (0.1, [NONE, NONE, ENERGY])):
-        found = [proofs("fixed_point", damping=damping, **p) for p in (top, hanging | {"m": 1.0}, hanging)]
-        assert [each["label_proof"][0] for each in found] == kinds
+        result = [proofs("fixed_point", damping=damping, **p) for p in (top, hanging | {"m": 1.0}, hanging)]
+        assert [each["label_proof"][0] for each in result] == kinds
 
 
 def test_a_motion_that_may_leave_the_cylinder_is_refused():
@@ -232,17 +234,17 @@ def test_no_measured_label_contradicts_a_proof():
     for name in ("theta_dot0", "n", "m"):
         nudge[name] = nudge[name] * scale
     points = body | nudge | {"Omega": scale, "k3": 0.1 * scale * body["C"]}
-    found = atlas.label_points(
+    result = atlas.label_points(
         "satellite", points, duration=60 / scale, rate_tolerance=1e-3, method="rk8", tolerance=1e-6,
         variables=[*VARIABLES, "label_inertial", "predicted_inertial", "label_inertial_proof"],
     )  # fmt: skip
-    proved = found["label_proof"] > 0
+    proved = result["label_proof"] > 0
     assert 20 < proved.sum() < count - 20
-    assert (found["label"] == found["predicted"]).where(proved, True).all()
-    assert (found["predicted"] > 0).where(proved, True).all()
-    assert (found["agreement"] == 1).where(proved, True).all()
-    proved = found["label_inertial_proof"] > 0
-    assert (found["label_inertial"] == found["predicted_inertial"]).where(proved, True).all()
+    assert (result["label"] == result["predicted"]).where(proved, True).all()
+    assert (result["predicted"] > 0).where(proved, True).all()
+    assert (result["agreement"] == 1).where(proved, True).all()
+    proved = result["label_inertial_proof"] > 0
+    assert (result["label_inertial"] == result["predicted_inertial"]).where(proved, True).all()
 
 
 def test_points_are_independent_of_each_other():

@@ -5,10 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from plain_kernel import plain_module
 from strategies import default_points, evaluate
 
 import atlas
 from atlas.flags import Label
+from atlas.kernel import quadratures
 from atlas.kernel.specialization import slope_kernel
 from atlas.kernel.statistics import RATES
 from atlas.kernel.tableaux import METHODS
@@ -64,7 +66,8 @@ def test_extremes_are_those_of_the_trajectory():
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_compiled_slopes_are_those_of_the_equations(name):
+@pytest.mark.parametrize("compiled", [True, False])
+def test_slopes_are_those_of_the_equations(name, compiled):
     """At a point outside the cylinder and one inside; rates of the angles follow from the motion of gamma."""
     system = SYSTEMS[name]
     points = default_points(name, theta0=[0.4, 0.02], phi0=0.7, theta_dot0=0.2, m=0.9)
@@ -72,7 +75,10 @@ def test_compiled_slopes_are_those_of_the_equations(name):
     duration, first = np.array([3.0, 7.0]), np.zeros((4, 2))
     path = np.concatenate([state, np.full((len(reference.RATE_SUMS), 2), 5.0)])
     slopes = np.full_like(path, np.nan)
-    slope_kernel(system).integrate(path, constants, duration, first, cylinder, slopes)
+    plain = plain_module(system.equations, "rk8", of=quadratures)
+    (slope_kernel(system) if compiled else plain).integrate(
+        path, constants, duration, first, cylinder, slopes
+    )
     size = len(state)
     np.testing.assert_allclose(
         slopes[:size], duration * system.equations.rhs(state, constants), rtol=1e-13, atol=1e-15

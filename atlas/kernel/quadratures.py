@@ -16,10 +16,9 @@ def integrate(path, constants, duration, first, cylinder, slopes):
         theta_dot, psi_dot, phi_dot, normal, outside, _ = euler_rates(frame_motion(state, c), cylinder)
         psi, phi, normal = (psi_dot - psi0) * outside, (phi_dot - phi0) * outside, normal - normal0
         change = theta_dot - rate0
-        slopes[STATES, p], slopes[STATES + 1, p], slopes[STATES + 2, p] = theta_dot**2, change, change**2
-        slopes[STATES + 3, p], slopes[STATES + 4, p], slopes[STATES + 5, p] = outside, psi, psi**2
-        slopes[STATES + 6, p], slopes[STATES + 7, p] = phi, phi**2
-        slopes[STATES + 8, p], slopes[STATES + 9, p] = normal, normal**2
+        sums = theta_dot**2, change, change**2, outside, psi, psi**2, phi, phi**2, normal, normal**2
+        for row in range(len(sums)):
+            slopes[STATES + row, p] = sums[row]
 
 
 def euler_rates(motion, cylinder):

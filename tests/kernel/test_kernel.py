@@ -169,14 +169,14 @@ def test_results_do_not_depend_on_threads_blocks_or_neighbours(module_of):
 )
 def test_threads_are_started_for_many_steps_and_where_they_are_asked_for(threads, steps, elsewhere):
     """A kernel that has been called: one that may be compiled is called in a thread."""
-    points, module, called = satellites(40, seed=5), kernel(SATELLITE, "rk4"), set()
+    points, module, identities = satellites(40, seed=5), kernel(SATELLITE, "rk4"), set()
     integrate(module, points, 16, 3.0)
     assert module.integrate.signatures
     integrate(
-        module, points, steps, 3.0, threads=threads, progress=lambda _: called.add(threading.get_ident())
+        module, points, steps, 3.0, threads=threads, progress=lambda _: identities.add(threading.get_ident())
     )
-    assert called
-    assert (threading.get_ident() not in called) == elsewhere
+    assert identities
+    assert (threading.get_ident() not in identities) == elsewhere
 
 
 def test_nan_and_overflow_stay_visible(module_of):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -312,7 +311,12 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
     """Variables over the special points of all borders."""
     points, curve, kind = curves.potential.none(), [], []
     for column in (0, 1):
-        for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, partial(_test, column)), strict=True)):
+
+        def test(points: Degenerate, column: int = column) -> Array:
+            """A function that vanishes at special points."""
+            return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
+
+        for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):
             at = line.points.take(np.flatnonzero(zero[: zero.size - line.closed]))
             points = Degenerate.joined([points, at])
             curve += [n] * len(at.kind)
@@ -329,11 +333,6 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
         "kind": np.array(kind, np.int8),
     }
     return {f"special_{name}": column for name, column in columns.items()}
-
-
-def _test(column: int, points: Degenerate) -> Array:
-    """A function of `Degenerate.character` that vanishes at special points."""
-    return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
 
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:

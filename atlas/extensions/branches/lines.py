@@ -23,11 +23,8 @@ from .starts import Cell
 
 CHANGE = "change of the number"
 COUNT_TRISECTIONS = 4  # share of the distance between two neighbouring points of the atlas
-# Counts that change only where equilibria merge, and one that changes at limits of stability too.
-MERGING_COUNTS, STABLE_COUNT = (
-    ("equilibrium_count", "equilibrium_energy_stable_count"),
-    "equilibrium_stable_count",
-)
+# The count of minima changes only where these merge with others, that of stable equilibria at limits of stability too.
+MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
 MANY_COUNTS = 300  # vertices, which take more than a second
 BETWEEN = (
     6  # straight lines for the cubic between two vertices of a border, at most 1e-5 of the plane from it
@@ -77,7 +74,7 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
 
 def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] | None:
     """Lines, or points on a single axis, at which the number of equilibria changes; None where not all are known."""
-    system, minima = plane.scene.system, name == MERGING_COUNTS[1]
+    system, minima = plane.scene.system, name == MINIMA_COUNT
     if not isinstance(system, Gyrostat):
         return None
     if len(plane.extent) == 1:

@@ -182,6 +182,11 @@ class Potential(NamedTuple):
         conditions = np.concatenate([c[:, :3], discriminant[:, None]], 1)
         return np.where(degree[:, None] > [0, 1, 2, 1], conditions, np.inf).min(1)
 
+    def constraints(self, x: Array) -> tuple[Array, Array]:
+        """Gradients of the conditions on x, and what gives the multipliers of a vector with the sign changed, (N, m, n) each."""
+        B = np.einsum("kij,nj->nki", self.forms, x)
+        return B, _solved(B @ np.swapaxes(B, 1, 2), B)
+
     def none(self) -> Degenerate:
         """No point."""
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
@@ -379,15 +384,17 @@ class Degenerate(NamedTuple):
         values = np.einsum("dkni,nk->nd", powers, coefficients)
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
+    def response(self) -> tuple[Array, Array, Array]:
+        """Second derivatives in (x, l), derivatives of the gradient by both parameters, (N, n, 2), and those of solutions (x, l)."""
+        first, _, (_, *by) = self.matrices()
+        forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
+        right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
+        return first, forces, -_solved(first + 1e-13 * np.eye(first.shape[1]), right)
+
     def values_and_rates(self) -> tuple[Array, Array]:
         """The characteristic polynomial of solutions at s, (N,), and its derivatives by both parameters with the solution, (N, 2)."""
-        (x, *_), n = self.parts, self.potential.size
-        first, _, (_, *by) = self.matrices()
-        forces = np.zeros((*first.shape[:2], 2))
-        forces[:, :n] = np.stack([q * x + c for q, c in by], -1)
-        moved = -_solved(first + 1e-13 * np.eye(first.shape[1]), forces)[:, :n]
-        values, slopes = self.characteristic()
-        return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved)
+        n, (*_, moved), (values, slopes) = self.potential.size, self.response(), self.characteristic()
+        return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
     def margin(self) -> tuple[Array, Array]:
         """Numbers that are positive where exponents that do not vanish are imaginary, and by how many stable solutions curves change, (N,).
@@ -502,24 +509,21 @@ class Degenerate(NamedTuple):
         """Unknowns at critical points and, where not solves, near complex ones, whose eigenvalues vanish within a reach to first order."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
-        B = np.einsum("kij,nj->nki", potential.forms, x)
-        onto = _solved(B @ np.swapaxes(B, 1, 2), B)  # multipliers of a vector, with the sign changed
+        B, onto = potential.constraints(x)
         gradient = now[0] * x + now[1]
         l = -np.einsum("nki,ni->nk", onto, gradient)
         unknowns = np.concatenate([x, l, 0 * x, 0 * l, position, 0 * l[:, :1]], 1)
-        first, *_ = cls(potential, unknowns, np.full(N, BorderKind.FOLD, np.int8)).matrices()
+        first, forces, moved = cls(potential, unknowns, np.full(N, BorderKind.FOLD, np.int8)).response()
         basis = np.linalg.svd(B)[2][:, m:]
         kappa, vectors = np.linalg.eigh(basis @ first[:, :n, :n] @ np.swapaxes(basis, 1, 2))
         v = np.swapaxes(vectors, 1, 2) @ basis  # (N, eigenvalues, n)
         mu = -np.einsum("nki,nij,nej->nek", onto, first[:, :n, :n], v)
-        forces = np.stack([q * x + c for q, c in by], -1)
-        moved = _solved(first + 1e-13 * np.eye(n + m), np.concatenate([forces, np.zeros((N, m, 2))], 1))
         bent = (
             np.einsum("nek,kij,nej->nei", 2 * mu, potential.forms, v),
             np.einsum("nei,kij,nej->nek", v, potential.forms, v),
         )
         rates = np.stack([np.einsum("nei,ni,nei->ne", v, q, v) for q, _ in by], -1)
-        rates -= np.concatenate(bent, 2) @ moved
+        rates += np.concatenate(bent, 2) @ moved
         slope = np.einsum("nei,nif->nef", v, forces)
         with np.errstate(all="ignore"):  # some vanish
             of_solutions = 0.5 * np.abs(kappa) / length(rates)
@@ -534,8 +538,8 @@ class Degenerate(NamedTuple):
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
         """Unknowns at solutions that are stable, or nearly, and lose their stability at a limit within a reach to first order."""
         now, *_ = potential.at(position)
-        B = np.einsum("kij,nj->nki", potential.forms, x)
-        l = -np.einsum("nki,ni->nk", _solved(B @ np.swapaxes(B, 1, 2), B), now[0] * x + now[1])
+        _, onto = potential.constraints(x)
+        l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
         coefficients, _ = potential.characteristic(x, position)
         kinds = [(BorderKind.LIMIT_OF_STABILITY, s) for s in _extrema(coefficients).T]
         if potential.cyclic:
@@ -592,7 +596,7 @@ class Degenerate(NamedTuple):
 
         The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
         product of the other eigenvalues, and that times the fourth derivative; on limits of stability the second derivative of the
-        characteristic polynomial, 0 at cusps, and 1. The covector, (N, 2), points to the side of the curve where two more solutions are,
+        characteristic polynomial, 0 at cusps, and the product of the eigenvalues. The covector, (N, 2), points to the side of the curve where two more solutions are,
         or one more is stable.
         """
         x, _, v, m, position, _ = self.parts

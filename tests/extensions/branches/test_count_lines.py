@@ -13,7 +13,7 @@ from truth import REFERENCE
 import atlas
 from atlas.analysis.metadata import scene_of
 from atlas.analysis.plane import Plane
-from atlas.extensions.branches.lines import CHANGE, MERGING_COUNTS, STABLE_COUNT, count_borders
+from atlas.extensions.branches.lines import CHANGE, MINIMA_COUNT, STABLE_COUNT, count_borders
 from atlas.plotting.content import panel_of
 from atlas.scene.read import scene_from
 
@@ -72,7 +72,7 @@ def test_lines_on_one_axis():
 
 def test_curve_around_a_region_that_no_point_meets():
     """Four more equilibria, two of them minima, within a closed curve with four cusps; the atlas sees 12 and 2 everywhere."""
-    variable = MERGING_COUNTS[1]
+    variable = MINIMA_COUNT
     axes = {"k1": np.linspace(0.85, 1.45, 4), "k2": np.linspace(-0.3, 0.3, 4)}
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}
     counts = atlas.equilibria("satellite", body | {k: xr.DataArray(v, dims=k) for k, v in axes.items()})[

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -33,6 +33,8 @@ class Extension:
         Package that contains the modules, such as ``__name__`` of the module of the record.
     title : str
         What the extension adds, in a few words.
+    needs : sequence of str, optional
+        Names of the extensions without which none of its parts is there.
     functions : mapping of str to str, optional
         Public name below `atlas` -> function.
     questions : mapping of str to str, optional
@@ -44,6 +46,9 @@ class Extension:
         system that they have no meaning for.
     instruments : mapping of str to str, optional
         Name of a measured variable -> `Instrument` that makes it.
+    methods : mapping of str to str, optional
+        Name of a method of `System` that asks extensions -> function of the system and the arguments of the method, which
+        returns None where it has no answer.
     families : mapping of str to str, optional
         Name of a family of steady motions -> function of a system that returns these `Family` by name, with fixed flags.
     lines : mapping of str to str, optional
@@ -64,11 +69,13 @@ class Extension:
     name: str
     package: str
     title: str
+    needs: Sequence[str] = ()
     functions: Mapping[str, Reference] = field(default_factory=dict)
     questions: Mapping[str, Reference] = field(default_factory=dict)
     commands: Mapping[str, Reference] = field(default_factory=dict)
     variables: Mapping[str, Reference] = field(default_factory=dict)
     instruments: Mapping[str, Reference] = field(default_factory=dict)
+    methods: Mapping[str, Reference] = field(default_factory=dict)
     families: Mapping[str, Reference] = field(default_factory=dict)
     lines: Mapping[str, Reference] = field(default_factory=dict)
     flag_texts: Mapping[str, Reference] = field(default_factory=dict)
@@ -84,8 +91,9 @@ class Extension:
 
     @property
     def code(self) -> str:
-        """Hash of its modules, as they were when a part of it was first loaded."""
-        return sources.code(sources.of_folder(self.folder))
+        """Hash of its modules and of the extensions that it needs, as they were when a part of it was first loaded."""
+        own = sources.of_folder(self.folder)
+        return sources.code(own | {name: (0, extensions()[name].code) for name in self.needs})
 
     def load(self, reference: Reference) -> Any:
         """The object that a reference names; BadInput with one line if its module cannot be imported."""
@@ -101,7 +109,11 @@ class Extension:
 
 
 # Kinds of parts: names -> references.
-PARTS = tuple(each.name for each in fields(Extension) if each.name not in ("name", "package", "title"))
+PARTS = tuple(
+    each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
+)
+# Parts by the name of a system, of which several extensions may have some: see `of_each`.
+OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 
 @cache
@@ -120,8 +132,13 @@ def _found() -> tuple[dict[str, Extension], dict[str, str]]:
 
 
 def extensions() -> Mapping[str, Extension]:
-    """The extensions of all installed packages by name, in alphabetical order."""
-    return _found()[0]
+    """The extensions of all installed packages by name, in alphabetical order, but those that need a missing one."""
+    available, broken = dict(_found()[0]), _found()[1]
+    while lacking := [(e, name) for e in available.values() for name in e.needs if name not in available]:
+        for each, name in lacking:
+            available.pop(each.name, None)
+            broken[each.name] = f"it needs the extension {name}, which is missing"
+    return available
 
 
 def not_loaded() -> str:
@@ -140,7 +157,7 @@ def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():
-            if name in by_name:
+            if name in by_name and kind not in OF_SYSTEMS:
                 raise BadInput(
                     f"{name} is among the {kind} of two extensions, {by_name[name][0].name} and {extension.name}: remove one"
                 )

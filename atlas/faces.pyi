@@ -2,16 +2,18 @@
 from atlas.extensions.page.page import Page
 from atlas.extensions.page.widget import PageWidget
 from atlas.plotting.options import Width
+from atlas.scene.tables import Table
 from collections.abc import Mapping
 from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import xarray as xr
 
-__all__ = ['borders', 'branches']
+__all__ = ['borders', 'branches', 'equilibria']
 
 def borders(system: 'str', body: 'Mapping[str, float]', ranges: 'Mapping[str, Sequence[float]]', *, ties: 'Mapping[str, str] | None' = None, stability: 'bool' = False) -> 'xr.Dataset': ...
 def branches(system: 'str', body: 'Mapping[str, float]', *, along: 'Mapping[str, Sequence[float]]', ties: 'Mapping[str, str] | None' = None) -> 'xr.Dataset': ...
+def equilibria(system: 'str', body: 'Table', *, max_equilibria: 'int | None' = None) -> 'xr.Dataset': ...
 
 class Questions:
     _ds: xr.Dataset

@@ -12,7 +12,6 @@ NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/memory.py", "runs/folder.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
     "runs/plan.py",
-    "validation/half_step.py",
 )  # fmt: skip
 EVERY_MODULE = ("**/*.py",)
 

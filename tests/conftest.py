@@ -66,6 +66,15 @@ def pytest_collection():
         gc.enable()
 
 
+def pytest_runtest_setup(item):
+    """Skip a test of the core that uses an extension which is not installed."""
+    from atlas.extension import extensions
+
+    missing = {mark.args[0] for mark in item.iter_markers("extension")} - extensions().keys()
+    if missing:
+        pytest.skip(f"needs {', '.join(sorted(missing))}")
+
+
 def pytest_collection_modifyitems(items):
     """Begin with the module whose fixtures take longest: idle processes take over the last tests of the others."""
     items.sort(key=lambda item: item.path.name != "test_stress.py")
@@ -100,8 +109,11 @@ def whole_kernels():
 @pytest.fixture(scope="module")
 def short_timings():
     """Time the kernels of work-precision studies on a hundredth of the steps."""
-    from atlas.validation import work_precision
-
+    try:
+        from atlas.extensions.studies import work_precision
+    except ModuleNotFoundError:  # without the extension there are none
+        yield
+        return
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(work_precision, "POINT_STEPS_TIMED", work_precision.POINT_STEPS_TIMED // 100)
         yield

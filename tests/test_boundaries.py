@@ -49,7 +49,7 @@ REPLACED = {
         runs.memory.evaluate runs/test_zarr.py:?.?
     """,
     "what is computed, call by call": """
-        analysis.boundary.theory_borders analysis.convergence.columns_of extensions.certificate.energy.reach
+        analysis.boundary.theory_borders extensions.studies.convergence.columns_of extensions.certificate.energy.reach
         kernel.specialization.kernel runs.estimate._measure
         runs.estimate.derived_values runs.estimate.evaluate runs.estimate.predict_runs runs.folder.evaluate_at
         systems.satellite.SATELLITE.?
@@ -67,8 +67,8 @@ REPLACED = {
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
         label.plan.Plan.kernel label.plan.Plan.kernel_hash label.points.MANY_STEPS label.points._advised plotting.style.STYLE.savefig.dpi runs.estimate.LONG
-        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile validation.stress.generic_cases
-        validation.stress.limits validation.stress.stress validation.work_precision.POINT_STEPS_TIMED
+        runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile extensions.studies.stress.generic_cases
+        extensions.studies.stress.limits extensions.studies.stress.stress extensions.studies.work_precision.POINT_STEPS_TIMED
     """,
     "one of two ways to a result, so that the other is tested alone": """
         kernel.ensemble.np kernel.numeric_bound.OVERTONE label.theory.rounding_limit measure.circle.is_steady
@@ -77,7 +77,7 @@ REPLACED = {
     """,
     "a failure or an error of a known size that no input brings about": """
         extensions.amer2013.fast_spin.dop853 extensions.page.page.sources measure.rates.Rates.differences
-        systems/test_observables.py:?.initial_state validation.half_step.evaluate validation.reference._integrate_group
+        systems/test_observables.py:?.initial_state label.half_step.evaluate extensions.studies.reference._integrate_group
     """,
 }  # fmt: skip
 
@@ -95,9 +95,9 @@ PRIVATE = {
         plotting/test_trajectory_figure.py:?._func
     """,
     "a step of a calculation whose inputs no public call takes, or at a hundred times the cost": """
-        analysis.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
+        extensions.studies.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
         runs.cluster._has_result runs.folder._Job runs.refine._decode runs.refine._encode
-        validation.exact._quadrature validation.reference._dop853 validation.reference._integrate_group
+        extensions.studies.exact._quadrature extensions.studies.reference._dop853 extensions.studies.reference._integrate_group
     """,
 }  # fmt: skip
 

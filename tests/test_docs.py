@@ -33,16 +33,21 @@ CELL = "{code-cell} ipython3"
 # Extensions that the code of a page uses.
 EXTENSIONS = {
     "README.md": {"page"},
-    "docs/api.rst": {"basins", "branches", "page"},
-    "docs/basins.md": {"basins"},
+    "docs/accuracy.md": {"studies"},
+    "docs/api.rst": {"basins", "branches", "equilibria", "page"},
+    "docs/basins.md": {"basins", "equilibria"},
     "docs/branches.md": {"branches"},
+    "docs/fixed_point.md": {"equilibria"},
     "docs/fixed_point_checks.md": {"amer2013"},
     "docs/gallery.md": {"amer2013", "basins", "page"},
-    "docs/how_to.md": {"basins", "branches", "yehia2021"},
+    "docs/how_to.md": {"basins", "branches", "equilibria", "studies", "yehia2021"},
     "docs/labels.md": {"certificate"},
-    "docs/new_system.md": {"lagrangian"},
+    "docs/new_system.md": {"lagrangian", "studies"},
     "docs/page.md": {"page"},
     "docs/published.md": {"branches", "normal_form", "published"},
+    "docs/satellite.md": {"equilibria"},
+    "docs/scenes.md": {"equilibria"},
+    "docs/stress.md": {"studies"},
 }
 
 

@@ -1,5 +1,6 @@
 """Extensions: what is left without one, names given twice, records and parts that cannot be loaded, what a run records."""
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas import BadInput, cli
+from atlas import BadInput, cli, extension
 from atlas.analysis.published import published_equations
 from atlas.extension import PARTS, Extension, extensions
 from atlas.label.plan import Plan
@@ -18,7 +19,8 @@ from atlas.systems.base import families_of, stress_cases_of
 from atlas.systems.satellite import SATELLITE
 from atlas.variables import variables
 
-OWN = [name for name, each in extensions().items() if each.package.startswith("atlas.extensions.")]
+ALL = extensions()
+OWN = [name for name, each in ALL.items() if each.package.startswith("atlas.extensions.")]
 TOP = """
 schema = 1
 system = "fixed_point"
@@ -87,10 +89,17 @@ def test_what_an_extension_gives_is_refused_without_it(name, part, scene_text, w
         text = TOP if name == "amer2013" else scene_text({})
         with pytest.raises(BadInput, match=rf"outputs\.variables: '{given[0]}' is unknown"):
             atlas.load_scene(text.partition("[outputs]")[0] + outputs)
-        with pytest.raises(
-            BadInput, match=rf"^extensions: '{name}' is not installed; installed: [a-z0-9_, ]+$"
-        ):
+        needing = "".join(
+            f"; the extension {each} cannot be loaded (it needs the extension {name}, which is missing)"
+            for each in OWN
+            if name in ALL[each].needs
+        )
+        installed = f"^extensions: '{name}' is not installed; installed: [a-z0-9_, ]+{re.escape(needing)}$"
+        with pytest.raises(BadInput, match=installed):
             atlas.load_scene(f'extensions = ["{name}"]\n{text.partition("[outputs]")[0]}{outputs}')
+    elif part == "methods":
+        with pytest.raises(BadInput, match=f"^{given[0]}: the system satellite has no function"):
+            getattr(SATELLITE, given[0])({})
     elif part == "families":
         with pytest.raises(BadInput, match=rf"family\.name = '{given[0]}': of a missing extension"):
             run(scene_text({"family": {"name": given[0]}}))
@@ -236,5 +245,6 @@ ROWS = (row({"number": "(1)", "printed": "0 = 0", "true": "the same", "verdict":
     installed_extensions({name: Extension(name, "rows", "rows", **parts) for name in ("first", "second")})
     for rows, own in ((stress_cases_of, SATELLITE.stress_cases), (published_equations, tuple)):
         assert len(rows(SATELLITE)) == len(own()) + 2
+    assert extension.parts("stress_cases")["satellite"][1] == "theory:cases"  # two extensions give some
     installed_extensions({})
     assert len(stress_cases_of(SATELLITE)) == len(SATELLITE.stress_cases())

@@ -430,27 +430,6 @@ CALLS = [
     (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, duration=np.array([-1.0])), "duration = -1: must be a finite number above 0"),
     (lambda ds, points: atlas.label_points("fixed_point", {"m": 1.0}, duration="1 orbit"), "duration = '1 orbit': the fixed_point has no orbit; use time units or turns"),
     (lambda ds, points: atlas.label_points("satellite", {"m": [0.0, 0.0]}, duration="1 turn"), "duration = '1 turn', but n and m are 0, and nothing turns; give a number of time units"),
-    *(
-        (lambda ds, points, body=body: atlas.equilibria("satellite", body), sentence)
-        for body, sentence in (
-            ({"A": [1.0, 2.0], "B": [1.0, 2.0, 3.0]}, "points: columns of different lengths (A: 2, B: 3)"),
-            ({"A": np.ones((2, 2))}, "A: an array of 2 dimensions; give a DataArray, whose dimensions have names (its shape: (2, 2))"),
-            ({"A": xr.DataArray([1.0, 2.0], dims="equilibrium")}, "body: the dimension equilibrium is one of the result; rename it"),
-            ({"A": ON_X, "B": ON_X.assign_coords(x=[0, 2])}, SEVERAL_PLACES),
-            ({"A": [1.0, np.nan]}, "point 1 (counted from 0): A = nan: must be a finite number"),
-            ({"A": [1.0, -2.0]}, "point 1 (counted from 0): A = -2: allowed: A > 0 (principal moment of inertia about the first body axis)"),
-            ({"C": [9.0, 8.0]}, "A + B = 2 is less than C = 9: no rigid body has these moments of inertia, and none of 2 points is possible"),
-            ({"mass": [1.0, 2.0]}, "mass: not a parameter of the satellite; allowed: ..."),
-            ({"A": 1.0, "B": 1.0, "C": 9.0}, "A + B = 2 is less than C = 9: no rigid body has these moments of inertia"),
-            ({"A": np.nan}, "A = nan: must be a finite number"),
-            ({"A": -1.0}, "A = -1: allowed: A > 0 (principal moment of inertia about the first body axis)"),
-            ({"mass": 1.0}, "mass: not a parameter of the satellite; allowed: ..."),
-            ({"Omega": 0.0}, "equilibria: without orbit and field the body can rest in any orientation"),
-            ({"A": 1.0, "B": 1.0, "C": 1.0}, "equilibria: this body has a surface of equilibria, not single ones or circles of them"),
-            ({"A": 1.0, "B": 1.0, "C": 1.0, "k2": 5e-324}, "equilibria: this body has a surface of equilibria, not single ones or circles of them"),
-        )
-    ),
-    (lambda ds, points: atlas.equilibria("sputnik", {}), "system = 'sputnik': there is no such system; allowed: satellite, fixed_point"),
 ]  # fmt: skip
 
 

@@ -311,7 +311,7 @@ def with_key(manifest):
 
 def check_whole_periods(motion):
     """An exact motion has its period, and the statistics of a run of many periods and a part are sums over its parts."""
-    from atlas.validation import exact
+    from atlas.extensions.studies import exact
 
     time = np.linspace(0, 2 * motion.period, 40)
     now, later = motion(time), motion(time + motion.period)

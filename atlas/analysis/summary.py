@@ -8,11 +8,11 @@ import numpy as np
 import xarray as xr
 
 from ..flags import Label
+from ..label import half_step
 from ..runs.plan import ScenePlan
 from ..scene import grid
 from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..systems.base import families_of, on_family
-from ..validation import half_step
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of
 
 MAX_NEAREST = 10_000  # drifting points that are compared with families

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from ..label.half_step import upper_bound
 from ..systems.base import Array
-from ..validation.half_step import upper_bound
 from .metadata import (
     check_not_empty,
     chunks,

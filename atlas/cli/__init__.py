@@ -22,7 +22,7 @@ from ..interruption import (
     start_deadline,
 )
 from ..kernel.compiling import announced
-from . import atlases, scenes, studies
+from . import atlases, catalogue, scenes
 from .options import BAD_INPUT, DONE, FAILED, Parser
 
 SECOND_NAME = "precession-atlas"
@@ -92,9 +92,7 @@ def parser() -> argparse.ArgumentParser:
         atlases.draw_map,
         atlases.draw_trajectory,
         scenes.copy_example,
-        studies.measure_accuracy,
-        studies.print_conditions,
-        studies.run_stress_cases,
+        catalogue.print_conditions,
         scenes.list_kernels,
         *extension.every("commands"),
     ):

@@ -24,6 +24,7 @@ from ..files import check_folder, check_name, exists_message
 from ..interruption import Stopped, explain_kept
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch
+from ..label import half_step
 from ..label.plan import Plan
 from ..process import process_name
 from ..scene.model import Scene
@@ -32,7 +33,6 @@ from ..store.place import Folder, located, place_at
 from ..store.progress import AT_WORK, Progress, clock
 from ..store.tally import Totals
 from ..store.tile import Tiles
-from ..validation import half_step
 from . import claims, cluster, estimate, refine
 from .backend import open_atlas
 from .levels import Level, Part

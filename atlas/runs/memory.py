@@ -20,6 +20,7 @@ import xarray as xr
 
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced, say
+from ..label import half_step
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
 from ..scene import grid
@@ -28,7 +29,6 @@ from ..store import dataset
 from ..store.progress import Progress
 from ..store.tiling import Tiling, tile_types
 from ..systems.base import derived_values
-from ..validation import half_step
 from ..variables import variables
 from .plan import ScenePlan
 

@@ -17,13 +17,12 @@ import numpy as np
 
 from ..errors import BadInput, say
 from ..flags import Stability
-from ..label import theory
+from ..label import half_step, theory
 from ..scene import grid
 from ..scene.model import Scene
 from ..store.dataset import Box
 from ..store.tiling import Tiling
 from ..systems.base import Flags, Mask
-from ..validation import half_step
 from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan

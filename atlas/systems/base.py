@@ -203,10 +203,22 @@ class StressCase:
     solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
     may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
-    # the exact motion that the points follow, by its name in validation.exact or as a function from one point to a
-    # validation.exact.Motion, or "departure" where the additions are tiny offsets from an unstable equilibrium; empty: the
+    # the exact motion that the points follow, by the name of its class among the exact motions or as a function from one point
+    # to such a motion, or "departure" where the additions are tiny offsets from an unstable equilibrium; empty: the
     # true label follows from theory or from the reference integrator
     truth: str | Callable[[Points], Any] = ""
+
+
+def _or_extension(method: _F) -> _F:
+    """A method of `System` that an extension may have for some systems; its own body is for the others."""
+
+    @wraps(method)
+    def answer(*arguments: Any, **options: Any) -> Any:
+        solve = extension.load("methods", method.__name__)
+        result = solve(*arguments, **options) if solve else None
+        return method(*arguments, **options) if result is None else result
+
+    return answer  # type: ignore[return-value]
 
 
 class System(ABC):
@@ -400,8 +412,9 @@ class System(ABC):
     None: the frame is inertial.
     """
 
+    @_or_extension
     def equilibria(self, body: Mapping[str, float]) -> Mapping[str, NDArray[Any]]:
-        """All relative equilibria or permanent rotations of one body, by default BadInput: they cannot be computed.
+        """All relative equilibria or permanent rotations of one body, by default by the method of an extension, else BadInput.
 
         Parameters
         ----------
@@ -413,9 +426,13 @@ class System(ABC):
         mapping of str to array
             Arrays over the equilibria.
         """
-        raise BadInput(f"equilibria: the system {self.name} has no function that computes them")
+        missing = extension.not_loaded()
+        raise BadInput(f"equilibria: the system {self.name} has no function that computes them{missing}")
 
-    def equilibria_of_bodies(self, points: Points, pause: Callable[[], None]) -> Mapping[str, NDArray[Any]]:
+    @_or_extension
+    def equilibria_of_bodies(
+        self, points: Points, pause: Callable[[], None] = lambda: None, **options: Any
+    ) -> Mapping[str, NDArray[Any]]:
         """The same of many bodies.
 
         Parameters
@@ -424,6 +441,8 @@ class System(ABC):
             Every parameter.
         pause : callable
             Called at least once a second; it raises an exception where the computation was interrupted.
+        **options
+            Options of the extension that computes them.
 
         Returns
         -------

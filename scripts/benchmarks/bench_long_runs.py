@@ -13,11 +13,11 @@ import time
 import numpy as np
 
 from atlas import label_points
-from atlas.extensions.plane.stress_cases import PlaneMotion
+from atlas.extensions.studies import exact
+from atlas.extensions.studies.plane_cases import PlaneMotion
 from atlas.flags import Label
 from atlas.scene.tables import point_columns
 from atlas.systems import get
-from atlas.validation import exact
 
 SATELLITE = get("satellite")
 SPIN = np.linspace(0.2, 1.1, 4)

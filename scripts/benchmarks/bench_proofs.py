@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 import atlas
-from atlas.systems.gyrostat.equilibria import described, frames_of
+from atlas.extensions.equilibria import algebra
 
 TOLERANCE = 1e-3
 ANGLES, RATES = ("theta0", "psi0", "phi0"), ("theta_dot0", "n", "m")
@@ -41,7 +41,7 @@ def satellites(rng, count):
     inertia = 1 + rng.uniform(-0.3, 0.3, (count, 1)) * v / np.abs(v).max(1)[:, None]
     torque = 3 * np.cross(alpha, inertia * alpha) - np.cross(gamma, inertia * gamma)
     rotor = np.cross(torque, gamma) + rng.normal(size=(count, 1)) * gamma
-    angles = described(frames_of(alpha, gamma))
+    angles = algebra.attitudes(algebra.frames_of(alpha, gamma))
     return dict(zip(("A", "B", "C", "k1", "k2", "k3"), [*inertia.T, *rotor.T], strict=True)) | {
         k: angles[k] for k in ANGLES
     }

@@ -1,11 +1,10 @@
-"""The catalogue: tables, limits of families as errors, equilibria, Lagrange's form."""
+"""The catalogue: tables, limits of families as errors, Lagrange's form."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import (
@@ -15,15 +14,12 @@ from strategies import (
     symmetric_fixed_points,
 )
 
-import atlas
 from atlas import BadInput, load_scene, systems
 from atlas.analysis import catalogue
 from atlas.flags import Stability
 from atlas.scene import grid
 from atlas.systems.base import families_of, on_family
-from atlas.systems.satellite import equations, initial
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
-from atlas.systems.steady import condition_residual
 
 ROOT = Path(__file__).parents[2]
 SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
@@ -192,72 +188,6 @@ FREE = [
 def test_solving_for_a_free_parameter_is_an_error(system, family, solve, fixed):
     with pytest.raises(BadInput, match=f"family.solve = '{solve[0]}'.*free"):
         grid.check(scene(system, family, solve, axis="n" if solve == ["phi0"] else "phi0", **fixed))
-
-
-# Equilibria.
-
-
-def test_equilibria_of_a_gyrostat_are_at_rest_and_counted():
-    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "k2": 0.2, "k3": -0.05}
-    equilibria = atlas.equilibria("satellite", body)
-    assert 8 <= equilibria.sizes["equilibrium"] <= 24
-    assert not equilibria.circle.any()
-    assert ((-1) ** equilibria["index"].astype(int)).sum() == 0
-    assert set(equilibria) >= {
-        "theta0",
-        "psi0",
-        "phi0",
-        "index",
-        "circle",
-        "stable",
-        "growth_rate",
-        "potential",
-    }
-    assert equilibria.stable.attrs["flag_meanings"] == "unknown stable unstable"
-    assert ((equilibria.stable == Stability.STABLE) == (equilibria.growth_rate == 0)).all()
-    assert (
-        equilibria.stable.where(equilibria["index"] == 0, Stability.STABLE) == Stability.STABLE
-    ).all()  # minima
-    points = {
-        p.name: np.full(equilibria.sizes["equilibrium"], body.get(p.name, p.default))
-        for p in SATELLITE.parameters.values()
-    }
-    points |= {name: equilibria[name].values for name in ("theta0", "psi0", "phi0")}
-    rates = np.array(equations.rhs(initial.initial_state(points), initial.constants(points)))
-    assert np.abs(rates).max() < 1e-9
-    flags, _ = SATELLITE.identify_family(points)
-    assert (flags == SATELLITE.families["equilibrium"].flag).all()
-    np.testing.assert_allclose(initial.directions(points)[1], equilibria.gamma.values.T, atol=1e-12)
-
-
-def test_circles_and_surfaces_of_equilibria():
-    equilibria = atlas.equilibria("satellite", {"A": 1.0, "B": 1.0, "C": 1.5})
-    assert equilibria.circle.all()
-    assert np.isfinite(equilibria.axis.values).all()
-
-
-def test_permanent_rotations_of_a_heavy_gyrostat():
-    body = {"A": 1.0, "B": 1.5, "C": 2.0, "Mg": 2.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l1": 0.4, "n": 1.2}
-    equilibria = atlas.equilibria("fixed_point", body)
-    assert equilibria.sizes["equilibrium"] in (2, 4, 6)
-    assert set(equilibria) >= {"theta0", "phi0", "gamma", "index", "circle", "stable", "growth_rate"}
-    points = {
-        p.name: np.full(equilibria.sizes["equilibrium"], body.get(p.name, p.default))
-        for p in FIXED_POINT.parameters.values()
-    }
-    points |= {name: equilibria[name].values for name in ("theta0", "phi0")}
-    assert condition_residual(FIXED_POINT, points).max() < 1e-9
-    assert ((-1) ** equilibria["index"].astype(int)).sum() == 2  # Euler characteristic of the sphere
-    resting = atlas.equilibria("fixed_point", {"Mg": 1.0, "z0": 1.0})
-    assert list(resting.stable.values) == [Stability.STABLE, Stability.UNSTABLE]
-    assert list(resting.theta0.values) == [0.0, np.pi]
-
-
-def test_equilibria_survive_a_file(tmp_path):
-    equilibria = atlas.equilibria("satellite", {"A": 1.0, "B": 1.3, "C": 1.7})
-    equilibria.to_netcdf(tmp_path / "e.nc")
-    with xr.open_dataset(tmp_path / "e.nc") as read:
-        xr.testing.assert_identical(read.load(), equilibria)
 
 
 def test_gravity_gradient_diagram_is_the_classical_one():

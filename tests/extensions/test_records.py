@@ -40,3 +40,33 @@ def test_the_core_names_no_extension():
     core = [path for path in package.rglob("*.py") if path.relative_to(package).parts[0] != "extensions"]
     assert len(core) > 100
     assert [path.name for path in core if pattern.search(path.read_text())] == []
+
+
+def test_extensions_need_what_they_import():
+    """Records name the other extensions that their modules import; equations of yehia2021 say so where one is missing."""
+    package = ROOT / "atlas" / "extensions"
+    for name, each in extension.extensions().items():
+        if each.package.startswith("atlas.") and name != "yehia2021":
+            texts = [path.read_text() for path in (package / name).rglob("*.py")]
+            others = {other for text in texts for other in re.findall(r"^\s*from \.\.([a-z]\w*)", text, re.M)}
+            assert others <= set(each.needs), name
+
+
+def test_an_extension_without_one_that_it_needs_is_missing_by_name(installed_extensions):
+    """So is one that needs it in turn; the others stay."""
+    records = {
+        name: extension.Extension(name, name, name, needs=needs, functions={name: "module:function"})
+        for name, needs in (
+            ("first", ["absent"]),
+            ("second", ["first"]),
+            ("third", []),
+            ("fourth", ["third"]),
+        )
+    }
+    installed_extensions(records)
+    assert [*extension.extensions()] == ["third", "fourth"]
+    assert [*extension.parts("functions")] == ["third", "fourth"]
+    assert extension.not_loaded() == (
+        "; the extension first cannot be loaded (it needs the extension absent, which is missing)"
+        "; the extension second cannot be loaded (it needs the extension first, which is missing)"
+    )

@@ -67,6 +67,7 @@ def jacobi_hessian(points, constant=()):
     return second_differences(jacobi, len(varied))
 
 
+@pytest.mark.extension("equilibria")
 def test_satellites_at_rest_have_the_second_variation_of_their_jacobi_integral():
     rng = np.random.default_rng(0)
     flags = []
@@ -141,6 +142,7 @@ def test_the_diagram_of_likins_and_thomson():
     assert (kind == StabilityKind.GYROSCOPIC).any()
 
 
+@pytest.mark.extension("equilibria")
 def test_permanent_rotations_have_the_second_variation_on_the_leaf():
     """Of energy - n M.gamma - a gamma^2 / 2 on the tangents of |gamma| and M.gamma, M = I w + l."""
     rng = np.random.default_rng(4)

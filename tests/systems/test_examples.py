@@ -16,8 +16,6 @@ from atlas import cli, systems
 from atlas.analysis import catalogue
 from atlas.flags import Agreement, EnergyStability, Label, Regularity, Stability, Status, Steadiness
 from atlas.systems.jacobian import jacobian
-from atlas.validation import stress
-from atlas.validation.work_precision import work_precision
 from atlas.variables import default_variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
@@ -171,7 +169,10 @@ def test_motions_of_little_energy_are_regular():
     assert (ds["regularity"] == Regularity.REGULAR).all()
 
 
+@pytest.mark.extension("studies")
 def test_accuracy_of_an_example():
+    from atlas.extensions.studies.work_precision import work_precision
+
     text = scene_of("henon_heiles", y0=3, v0=3).replace("1000.0", "20.0").replace("0.125", "0.16")
     ds = work_precision(atlas.load_scene(text.replace("from = -0.5", "from = -0.1")), 4)
     own = ds.isel(level=ds.attrs["own_level"])
@@ -181,7 +182,10 @@ def test_accuracy_of_an_example():
     assert not ds["label_wrong"].any()
 
 
+@pytest.mark.extension("studies")
 def test_generic_stress_cases_give_no_wrong_label():
+    from atlas.extensions.studies import stress
+
     ds = stress.stress("henon_heiles")
     assert not stress.mislabelled(ds).any()
     assert not stress.unresolved(ds).any()
@@ -238,6 +242,7 @@ def two_field_tops(count):
     return top, points
 
 
+@pytest.mark.extension("equilibria")
 def test_two_field_top_has_the_theory_of_the_gyrostat():
     """Frequencies, growth, energy and bound against the Jacobian of its equations at the equilibria of random bodies."""
     top, points = two_field_tops(6)
@@ -263,6 +268,7 @@ def test_two_field_top_has_the_theory_of_the_gyrostat():
     assert seen == {Stability.STABLE, Stability.UNSTABLE}
 
 
+@pytest.mark.extension("equilibria")
 def test_two_field_top_has_predictions_without_families():
     """Rest of any body, rotation on the line of both fields' resultant, and random starts, which drift."""
     top, points = two_field_tops(12)

@@ -330,6 +330,7 @@ def test_solver_finds_the_extreme_directions():
     assert (np.nanmin(listed, 0) <= others.min(0) + 1e-12).all()
 
 
+@pytest.mark.extension("equilibria")
 def test_degenerate_bodies_have_circles_of_solutions():
     top = default_points("fixed_point", A=1.0, B=1.0, C=1.5, Mg=0.5, z0=1.0)
     rotations = rotations_of(top, 1.5)
@@ -422,6 +423,7 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
     assert {Stability.STABLE, Stability.UNSTABLE} == set(stable)
 
 
+@pytest.mark.extension("equilibria")
 def test_index_of_the_amended_potential_decides_the_stability():
     """Index 0 is stable and index 1 unstable, for every permanent rotation of many bodies."""
     rng = np.random.default_rng(3)
@@ -493,6 +495,7 @@ def test_free_body_turning_about_its_third_axis():
     assert linear_stability(with_rotor)[0][0] == Stability.STABLE
 
 
+@pytest.mark.extension("equilibria")
 def test_neutral_bodies_have_no_growth_unless_unstable():
     free_sphere = default_points("fixed_point", A=1.0, B=1.0, C=1.0)
     assert families.identify_family(free_sphere)[0][0] == FLAG["sleeping"]

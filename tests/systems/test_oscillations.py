@@ -85,6 +85,7 @@ def test_conical_and_hyperboloidal_motions():
     np.testing.assert_allclose(computed, of_quartic(P, 3 * (sigma - 1) * (3 * sigma - 4) * s2), rtol=1e-8)
 
 
+@pytest.mark.extension("equilibria")
 def test_equilibria_with_rotor_and_magnet_as_the_equations_of_motion():
     body = {
         "A": 1.0,
@@ -139,6 +140,7 @@ def test_the_two_frequencies_of_a_sleeping_gyrostat(l3):
     np.testing.assert_allclose(np.sort(np.abs(computed - r)), np.sort(relative), rtol=1e-6)
 
 
+@pytest.mark.extension("equilibria")
 def test_permanent_rotations_as_the_equations_of_motion():
     body = {
         "A": 1.0,

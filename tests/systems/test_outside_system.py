@@ -15,7 +15,6 @@ from atlas.flags import Agreement, Label, Status
 from atlas.kernel import numeric_bound
 from atlas.kernel.tableaux import METHODS
 from atlas.systems.base import Condition, Family, Parameter, System
-from atlas.validation import stress, work_precision
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
@@ -263,7 +262,10 @@ def test_a_frame_of_another_name(monkeypatch):
     assert [text.get_text() for text in trajectory_figure(tr).axes[3].texts] == ["east", "north", "up"]
 
 
+@pytest.mark.extension("studies")
 def test_refined_scene_and_accuracy(tmp_path):
+    from atlas.extensions.studies import work_precision
+
     ds = atlas.run(atlas.load_scene(SCENE + "[refine]\nlevels = 1\n"), progress=False)
     assert "computed" in ds
     (tmp_path / "top.toml").write_text(SCENE)
@@ -271,7 +273,10 @@ def test_refined_scene_and_accuracy(tmp_path):
     assert float(report["error_state"].min()) < 1e-8
 
 
+@pytest.mark.extension("studies")
 def test_stress_study_makes_its_own_cases(monkeypatch):
+    from atlas.extensions.studies import stress
+
     system = systems.get("heavy_top")
     assert system.stress_cases() == ()
     cases = stress.generic_cases(system)
@@ -287,6 +292,7 @@ def test_stress_study_makes_its_own_cases(monkeypatch):
     assert not stress.mislabelled(ds).any()
 
 
+@pytest.mark.extension("equilibria")
 def test_commands(tmp_path, capsys):
     (tmp_path / "top.toml").write_text(SCENE)
     assert cli.main(["check", str(tmp_path / "top.toml")]) == cli.DONE

@@ -32,7 +32,6 @@ from atlas.systems.satellite.initial import (
     initial_state,
 )
 from atlas.systems.steady import Existence, condition_residual, growth_about_vertical, steady_motions
-from atlas.validation import exact
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -214,6 +213,7 @@ def equilibria_of(body, damping):
     return ds, default_points("satellite", **body, **angles, damping=damping)
 
 
+@pytest.mark.extension("equilibria")
 def test_damped_equilibria_are_stable_where_the_energy_has_a_minimum_and_nowhere_else():
     """The theorem of Kelvin, Tait and Chetaev, at all equilibria of random bodies; exponents from the equations."""
     rng = np.random.default_rng(0)
@@ -287,6 +287,7 @@ def test_the_damped_diagram():
     assert motion.theta[-1] < 1e-6
 
 
+@pytest.mark.extension("equilibria")
 def test_negative_damping_is_refused():
     with pytest.raises(BadInput, match="damping") as error:
         atlas.label_points("satellite", {"damping": -0.1}, duration=1.0, progress=False)
@@ -295,7 +296,10 @@ def test_negative_damping_is_refused():
         atlas.equilibria("satellite", {"damping": [0.1, -0.1]})
 
 
+@pytest.mark.extension("studies")
 def test_damped_points_have_no_exact_motion():
+    from atlas.extensions.studies import exact
+
     points = default_points(
         "satellite", C=1.0, k3=0.4, theta0=0.3, theta_dot0=0.1, damping=np.array([0.0, 0.1])
     )
@@ -304,6 +308,7 @@ def test_damped_points_have_no_exact_motion():
         exact.motion_of(SATELLITE, "symmetric top", points, 1)
 
 
+@pytest.mark.extension("equilibria")
 def test_starts_along_the_orbit_of_random_bodies_are_not_moved_by_damping():
     """w = Omega gamma at an equilibrium: it solves the equations with damping as those without."""
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "k2": 0.2}

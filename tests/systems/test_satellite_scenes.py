@@ -96,6 +96,7 @@ def test_oblique_motions_precess_in_inertial_space_only():
     assert (ds.label.where(~exists, Label.NOT_COMPUTED) == Label.NOT_COMPUTED).all()
 
 
+@pytest.mark.extension("equilibria")
 def test_a_small_region_of_sixteen_equilibria():
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "Omega": 1.0, "k3": 0.1}
 

@@ -10,7 +10,6 @@ from atlas import BadInput, systems
 from atlas.flags import Status, Steadiness
 from atlas.scene.model import Settings
 from atlas.systems import Observable, Parameter
-from atlas.validation.reference import reference
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -110,7 +109,10 @@ def test_a_period_that_is_not_finite_gives_no_label(forced):
     assert list(ds.label.values) == [Steadiness.UNRESOLVED, Steadiness.DRIFTING]
 
 
+@pytest.mark.extension("studies")
 def test_reference_by_dop853_measures_at_the_same_instants(forced):
+    from atlas.extensions.studies.reference import reference
+
     given, _ = points()
     given = {name: values[:2] for name, values in given.items()}
     settings = Settings(tolerance=1e-9)

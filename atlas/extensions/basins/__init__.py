@@ -6,6 +6,7 @@ EXTENSION = Extension(
     "basins",
     __name__,
     "the equilibria in which damped motions end, how that is known, and times of settling",
+    needs=("equilibria",),
     questions={"basin_fractions": "fractions:basin_fractions"},
     instruments=dict.fromkeys(
         ("end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by"), "ends:ENDS"

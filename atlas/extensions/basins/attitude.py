@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from ...analysis.metadata import system_of
-from ...systems.gyrostat.equilibria import ANGLES, frames_of
 from ...systems.gyrostat.motions import directions
 from ...variables import data_variables
+from ..equilibria.algebra import ANGLES, frames_of
 from .ends import END
 
 

@@ -66,7 +66,7 @@ class Ends(Instrument):
         return super().wanted(system, outputs) or SETTLING.wanted(system, outputs)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        from ...systems.gyrostat.equilibria import ANGLES, frames_of
+        from ..equilibria.algebra import ANGLES, frames_of
         from .wells import SETTLED, wells_of
 
         assert isinstance(run.system, Gyrostat)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from ...flags import Completeness
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat.body import Body
-from ...systems.gyrostat.equilibria import ANGLES, described, frames_of, rotated
 from ...systems.gyrostat.system import Gyrostat
+from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
+from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
 # A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate (or of 1 where it rests).
@@ -34,7 +35,7 @@ _BLOCK = 4096  # attitudes that are compared together
 
 @dataclass(frozen=True)
 class Wells:
-    """The equilibria of some bodies, in the places of `Gyrostat.equilibria_of_bodies`; arrays (bodies, places), nan if unused."""
+    """The equilibria of some bodies, in the places of `System.equilibria_of_bodies`; arrays (bodies, places), nan if unused."""
 
     body: Body
     rate: Array  # unit of rates, (bodies,)
@@ -128,7 +129,7 @@ class Wells:
 
 def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
     """The wells of the bodies of some points of a Gyrostat, and the body of each point; the last result is kept."""
-    bodies, row = system.bodies_of({**points, "damping": np.zeros_like(points["damping"])})
+    bodies, row = bodies_of(system, {**points, "damping": np.zeros_like(points["damping"])})
     return _wells(system, tuple(bodies), np.stack([*bodies.values()]).tobytes()), row
 
 
@@ -158,7 +159,7 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
             axis[circle & still.symmetric_about(i)[:, None]] = np.eye(3)[i]
     listed = np.isin(solutions["completeness"], (Completeness.COMPLETE, Completeness.NOT_ISOLATED))
     listed &= (regular | (index < 0)).all(1) & (index >= 0).any(1)
-    own, turned = described(frames), described(rotated(frames, np.nan_to_num(axis)))
+    own, turned = attitudes(frames), attitudes(rotated(frames, np.nan_to_num(axis)))
     angles = {}
     for name in ANGLES:
         same = np.abs(np.sin(0.5 * (own[name] - turned[name]))) < SETTLED

@@ -8,6 +8,7 @@ EXTENSION = Extension(
     "branches",
     __name__,
     "branches of equilibria, their bifurcations, and borders over two parameters; numbers of equilibria on maps",
+    needs=("equilibria",),
     functions={"branches": "branches:branches", "borders": "borders:borders"},
     questions={"diagram": "diagram:diagram", "borders": "borders:borders_of_atlas"},
     commands={"branches": "commands:draw_branches"},

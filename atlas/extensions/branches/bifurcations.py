@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ...flags import BifurcationKind, Completeness
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat.body import across, length
-from ...systems.gyrostat.equilibria import frames_of, rotated
+from ..equilibria.algebra import frames_of, rotated
 
 if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
@@ -174,7 +174,7 @@ def solutions_at(
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
     """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them, maybe with their stability."""
     points = family.points(values[:, None])
-    listed = family.system.equilibria_of_bodies(points, lambda: None, stability, ordered=True)
+    listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
     alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
     frames, known = frames_of(alpha, gamma), ~np.isnan(gamma[..., 0])
@@ -205,7 +205,7 @@ def solutions_at(
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
-    listed = {"potential": potential} | listed | {"index": index}
+    listed = {"potential": potential, **listed, "index": index}
     return Nodes(values, frames, index, turn, distance, usable), listed
 
 

@@ -11,7 +11,6 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from ...analysis.equilibria import attributes
 from ...analysis.metadata import is_logarithmic, resolved_scene
 from ...analysis.plane import Plane
 from ...analysis.select import plane_of
@@ -23,7 +22,8 @@ from ...scene.checks import typed
 from ...scene.model import Duration, Scene
 from ...systems.base import Array, Mask, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.equilibria import described, frames_of
+from ..equilibria.algebra import attitudes, frames_of
+from ..equilibria.dataset import attributes
 from .branches import empty_dataset, scene_of
 from .continuation import Curve, Segments, lengths, with_zeros
 from .singular import BorderKind, Degenerate, Potential
@@ -338,4 +338,4 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
     """Parameters and attitudes of points."""
     values = dict(zip(curves.plane.extent, curves.values(points.parts[4]).T, strict=True))
-    return values | described(frames_of(*curves.potential.attitudes(points.parts[0])))
+    return values | attitudes(frames_of(*curves.potential.attitudes(points.parts[0])))

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from ...analysis.equilibria import UNUSED, attributes
 from ...errors import BadInput
 from ...flags import BifurcationKind, Completeness
 from ...measure.instrument import Variable
@@ -19,7 +18,8 @@ from ...scene.read import scene_from
 from ...store import dataset
 from ...systems.base import Array, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.equilibria import described
+from ..equilibria.algebra import attitudes
+from ..equilibria.dataset import UNUSED, attributes
 from .bifurcations import BodyFamily, Branches, follow
 
 # Variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>.
@@ -170,7 +170,7 @@ def _variables(
     potential = family.system.body_at_rest(family.points(where[:, None])).potential(
         frames[:, 0], frames[:, 2]
     )
-    attitude = described(frames) | {"potential": potential}
+    attitude = attitudes(frames) | {"potential": potential}
     columns = {name: column for name, column in attitude.items() if name in variables} | {
         along: where,
         "kind": np.array([point.kind for point in points], np.int8),

@@ -20,9 +20,10 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
 
     def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         """Points that differ in their start alone share one search."""
-        from ...systems.gyrostat.equilibria import numbers
+        from ..equilibria.algebra import numbers
+        from ..equilibria.bodies import bodies_of
 
-        bodies, row = system.bodies_of(points)
+        bodies, row = bodies_of(system, points)
         # About an axis of symmetry every equilibrium can be turned: there is no need to search.
         symmetric = np.any([system.body(bodies).symmetric_about(i) for i in range(3)], axis=0)
         countable, counts = np.flatnonzero(~symmetric), np.full((len(COUNTS), symmetric.size), np.nan)

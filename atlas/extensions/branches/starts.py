@@ -103,7 +103,7 @@ def near_solutions(
 
     A number is nan where it is not certain; limits and numbers of stable solutions are only with stability.
     """
-    listed = system.equilibria_of_bodies(points(positions), lambda: None, False, ordered=True)
+    listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
     x, solves = potential.from_attitudes(alpha, listed["gamma"]), listed["index"] >= 0
     certain = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (potential.axis >= 0)

@@ -6,5 +6,6 @@ EXTENSION = Extension(
     "certificate",
     __name__,
     "labels that hold for every duration, proved by the energy or by the momenta of a top",
+    needs=("equilibria",),
     instruments=dict.fromkeys(("label_proof", "label_inertial_proof", "proof_bound"), "proofs:PROOFS"),
 )

@@ -12,9 +12,9 @@ import numpy as np
 
 from ...systems.base import Array
 from ...systems.gyrostat.body import Body, length
-from ...systems.gyrostat.equilibria import frames_of, rotated
 from ...systems.vectors import cross, dot, principal, unit
 from ...systems.vectors import length as norm
+from ..equilibria.algebra import frames_of, rotated
 from .bounds import ROUNDING, Bounds, reach, sine_range
 
 _STEPS = 5  # of Newton's method; a minimum that is not found proves nothing

@@ -8,5 +8,4 @@ EXTENSION = Extension(
     "librations and rotations in the plane of the orbit: families, their stability, period and multipliers",
     variables=dict.fromkeys(("plane_period", "plane_trace", "plane_second"), "variables:variables"),
     families=dict.fromkeys(("plane_libration", "plane_rotation"), "families:families"),
-    stress_cases={"satellite": "stress_cases:stress_cases"},
 )

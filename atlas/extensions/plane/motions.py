@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from ...flags import Stability
 from ...systems.base import Array, Flags, Mask
-from ...systems.elliptic import EllipticFunctions
 from ...systems.gyrostat.body import Body, length
 from ...systems.gyrostat.fundamental import GAUSS, LANES, of_steps
+from .elliptic import EllipticFunctions
 
 
 class _Steps(NamedTuple):

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ...errors import BadInput
-from ..base import Array, Flags, Geometry, Points, StressCase, identify, other_families, shared
+from ..base import Array, Flags, Geometry, Points, identify, other_families, shared
 from ..gyrostat import Body, Gyrostat
 from . import any_axis, equations, families, initial
 
@@ -83,30 +79,6 @@ class FixedPoint(Gyrostat):
     def body_at_rest(self, points: Points) -> Body:
         """In a frame that turns at the rate n."""
         return self.body(points)._replace(turn=points["n"])
-
-    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of one body about the vertical at the rate n; see rotations.rotations."""
-        from ..gyrostat import rotations
-        from ..gyrostat.equilibria import NOT_CERTAIN
-
-        solutions = rotations.rotations(self, initial.without_vectors(self.with_defaults(body)))
-        if solutions.pop("flat").any():
-            raise BadInput(NOT_CERTAIN)
-        return {name: values for name, values in solutions.items() if name != "row"}
-
-    def equilibria_of_bodies(
-        self, points: Points, *_: Any, ordered: bool = False, **__: Any
-    ) -> dict[str, NDArray[Any]]:
-        """All permanent rotations of many bodies, each at its rate n; see rotations.rotations_of_bodies."""
-        from ..gyrostat import rotations
-
-        return rotations.rotations_of_bodies(self, initial.without_vectors(points), ordered)
-
-    def stress_cases(self) -> Sequence[StressCase]:
-        """Stiff and extreme tops."""
-        from ..gyrostat.stress_cases import fixed_point_cases
-
-        return fixed_point_cases(self)
 
 
 FIXED_POINT = FixedPoint()

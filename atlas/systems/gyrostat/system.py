@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,30 +97,6 @@ class Gyrostat(System):
             part = (vector[moving] for vector in start)
             stable[moving], growth[moving] = floquet.stability(body.subset(moving), *part)
         return stable, growth
-
-    def equilibria_of_bodies(
-        self, points: Points, *arguments: Any, **options: Any
-    ) -> dict[str, NDArray[Any]]:
-        """All relative equilibria of many bodies, see equilibria.equilibria_of_bodies."""
-        from .equilibria import equilibria_of_bodies
-
-        return equilibria_of_bodies(self, points, *arguments, **options)
-
-    def bodies_of(self, points: Points) -> tuple[Points, NDArray[np.int64]]:
-        """Every parameter of the distinct bodies of some points, start values at their defaults, and the body of each point."""
-        names = [name for name, p in self.parameters.items() if not p.start]
-        columns = np.stack([points[name] for name in names], -1)
-        key = np.where(np.isnan(columns), -np.inf, columns)  # nan equals nothing
-        varying = (key != key[:1]).any(0)
-        _, first, row = np.unique(key[:, varying], axis=0, return_index=True, return_inverse=True)
-        bodies = {name: np.full(first.size, p.default) for name, p in self.parameters.items()}
-        return bodies | dict(zip(names, columns[first].T, strict=True)), row.ravel()
-
-    def equilibria(self, body: Mapping[str, float]) -> dict[str, NDArray[Any]]:
-        """All relative equilibria of one body, see equilibria.equilibria; start values are ignored."""
-        from .equilibria import equilibria
-
-        return equilibria(self, self.with_defaults(body))
 
     def with_defaults(self, body: Mapping[str, float]) -> Points:
         """Every parameter of one body, arrays (1,); those left out take their defaults."""

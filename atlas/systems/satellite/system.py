@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import MappingProxyType
 
 import numpy as np
 
-from ..base import Array, Geometry, Mask, Points, StressCase, shape_of
+from ..base import Array, Geometry, Mask, Points, shape_of
 from ..gyrostat import Gyrostat
 from . import any_axis, equations, families, initial
 
@@ -97,12 +97,6 @@ class Satellite(Gyrostat):
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]
-
-    def stress_cases(self) -> Sequence[StressCase]:
-        """Stiff and extreme satellites."""
-        from ..gyrostat.stress_cases import satellite_cases
-
-        return satellite_cases(self)
 
 
 SATELLITE = Satellite()

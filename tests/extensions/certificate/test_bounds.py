@@ -7,8 +7,8 @@ import pytest
 
 from atlas.extensions.certificate import bounds, energy
 from atlas.extensions.certificate.top import top
+from atlas.extensions.equilibria.algebra import attitudes, frames_of, rotated
 from atlas.systems.fixed_point import FIXED_POINT
-from atlas.systems.gyrostat.equilibria import described, frames_of, rotated
 from atlas.systems.satellite import SATELLITE
 
 COUNT = 60
@@ -102,7 +102,7 @@ def near_equilibria(rng):
     for _ in range(800):
         frames = rotated(frames, -body.gradient(frames[:, 0], frames[:, 2])[0] / body.steepness()[:, None])
     size = 10 ** rng.uniform(-5, -1.7, COUNT)
-    attitude = described(frames)
+    attitude = attitudes(frames)
     for name in ("theta0", "psi0", "phi0"):
         points[name] = attitude[name] + size * rng.normal(size=COUNT)
     return points | {name: size * rng.normal(size=COUNT) for name in ("theta_dot0", "n", "m")}

@@ -1,0 +1,120 @@
+"""The command about families and published equations: conditions."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+from .. import systems
+from ..errors import BadInput, say, text_table
+from .options import argument, command
+
+RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> its head
+
+
+@command(
+    "conditions",
+    argument("system", metavar="SYSTEM", nargs="?", default="satellite", help="default: satellite"),
+    argument("--family", metavar="NAME", help="one family in detail"),
+    [
+        argument(
+            "--errata",
+            nargs="?",
+            const=True,
+            metavar="N",
+            help="only the paper's equations that are wrong; with a number this equation, right or wrong",
+        ),
+        argument("--published", action="store_true", help="numbers that others have printed, beside ours"),
+    ],
+    [
+        argument("--csv", action="store_true", help="comma-separated values, one row for each"),
+        argument("--json", action="store_true", help="JSON, with every printed equation"),
+    ],
+)
+def print_conditions(options: argparse.Namespace) -> None:
+    """Print the families of steady motions and their conditions."""
+    from ..analysis import catalogue
+    from ..analysis.published import published_numbers
+
+    if options.published and options.family is not None:
+        raise BadInput("--published: numbers of others belong to no family; leave out --family")
+    if options.errata in systems.names():  # conditions --errata SYSTEM
+        options.system, options.errata = options.errata, True
+    system, number = systems.get(options.system), None
+    if isinstance(options.errata, str):
+        number, options.errata = options.errata, True
+    families = [] if options.published else catalogue.families(system, options.family)
+    only_wrong = bool(options.errata) and number is None
+    published = partial(catalogue.published, system, options.family, only_wrong, number)
+    if options.json:
+        content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
+        if options.published:
+            content["numbers"] = published_numbers(system)
+        else:
+            content |= ({} if options.errata else {"families": families}) | {"printed": published()}
+        say(*json.dumps(content, indent=1).split("\n"))
+        return
+    rows = published_numbers(system) if options.published else published() if options.errata else families
+    if options.csv:
+        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(
+            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+            for row in rows
+        )
+    elif options.published:
+        for source, numbers in groupby(rows, lambda row: f"{row['source']}: {row['place']}"):
+            say(source)
+            for row in numbers:
+                remark = f" ({row['remark']})" if row["remark"] else ""
+                say(f"  {row['quantity']}: {row['printed']}, ours {row['ours']}: {row['verdict']}{remark}")
+        agreeing = sum(row["verdict"] == "agrees" for row in rows)
+        say(f"{agreeing} of {len(rows)} numbers of others on the system {system.name} agree with ours")
+    elif options.errata:
+        for row in map(_with_residuals, rows):
+            say(f"{row['equation']}  {row['family']}".rstrip() + f": {row['verdict']}")
+            say(f"  printed: {row['printed']}", f"  true:    {row['true']}")
+            if row["measure"]:
+                printed, true = row["residual_printed"], row["residual_true"]
+                say(f"  residual as printed {printed}, as true {true}: {row['measure']}")
+            if row["effect"]:
+                say(f"  {row['effect']}")
+        wrong = sum(row["verdict"] != "true" for row in rows)
+        say(f"{wrong} equations differ; {system.reference}" if number is None else system.reference)
+    elif options.family is not None:
+        for key, value in _with_residuals(rows[0]).items():
+            lines = value if isinstance(value, list) else textwrap.wrap(value, 100)
+            say(key.replace("_", " "), *(f"    {line}" for line in lines or ["-"]))
+    elif not families:
+        say(f"the system {system.name} has no families of steady motions: theory predicts nothing of it")
+    else:
+        of_families = {"family": "family", "equations": "equations", "solves_for": "solves for"} | RESIDUALS
+        _print_table(families, of_families | {"motion": "motion", "paper_wording": "words of the paper"})
+        say("", f"{system.reference}:")
+        of_equations = {"equation": "equation", "family": "family"} | RESIDUALS
+        _print_table(catalogue.published(system), of_equations | {"verdict": "verdict"})
+        say(
+            "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
+            " equations);",
+            "--errata lists what differs, --family NAME gives conditions and formulas",
+        )
+
+
+def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row with residuals of two digits, or a dash where there is nothing to measure."""
+    texts = {name: "-" if row[name] is None else f"{row[name]:.1e}" for name in RESIDUALS if name in row}
+    return {**row, **texts}
+
+
+def _print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
+    """Print some columns of rows under their heads."""
+    cells = [[row[name] or "-" for name in columns] for row in map(_with_residuals, rows)]
+    lines = [[" ".join(each) if isinstance(each, list) else each for each in row] for row in cells]
+    say(*text_table([[*columns.values()], *lines]).split("\n"))

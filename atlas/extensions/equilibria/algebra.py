@@ -1,0 +1,368 @@
+"""All relative equilibria of a gyrostat, of one body or of many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import BadInput
+from ...flags import Completeness, EnergyStability, Stability, StabilityKind
+from ...systems.base import Array, Mask, Points, subset
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.body import Body, across, cross_matrix
+from ...systems.gyrostat.secular import NEARLY, critical_directions
+from ...systems.gyrostat.variables import FREQUENCIES, stability_kind
+from . import homotopy
+
+_STARTS = 200  # orientations from which the search begins
+# Eigenvalues of the Hessian, relative to its scale: along surfaces, of a degenerate equilibrium, below which rounding decides on
+# the sign or, on circles, on the number, and below which Newton's method may miss equilibria.
+_FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
+_ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, relative to the same
+_SAME = 1e-4  # distance of rotation matrices that are taken as equal
+# Potentials closer than this share of their scale are taken as equal, and components of unit vectors after so many decimals.
+_SAME_POTENTIAL, _DECIMALS = 1e-9, 6
+_MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
+_BLOCK = 512  # bodies that are computed together
+NOT_CERTAIN = (
+    "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
+    " change a parameter, or make the symmetry exact"
+)
+ANGLES = ("theta0", "psi0", "phi0")
+STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
+# Variables of equilibria, in their order.
+_VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
+# What stands in the unused places of padded arrays; else nan.
+_UNUSED = {
+    "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
+    "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
+    "stability_kind": np.int8(StabilityKind.UNKNOWN),
+}  # fmt: skip
+
+
+def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
+    """All relative equilibria of one body, every orientation that can rest in the frame, as `equilibria_of_bodies` finds them.
+
+    points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
+    one), index (its Morse index), circle (it represents a circle of equilibria), degenerate (never here) and STABILITY, (E,);
+    alpha, gamma and axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3).
+    Raises BadInput where a surface of orientations is in equilibrium, where the numbers of the body differ too much in
+    magnitude, and where the number of equilibria is not certain.
+    """
+    (flag,), _, columns = _at_once(system, points, stability=True, ordered=False)
+    if flag == Completeness.NOT_LISTED:
+        flag, columns = _list_by_search(system, points)
+    if flag == Completeness.NEAR_BIFURCATION:
+        raise BadInput(NOT_CERTAIN)
+    return {name: columns[name] for name in _VARIABLES}
+
+
+def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
+    """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new ones appear and the list is whole.
+
+    Raises BadInput where no whole list is found.
+    """
+    given = system.body(points)
+    rate = np.where(given.turn == 0, 1.0, given.turn)
+    with np.errstate(all="ignore"):
+        body = given.scaled(rate)
+        scale = float(_scale(body)[0])
+    if scale == 0:
+        raise BadInput("equilibria: without orbit and field the body can rest in any orientation")
+    units = [float(np.abs(value)) for value in (*given.inertia[0], rate[0])]
+    if not (min(scale, *units) > 1 / _MAX_SCALE and max(scale, *units) < _MAX_SCALE):
+        raise BadInput("equilibria: the numbers of the body differ too much in magnitude")
+    frames = _search(body, scale)
+    index, axis, _ = _classify(body, frames, scale)
+    scaled, circle = body.potential(frames[:, 0], frames[:, 2]), ~np.isnan(axis[:, 0])
+    order = _order(np.zeros(len(frames)), scaled / scale, frames, axis)
+    result = attitudes(frames) | {
+        "potential": scaled * given.inertia.max() * rate**2, "index": index.astype(np.int8), "circle": circle, "axis": axis,
+        "degenerate": np.zeros(len(frames), bool),
+    }  # fmt: skip
+    members = {name: np.full(len(frames), value[0]) for name, value in points.items()}
+    result |= stability_at_rest(system, members, {name: result[name] for name in ANGLES})
+    flag = Completeness.NOT_ISOLATED if circle.any() else Completeness.COMPLETE
+    return flag, {name: values[order] for name, values in result.items()}
+
+
+def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
+    """Equilibria by their body, their potential over its scale, and alpha, then gamma, of circles the means of these.
+
+    Potentials and components that differ by rounding alone count as equal, so that the order is that of the attitudes.
+    """
+    by_potential = np.lexsort((potential, body))
+    steps = np.diff(potential[by_potential], prepend=0.0) > _SAME_POTENTIAL
+    level = np.empty(body.size, np.int64)
+    level[by_potential] = np.cumsum(steps | (np.diff(body[by_potential], prepend=0) > 0))
+    vectors = frames[:, [0, 2]]
+    mean = (vectors * axis[:, None]).sum(-1, keepdims=True) * axis[:, None]
+    components = np.round(np.where(np.isnan(mean), vectors, mean), _DECIMALS).reshape(-1, 6)
+    return np.lexsort((*components.T[::-1], level))
+
+
+def _scale(body: Body) -> Array:
+    """Size of the gradient of the potential, (bodies,)."""
+    vectors = np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field)
+    return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
+
+
+def frames_of(alpha: Array, gamma: Array) -> Array:
+    """Frames with these rows alpha and gamma, (..., 3, 3)."""
+    return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
+
+
+def rotated(frames: Array, xi: Array) -> Array:
+    """Frames after the body turned by the rotation vectors xi (body axes)."""
+    angle = np.linalg.norm(xi, axis=-1)[..., None, None]
+    hat = cross_matrix(xi)
+    turn = np.eye(3) + np.sinc(angle / np.pi) * hat + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (hat @ hat)
+    return frames @ turn
+
+
+def attitudes(frames: Array) -> dict[str, Any]:
+    """Attitudes of frames (..., 3, 3); psi = 0 where only psi +- phi is defined."""
+    alpha, beta, gamma = np.moveaxis(frames, -2, 0)
+    sine = np.hypot(gamma[..., 0], gamma[..., 1])
+    upright = sine < 1e-9
+    turn = np.arctan2(-alpha[..., 1], alpha[..., 0])
+    return {
+        "theta0": np.arctan2(sine, gamma[..., 2]),
+        "psi0": np.where(upright, 0.0, np.arctan2(alpha[..., 2], -beta[..., 2])),
+        "phi0": np.where(upright, turn, np.arctan2(gamma[..., 0], gamma[..., 1])),
+        "alpha": alpha, "gamma": gamma,
+    }  # fmt: skip
+
+
+def stability_at_rest(
+    system: Gyrostat, members: Points, start: Mapping[str, Array]
+) -> dict[str, NDArray[Any]]:
+    """Stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
+    rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
+    points = {**members, **rest, **start}
+    stable, growth = system.stability(points)
+    every = np.ones_like(stable)
+    energy = system.energy_stability(points, every)
+    return {
+        "stable": stable, "growth_rate": growth, "energy_stable": energy,
+        "stability_kind": stability_kind(stable, growth, energy),
+        **dict(zip(FREQUENCIES, system.frequencies(points, every).T, strict=True)),
+    }  # fmt: skip
+
+
+def equilibria_of_bodies(
+    system: Gyrostat,
+    points: Points,
+    pause: Callable[[], None] = lambda: None,
+    stability: bool = True,
+    ordered: bool = False,
+) -> dict[str, NDArray[Any]]:
+    """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
+
+    For bodies with an axis of symmetry, whose moments are equal and whose components across it vanish to the last bit, they
+    follow from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
+    sphere of the axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: beside a symmetry from
+    differences of the moments of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
+    solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and bodies with a lost path are
+    searched one by one, in about 70 ms each. pause: called at least once a second; it may raise an exception. stability:
+    whether to compute STABILITY. ordered: see `homotopy.solve`; with attitudes near complex solutions, index -1. Returns arrays
+    (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
+    and completeness (bodies,), values of flags.Completeness.
+    """
+    count = points["A"].size
+    completeness = np.empty(count, np.int8)
+    parts = []
+    for first in range(0, count, _BLOCK):
+        pause()
+        block = np.arange(first, min(first + _BLOCK, count))
+        flags, row, columns = _at_once(system, subset(points, block), stability, ordered)
+        parts.append({"row": block[row], **columns})
+        for i in np.flatnonzero(flags == Completeness.NOT_LISTED):
+            pause()
+            try:
+                flags[i], solutions = _list_by_search(system, subset(points, block[[i]]))
+            except BadInput:
+                continue
+            parts.append({"row": np.full(solutions["index"].size, block[i]), **solutions})
+        completeness[block] = flags
+    names = [name for name in _VARIABLES if stability or name not in STABILITY]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in ("row", *names)}
+    return padded(columns, count, homotopy.PATHS) | {"completeness": completeness}
+
+
+def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+    """Numbers of the equilibria of bodies, of the linearly stable ones and of the minima, (bodies,); nan for incomplete lists."""
+    complete = equilibria["completeness"] == Completeness.COMPLETE
+    masks = {
+        "equilibrium_count": equilibria["index"] >= 0,
+        "equilibrium_stable_count": equilibria["stable"] == Stability.STABLE,
+        "equilibrium_energy_stable_count": equilibria["index"] == 0,
+    }
+    return {name: np.where(complete, mask.sum(1), np.nan) for name, mask in masks.items()}
+
+
+def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
+    """Columns over equilibria, with "row" the body of each, as arrays (bodies, places) with unused places at the end."""
+    order = np.argsort(columns["row"], kind="stable")
+    row = columns["row"][order]
+    place = np.arange(row.size) - np.searchsorted(row, row)
+    result = {}
+    for name, values in columns.items():
+        if name != "row":
+            shape = (count, places, *values.shape[1:])
+            result[name] = np.full(shape, _UNUSED.get(name, np.nan), values.dtype)
+            result[name][row, place] = values[order]
+    return result
+
+
+def _at_once(
+    system: Gyrostat, points: Points, stability: bool, ordered: bool
+) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
+    """Completeness of the lists (NOT_LISTED: the body has yet to be searched); body and variables of each equilibrium."""
+    given = system.body(points)
+    rate = np.where(given.turn == 0, 1.0, given.turn)
+    with np.errstate(all="ignore"):
+        bodies = given.scaled(rate)
+        alpha, gamma = bodies.amended()
+        units = np.concatenate([given.inertia, given.turn[:, None]], 1)
+        usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(1)
+        vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
+        size = np.abs(vectors)
+        usable &= ((size == 0) | ((size > 1 / _MAX_SCALE) & (size < _MAX_SCALE))).all(-1)
+        usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
+    axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
+    symmetric = np.asarray(axes.any(1))
+    general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
+    p, q = (direction.field[general].T for direction in (alpha, gamma))
+    a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, q, ordered)
+    body, path = np.nonzero((real | nearly & ordered).T)
+    a, g = a[:, path, body].T, g[:, path, body].T
+    row, frames, known = _by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered)
+    row = np.concatenate([general[body], single[row]])
+    frames = np.concatenate([frames_of(a, g), frames])
+    real = np.concatenate([real[path, body], known])
+    bodies, circle = bodies.subset(row), symmetric[row]
+    scale, values = _scale(bodies), np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
+    # Along a circle the eigenvalue is 0 but for rounding.
+    values[circle, np.abs(values[circle]).argmin(1)] = np.inf
+    least = np.abs(values).min(1) / scale
+    index = np.where(real, (values < 0).sum(1), -1)
+
+    def some(of_solutions: Mask) -> Mask:
+        return np.bincount(row[real & of_solutions], minlength=rate.size) > 0
+
+    sums = np.bincount(row[real], (-1.0) ** index[real], rate.size)
+    uncertain = some(least < np.where(circle, _UNCERTAIN_CIRCLE, _UNCERTAIN)) | (sums != 2 * symmetric)
+    uncertain[general[~complete]] = True
+    flags = np.where(symmetric, Completeness.NOT_ISOLATED, Completeness.COMPLETE).astype(np.int8)
+    flags[uncertain] = Completeness.NEAR_BIFURCATION
+    degenerate = uncertain[row] & (least < _DEGENERATE)
+    flags[(uncertain & ~some(degenerate)) | ~some(real)] = Completeness.NOT_LISTED
+    scaled = bodies.potential(frames[:, 0], frames[:, 2])
+    potential = scaled * given.inertia.max(1)[row] * rate[row] ** 2
+    axis = np.where(circle[:, None], axes[row], np.nan)
+    order = _order(row, scaled / scale, frames, axis)
+    order = order[flags[row[order]] != Completeness.NOT_LISTED]
+    row = row[order]
+    result = attitudes(frames[order]) | {
+        "potential": potential[order], "index": index[order].astype(np.int8), "circle": circle[order], "axis": axis[order],
+        "degenerate": degenerate[order],
+    }  # fmt: skip
+    if stability:
+        angles = {name: result[name] for name in ANGLES}
+        result |= stability_at_rest(system, subset(points, row), angles)
+    return flags, row, result
+
+
+def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
+    """Body and frame of each solution, and which are real; the axis of symmetry i is a critical point of a function on the sphere."""
+    own = np.arange(i.size)
+    excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
+    alpha, gamma = bodies.amended()
+    d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
+    b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
+    components, dimension = critical_directions(d, b, nearly=ordered)
+    column, body = np.nonzero(((dimension == 0) | (dimension == NEARLY)) & ~(dimension > 0).any(0))
+    axis = components[:, column, body].T
+    frames, columns = np.empty((body.size, 3, 3)), (i[body, None] + np.arange(3)) % 3
+    vectors = np.concatenate([axis[:, None], across(axis)], 1)
+    np.put_along_axis(frames, columns[:, None], np.swapaxes(vectors, 1, 2), 2)
+    return body, frames, dimension[column, body] == 0
+
+
+def _search(bodies: Body, scale: float) -> Array:
+    """Frames of the equilibria, one of each circle, shape (E, 3, 3)."""
+    generator = np.random.default_rng(0)
+    frames, starts, previous_count, is_whole = np.empty((0, 3, 3)), _STARTS, -1, False
+    while len(frames) != previous_count or not is_whole:
+        if starts > 64 * _STARTS:
+            raise BadInput(NOT_CERTAIN)
+        previous_count = len(frames)
+        # Uniform orientations, rows alpha, beta, gamma in body axes.
+        w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
+        first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
+        second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
+        third = np.cross(first, second) / (w * w + x * x + y * y + z * z)[:, None]
+        rows = np.stack([first, second, third], 1)
+        new = _critical(bodies, rows / np.linalg.norm(rows, axis=2, keepdims=True), scale)
+        frames = _distinct(bodies, np.concatenate([frames, new]), scale)
+        index, axis, degenerate = _classify(bodies, frames, scale)
+        # A symmetry takes every equilibrium along a circle.
+        circle = ~np.isnan(axis[:, 0])
+        total = 2 * circle.any()
+        if degenerate.any():
+            raise BadInput(NOT_CERTAIN)
+        whole = circle.all() == circle.any() and len(frames) >= 4 - total and ((-1) ** index).sum() == total
+        is_whole = bool(whole)
+        starts *= 2
+    return frames
+
+
+def _critical(bodies: Body, frames: Array, scale: float) -> Array:
+    """Orientations to which Newton's method converges from the given ones."""
+    frames, active = frames.copy(), np.arange(len(frames))
+    for _ in range(40):
+        gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
+        # Least squares with the Jacobian as it is, not symmetrised: a symmetry of the body makes one of its
+        # rows vanish everywhere, and Newton's method across the circles converges quadratically.
+        left, values, right = np.linalg.svd(hessian)
+        inverse = values / (values**2 + (1e-7 * scale) ** 2)
+        step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
+        length = np.linalg.norm(step, axis=1)
+        step *= np.minimum(1.0, 0.5 / np.maximum(length, 0.5))[:, None]
+        frames[active] = rotated(frames[active], step)
+        active = active[length > 1e-9]
+    gradient, _ = bodies.gradient(frames[:, 0], frames[:, 2])
+    return frames[np.linalg.norm(gradient, axis=1) < 1e-11 * scale]
+
+
+def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
+    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), degenerate or not."""
+    values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
+    flat = np.abs(values) < _MISSED * scale
+    if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():
+        raise BadInput(
+            "equilibria: this body has a surface of equilibria, not single ones or circles of them"
+        )
+    axis = np.take_along_axis(vectors, np.abs(values).argmin(1)[:, None, None], 2)[..., 0]
+    # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
+    turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
+    gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
+    circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)
+    return ((values < 0) & ~flat).sum(1), np.where(circle[:, None], axis, np.nan), flat.sum(1) > circle
+
+
+def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
+    """The first frame of each equilibrium and of each circle of them."""
+    _, axis, _ = _classify(bodies, frames, scale)
+    kept: list[int] = []
+    for i, frame in enumerate(frames):
+        rotation = np.swapaxes(frames[kept], 1, 2) @ frame
+        distance = np.linalg.norm(rotation - np.eye(3), axis=(1, 2))
+        axis_distance = np.linalg.norm(rotation @ axis[i] - axis[i], axis=1)
+        if not ((distance < _SAME) | (axis_distance < _SAME)).any():
+            kept.append(i)
+    return frames[kept]

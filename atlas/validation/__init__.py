@@ -1,1 +1,0 @@
-"""Error against run time, half steps, a tight reference, stiff and extreme cases."""

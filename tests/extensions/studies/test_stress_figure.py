@@ -1,0 +1,59 @@
+"""The figure of a stress study shows every verdict and mark, and explains them."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from atlas.extensions.studies import figures as stress_figure
+from atlas.extensions.studies import stress
+from atlas.extensions.studies.stress import Verdict
+from atlas.systems import SYSTEMS
+from atlas.systems.base import stress_cases_of
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Cases that are right, unresolved and left out."""
+    system = SYSTEMS["fixed_point"]
+    ds = stress.stress(system, [c for c in stress_cases_of(system) if c.name in ("near 0", "overflow")])
+    assert set(np.unique(ds.verdict)) == {Verdict.RIGHT, Verdict.UNRESOLVED, Verdict.LEFT_OUT}
+    return ds
+
+
+def test_each_panel_has_one_scale_and_all_points(study):
+    axes = stress_figure.stress_figure(study).axes
+    assert [ax.get_title("left") for ax in axes] == ["rk4", "", "rk8", ""]
+    for i, ax in enumerate(axes):
+        levels = slice(0, len(stress.RATIOS)) if i % 2 == 0 else slice(len(stress.RATIOS), None)
+        ticks = [float(tick.get_text()) for tick in ax.get_xticklabels()]
+        assert ticks == [*stress.RATIOS] if i % 2 == 0 else [*stress.TOLERANCES]
+        verdict = study.verdict.values[i // 2, levels].T
+        np.testing.assert_array_equal(np.reshape(ax.collections[0].get_array(), verdict.shape), verdict)
+        assert len(ax.patches) == (verdict == Verdict.LEFT_OUT).sum()
+        dots = ax.lines[0].get_xydata()
+        assert len(dots) == ((verdict == Verdict.RIGHT) & (study.error.values[i // 2, levels].T < 0.01)).sum()
+
+
+def test_names_do_not_touch(study):
+    figure = stress_figure.stress_figure(study)
+    figure.canvas.draw()
+    boxes = [label.get_window_extent() for label in figure.axes[0].get_yticklabels()]
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
+
+
+def test_every_mark_is_in_the_legend(study):
+    figure = stress_figure.stress_figure(study)
+    (legend,) = figure.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert [text.split(":")[0] for text in texts[:4]] == ["right", "unresolved", "wrong", "left out"]
+    marks = [line.get_marker() for line in legend.get_lines()]
+    assert marks == [line.get_marker() for line in figure.axes[0].lines]
+
+
+def test_verdicts_differ_in_luminance():
+    grey = [
+        np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)) for colour in stress_figure.VERDICT_COLOURS.values()
+    ]
+    assert np.diff(np.sort(grey)).min() > 0.08

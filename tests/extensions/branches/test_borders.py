@@ -289,15 +289,20 @@ def test_momentum_has_an_extremum():
     ds = atlas.borders("fixed_point", top, {"n": (0.2, 4.0), "l3": (-2.0, 2.0)}, stability=True)
     assert (ds.cells == Cell.COUNTED).all()
     ds = ds.isel(vertex=np.flatnonzero(ds.kind.values == BorderKind.EXTREMAL_MOMENTUM)[5:-5:40])
-    inertia, momenta = np.array([1.0, 1.3, 1.7]), []
+    inertia, momenta, follows = np.array([1.0, 1.3, 1.7]), [], np.ones(ds.sizes["vertex"], bool)
     for change in (-1e-4, 0.0, 1e-4):
         n = ds.n.values + change
         rest = atlas.equilibria("fixed_point", top | {"n": n, "l3": ds.l3.values})
-        near = np.abs(rest.gamma - ds.gamma.rename(vertex="point")).max("body_axis").argmin("equilibrium")
+        distance = np.abs(rest.gamma - ds.gamma.rename(vertex="point")).max("body_axis")
+        follows &= (
+            distance.min("equilibrium").values < 9e-4
+        )  # within a change of 1e-4 of a fold the solution may end
+        near = distance.argmin("equilibrium")
         gamma = rest.gamma.isel(equilibrium=near).values
         rotor = np.stack([0 * n, 0 * n + 0.1, ds.l3.values], -1)
         momenta.append(((n[:, None] * inertia * gamma + rotor) * gamma).sum(-1))
-    low, middle, high = np.array(momenta)
-    assert len(middle) > 10
+    assert follows.sum() > 10
+    assert follows.mean() > 0.9  # which of the vertices are here depends on the processor's rounding
+    low, middle, high = np.array(momenta)[:, follows]
     slope, bend = (high - low) / 2e-4, (high - 2 * middle + low) / 1e-8
     assert (np.abs(slope) < 1e-5 * np.abs(bend)).all()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,21 @@ MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
 # Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
+
+
+class StepSettings(Protocol):
+    """What steps depend on: see `scene.model.Settings`."""
+
+    @property
+    def method(self) -> str: ...
+    @property
+    def tolerance(self) -> float: ...
+    @property
+    def step(self) -> float | None: ...
+    @property
+    def max_steps(self) -> int: ...
+    @property
+    def rate_tolerance(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -46,7 +61,7 @@ class StepSizes:
     @classmethod
     def of(
         cls,
-        settings: Any,
+        settings: StepSettings,
         bound: NDArray[np.float64],
         duration: NDArray[np.float64],
         step: NDArray[np.float64] | None = None,
@@ -190,7 +205,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 
 
 def steps_between_instants(
-    settings: Any, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
+    settings: StepSettings, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
     """Steps in each of `intervals` equal parts of runs, no longer than with `steps` in a run, or than `settings.step`."""
     if settings.step is None:

@@ -9,12 +9,11 @@ import numpy as np
 
 from ..flags import Agreement, Label, Stability
 from ..kernel.ensemble import Ensemble
-from ..kernel.stepsize import StepSizes
+from ..kernel.stepsize import StepSettings, StepSizes
 from ..measure import rates
 from ..measure.circle import CIRCLES
 from ..measure.instrument import Measured, Run, Tolerances, could_change
 from ..scene.grid import Grid
-from ..scene.model import Settings
 from ..systems.base import (
     FAMILY_TOLERANCE,
     Array,
@@ -173,7 +172,7 @@ class Theory:
             lacks_theory(system, tile.base) & (prediction.variables["family"] == 0) & (not plan.nudged),
         )
 
-    def error_amplified(self, step_sizes: StepSizes, settings: Settings) -> Mask:
+    def error_amplified(self, step_sizes: StepSizes, settings: StepSettings) -> Mask:
         """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
         growth = np.where(self.prediction.pushed, 0.0, self.prediction.log_growth)
         amplified = step_sizes.rate_error * np.exp(growth) > settings.rate_tolerance

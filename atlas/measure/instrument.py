@@ -11,14 +11,14 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel.ensemble import Ensemble, Integration
 from ..kernel.statistics import Row
-from ..kernel.stepsize import StepSizes
+from ..kernel.stepsize import StepSettings, StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
 # Least turn of a body in a run, rad: the frequency bound, a divisor, is never 0.
@@ -71,6 +71,21 @@ class Tolerances:
     angle: float  # radius of the cylinder: where sin(theta) is below it, the third axis counts as vertical
 
 
+class RunSettings(StepSettings, Protocol):
+    """What runs and their measurements depend on."""
+
+    @property
+    def cylinder(self) -> float: ...
+    @property
+    def tolerances(self) -> Tolerances: ...
+    @property
+    def drift_tolerance(self) -> float: ...
+    @property
+    def std_tolerance(self) -> Mapping[str, float] | None: ...
+    @property
+    def check_half_step(self) -> str: ...
+
+
 @dataclass(frozen=True)
 class Rule:
     """How a label follows from measurements."""
@@ -104,7 +119,7 @@ class Run:
     """Points, integrated by steps of some sizes, and the measurements of instruments; arrays (points,)."""
 
     system: System
-    settings: Any  # see `scene.model.Settings`
+    settings: RunSettings
     instruments: tuple[Instrument, ...]  # the main one first
     ensemble: Ensemble
     step_sizes: StepSizes
@@ -268,11 +283,11 @@ class MainInstrument(Instrument):
         """Names of its statistics."""
         return ()
 
-    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+    def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
         """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
         raise NotImplementedError
 
-    def steady_below(self, settings: Any) -> float:
+    def steady_below(self, settings: RunSettings) -> float:
         """The least unsteadiness of a drifting point."""
         return 1.0
 
@@ -289,7 +304,7 @@ class MainInstrument(Instrument):
         raise NotImplementedError
 
     def step_sizes(
-        self, settings: Any, bound: Array, duration: Array, step: Array | None = None
+        self, settings: RunSettings, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
         """Steps of runs with these frequency bounds; step: see `StepSizes.of`."""
         return StepSizes.of(settings, bound, duration, step)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from ..kernel.stepsize import INTERPOLATION_ERROR, StepSizes
 from ..kernel.tableaux import METHODS
 from ..systems import arithmetic
 from ..systems.base import Array, Flags, Mask, Observable, System
-from .instrument import MainInstrument, Measured, Rule, Run, Variable
+from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Variable
 from .rates import END_TIME, INTEGRAL_DRIFT, STATUS, rounding_error, step_variables
 
 # Suffix of a statistic in the atlas -> its meaning, with the name of the observable in place of {}.
@@ -75,7 +74,7 @@ class Observables(MainInstrument):
             f"{observable.name}_{suffix}" for observable in system.observables for suffix in STATISTICS
         )
 
-    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+    def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
         limits = std_tolerances(system, settings)
         shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
         return np.asarray(np.fmax.reduce(shares))
@@ -90,7 +89,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def step_sizes(
-        self, settings: Any, bound: Array, duration: Array, step: Array | None = None
+        self, settings: RunSettings, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
         """Steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed; longer automatic steps are halved."""
         step_sizes = StepSizes.of(settings, bound, duration, step)
@@ -206,7 +205,7 @@ def whole_periods(
         return periods, periods * period
 
 
-def std_tolerances(system: System, settings: Any) -> dict[str, float]:
+def std_tolerances(system: System, settings: RunSettings) -> dict[str, float]:
     """Largest standard deviation of each observable that counts as constant, in its unit."""
     own, default = settings.std_tolerance or {}, settings.rate_tolerance
     limits = {o.name: default if o.tolerance is None else o.tolerance for o in system.observables}

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
 from ..kernel.tableaux import METHODS
 from ..systems.base import Array, Flags, Mask, System
 from ..systems.steady import polynomial_degree
-from .instrument import MainInstrument, Measured, Rule, Run, Tolerances, Variable
+from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Tolerances, Variable
 
 # The measurements that decide a label.
 LABEL_STATISTICS = (
@@ -91,13 +90,13 @@ class Rates(MainInstrument):
     def statistics(self, system: System) -> tuple[str, ...]:
         return (*RATES, "theta_min", "theta_max")
 
-    def unsteadiness(self, system: System, measured: Measured, settings: Any) -> Array:
+    def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
         """Largest rms or standard deviation of a rate, rad per time unit."""
         rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
-    def steady_below(self, settings: Any) -> float:
+    def steady_below(self, settings: RunSettings) -> float:
         """The largest rate that counts as none."""
         return float(settings.rate_tolerance)
 

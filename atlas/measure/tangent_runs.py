@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from ..flags import Label, Regularity, Status
 from ..kernel import augmented, blocks, tangent
 from ..kernel.ensemble import Ensemble
 from ..kernel.generated import WIDTH
-from ..kernel.stepsize import StepSizes, count_ladder, steps_of_length
+from ..kernel.stepsize import StepSettings, StepSizes, count_ladder, steps_of_length
 from ..kernel.tableaux import METHODS
 from ..kernel.tangent import METHOD
 from ..systems.base import Array, Flags, Mask, Points, System, shape_of
@@ -182,7 +182,7 @@ class TangentRuns:
         ensemble: Ensemble,
         points: Points,
         duration: Array,
-        settings: Any,
+        settings: StepSettings,
         step_sizes: StepSizes,
     ) -> TangentRuns:
         """The runs of points that are integrated without a tangent vector as well, with step_sizes."""

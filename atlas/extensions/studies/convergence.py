@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -90,7 +89,7 @@ def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
     """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
     if name == "duration":
         return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))
-    settings: Any = scene.settings
+    settings = scene.settings
     if name == "tolerance" and settings.step is not None:
         name = "step"
     return replace(scene, settings=replace(settings, **{name: factor * getattr(settings, name)}))

@@ -219,6 +219,23 @@ def without_extension(installed_extensions):
 
 
 @pytest.fixture
+def install_example(installed_extensions, tmp_path_factory):
+    """Function of a name: that package of docs/examples is installed, as far as this process and those it starts can tell."""
+    import plugins
+
+    with pytest.MonkeyPatch.context() as patched:
+
+        def install(name: str) -> None:
+            site = tmp_path_factory.mktemp("site")
+            for folder in (site, plugins.install_example(name, site)):
+                patched.syspath_prepend(folder)
+                patched.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+            installed_extensions()
+
+        yield install
+
+
+@pytest.fixture
 def copied_package(tmp_path):
     """A copy of the package, and the variables of processes that import it."""
     copy = tmp_path / "copy" / "atlas"

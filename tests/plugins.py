@@ -1,11 +1,15 @@
 """A system of another package and a scene of it; packages as Python finds them: a module and its metadata in a folder."""
 
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from atlas import systems
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 
 PENDULUM = '''
 """A pendulum with a cubic spring: a system that no line of the package is about."""
@@ -95,11 +99,25 @@ def registry() -> Iterator[None]:
         yield
 
 
+def write_metadata(folder, name, version, groups):
+    """Write the metadata of a package into a folder; groups: group of entry points -> entry point -> object."""
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(exist_ok=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    lines = []
+    for group, names in groups.items():
+        lines += [f"[{group}]", *(f"{key} = {value}" for key, value in names.items())]
+    (info / "entry_points.txt").write_text("\n".join([*lines, ""]))
+
+
 def install(folder, module, text, names, package="some-systems", version="1.2"):
     """Write a module and the metadata of its package into a folder; names: entry point -> object."""
     (folder / f"{module}.py").write_text(text)
-    info = folder / f"{package.replace('-', '_')}-{version}.dist-info"
-    info.mkdir(exist_ok=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: {version}\n")
-    lines = [f"{name} = {value}" for name, value in names.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[atlas.systems]", *lines, ""]))
+    write_metadata(folder, package, version, {"atlas.systems": names})
+
+
+def install_example(name, folder):
+    """Write what pip leaves of a package in docs/examples besides its modules; the value is the folder of these."""
+    project = tomllib.loads((EXAMPLES / name / "pyproject.toml").read_text())["project"]
+    write_metadata(folder, project["name"], project["version"], project["entry-points"])
+    return EXAMPLES / name

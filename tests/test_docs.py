@@ -57,14 +57,16 @@ def skip_without_extensions(page):
         pytest.skip(f"needs {', '.join(sorted(missing))}")
 
 
-def run_commands(text):
-    """Run the commands of a block for the shell, as far as they are those of this package."""
+def run_commands(text, install_example):
+    """Run the commands of a block for the shell, as far as they are those of this package and its examples."""
     for line in text.splitlines():
         command = line.split("#")[0].split()
         if command[:1] == ["atlas"]:
             assert cli.main(command[1:]) == cli.DONE, line
         elif command[:1] == ["python"]:
             assert (ROOT / command[1]).is_file()
+        elif command[:2] == ["pip", "install"] and command[2].startswith("./docs/examples/"):
+            install_example(Path(command[2]).name)
         elif command:
             assert command[0] in SET_UP, line
             if command[0] == "sh":
@@ -88,7 +90,7 @@ def folder_of_reader(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
-def test_code_blocks_run(page):
+def test_code_blocks_run(page, install_example):
     """A TOML block is saved as the scene of the blocks after it; commands of atlas and Python run in order.
 
     A block that begins with the name of a module is saved and imported. The cells of a notebook share their names.
@@ -108,7 +110,7 @@ def test_code_blocks_run(page):
             for line in re.findall(r"^# prints (.+)", text, re.M):
                 assert line in printed.getvalue()
         elif language == "sh":
-            run_commands(text)
+            run_commands(text, install_example)
         elif language == CELL:
             exec(compile(text, page, "exec"), cells)
 

@@ -25,7 +25,6 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas.cli.scenes import figure_options
-from atlas.extensions.amer2013 import figures as amer2013
 from atlas.extensions.page.page import atlas_page
 from atlas.flags import Agreement
 from atlas.label import theory
@@ -439,8 +438,10 @@ def main() -> None:
         print(f"{i} of {len(chosen)}: {picture.scene}", flush=True)
         lines += draw(picture, options.out, options.force, options.docs, options.count)
     if options.docs:
+        from amer2013_figures import figures  # whose folder make_docs puts on the path
+
         for number in PAPER_FIGURES:
-            write_picture(amer2013.draw(number), options.docs / f"fixed_point_figure_{number:02d}.png")
+            write_picture(figures.draw(number), options.docs / f"fixed_point_figure_{number:02d}.png")
         for name, system, body, along, values, variable in BRANCHES:
             branches = atlas.branches(system, body, along={along: values})
             write_picture(branches.atlas.diagram(variable), options.docs / f"{name}.png")

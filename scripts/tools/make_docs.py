@@ -27,6 +27,7 @@ from atlas.variables import variables
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
+sys.path.insert(0, str(DOCS / "examples" / "amer2013_figures"))  # which is not installed
 
 
 def table(rows: list[tuple[str, ...]]) -> str:
@@ -266,7 +267,7 @@ def flags(flag: type[Flag]) -> str:
 @cache
 def figure_table() -> list[Any]:
     """Integrations behind the figures of Amer et al. (2013), for two tables."""
-    from atlas.extensions.amer2013 import claims
+    from amer2013_figures import claims
 
     return claims.figure_table()
 
@@ -283,22 +284,22 @@ def by_body(rows: list[tuple[str, ...]]) -> str:
 
 def amplitudes(system: System) -> str:
     """Table of the amplitudes behind the figures of Amer et al. (2013)."""
-    from atlas.extensions.amer2013.figures import amplitude_table
+    from amer2013_figures.figures import amplitude_table
 
     return by_body(amplitude_table(figure_table()))
 
 
 def periodic(system: System) -> str:
     """Table of the periodic solutions of Amer et al. (2013)."""
-    from atlas.extensions.amer2013 import claims
-    from atlas.extensions.amer2013.figures import periodic_solutions
+    from amer2013_figures import claims
+    from amer2013_figures.figures import periodic_solutions
 
     return by_body(periodic_solutions(claims.periodic_table()))
 
 
 def claim_table(system: System) -> str:
     """Table of the claims of Amer et al. (2013)."""
-    from atlas.extensions.amer2013 import claims
+    from amer2013_figures import claims
 
     rows = [("claim", "verdict", "measured")]
     for claim in claims.claims(figure_table()):

@@ -1,8 +1,5 @@
 """The extension in docs/examples: one variable, one question, one line on a map."""
 
-import tomllib
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +9,6 @@ from atlas.systems import SYSTEMS
 from atlas.systems.base import derived_variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
-FOLDER = Path(__file__).parents[2] / "docs" / "examples" / "start_energy"
 SCENE = """
 schema = 1
 system = "fixed_point"
@@ -24,25 +20,8 @@ outputs = { variables = ["label", "start_energy"] }
 """
 
 
-@pytest.fixture
-def installed(tmp_path, installed_extensions):
-    """The extension is installed as far as Python can tell."""
-    project = tomllib.loads((FOLDER / "pyproject.toml").read_text())["project"]
-    info = tmp_path / "atlas_start_energy-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: atlas-start-energy\nVersion: 1.0\n")
-    entries = project["entry-points"]["atlas.extensions"].items()
-    text = "\n".join(f"{name} = {value}" for name, value in entries)
-    (info / "entry_points.txt").write_text(f"[atlas.extensions]\n{text}\n")
-    with pytest.MonkeyPatch.context() as patched:
-        for folder in (FOLDER, tmp_path):
-            patched.syspath_prepend(folder)
-        installed_extensions()
-        yield
-
-
-@pytest.mark.usefixtures("installed")
-def test_variable_question_and_line():
+def test_variable_question_and_line(install_example):
+    install_example("start_energy")
     ds = atlas.run(atlas.load_scene(SCENE), progress=False)
     theta, n, m = 0.7, ds.n, ds.m
     energy = 0.5 * ((n * np.sin(theta)) ** 2 + 0.5 * (m + n * np.cos(theta)) ** 2)

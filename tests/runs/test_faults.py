@@ -245,7 +245,7 @@ COMMANDS = {
     "accuracy": ["accuracy", CONFIGS / "quickstart.toml", "--points", "64"],
     "conditions": ["conditions"],
     "stress": ["stress", "satellite"],
-    "figures": ["figures", "--only", "1", "--force"],
+    "figures": ["amer2013_figures", "--only", "1", "--force"],
 }
 
 
@@ -260,9 +260,10 @@ def whole_folder(tmp_path_factory, scene_text):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_interrupted_command_ends_within_two_seconds_without_a_traceback(
-    tmp_path, whole_folder, scene_text, fault_rounds, name
+    tmp_path, whole_folder, scene_text, fault_rounds, install_example, name
 ):
     path = tmp_path
+    install_example("amer2013_figures")
     (path / "whole").symlink_to(whole_folder)
     (path / "long.toml").write_text(scene_text(LONG))
     (path / "rk8.toml").write_text(scene_text(LONG | {"integration.method": "rk8"}))

@@ -3,12 +3,11 @@
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
-from plugins import registry
+from plugins import EXAMPLES, install_example, registry
 from scipy.integrate import solve_ivp
 
 import atlas
@@ -21,30 +20,15 @@ from atlas.variables import default_variables
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = ROOT / "docs" / "examples"
 NAMES = sorted(path.parent.name for path in EXAMPLES.glob("*/*.toml") if path.stem == path.parent.name)
-
-
-def install(name, folder):
-    """Write what pip leaves of a package besides its modules: the names of its entry points."""
-    project = tomllib.loads((EXAMPLES / name / "pyproject.toml").read_text())["project"]
-    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
-    lines = [f"{key} = {value}" for key, value in project["entry-points"]["atlas.systems"].items()]
-    (info / "entry_points.txt").write_text("\n".join(["[atlas.systems]", *lines, ""]))
 
 
 @pytest.fixture(scope="module", autouse=True)
 def path(tmp_path_factory):
     """The examples are installed; the value is the search path of other processes."""
     site = tmp_path_factory.mktemp("site")
-    folders = [site, *(EXAMPLES / name for name in NAMES)]
+    folders = [site, *(install_example(name, site) for name in NAMES)]
     with registry(), pytest.MonkeyPatch.context() as patch:
-        for name in NAMES:
-            install(name, site)
         for folder in folders:
             patch.syspath_prepend(folder)
         yield ":".join(map(str, [ROOT, *folders]))

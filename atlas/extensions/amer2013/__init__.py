@@ -9,8 +9,7 @@ MAX_RADIANS = 1000.0
 EXTENSION = Extension(
     "amer2013",
     __name__,
-    "equations, claims and figures of Amer et al. as printed and as true; errors of their solution",
-    commands={"figures": "commands:draw_figures"},
+    "equations of Amer et al. as printed and as true; errors of their solution",
     variables=dict.fromkeys(
         (
             "first_order_error",

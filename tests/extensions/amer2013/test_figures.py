@@ -1,7 +1,14 @@
-"""The paper's figures: quantities and rotors are those of its captions, curves those of the equations."""
+"""The example amer2013_figures: quantities and rotors of its figures are those of the captions, curves those of the equations."""
+
+import re
+import tomllib
+from importlib import resources
+from string import Formatter
 
 import numpy as np
 import pytest
+from amer2013_figures import claims
+from amer2013_figures import figures as amer2013
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from refusals import assert_refused_in_shell
@@ -9,8 +16,7 @@ from scipy.interpolate import make_interp_spline
 
 from atlas.cli import main, parser
 from atlas.errors import BadInput
-from atlas.extensions.amer2013 import claims, fast_spin
-from atlas.extensions.amer2013 import figures as amer2013
+from atlas.extensions.amer2013 import fast_spin
 
 # The captions of the paper: number -> quantity, phase plane, |l| / sqrt(3), for A = B < C, analytical.
 CAPTIONS = {
@@ -123,6 +129,91 @@ def test_derivatives_of_the_printed_solution():
     np.testing.assert_allclose(path[3], spline(tau, 1), atol=1e-8)
 
 
+def test_figure_table_agrees_with_the_full_equations():
+    rows = claims.figure_table((0.0, 10.0, 50.0))
+    assert [(row.body, row.rotor) for row in rows] == [
+        (b, l) for b in ("A < C", "A > C") for l in (0.0, 10.0, 50.0)
+    ]
+    for row in rows:
+        if row.rotor:
+            assert row.centre == pytest.approx(row.centre_theory, rel=1e-6)
+            assert row.amplitude == pytest.approx(row.amplitude_theory, rel=1e-6)
+            assert row.period == pytest.approx(row.period_theory, rel=2e-5)
+            assert abs(row.period - row.period_printed) > 50 * abs(row.period - row.period_theory)
+    np.testing.assert_allclose(
+        [(r.start, r.centre, r.amplitude, r.period, r.largest) for r in rows if r.rotor == 50],
+        [(2747.62, 8055.20, 5307.59, 10.7378, 13362.79), (-686.12, -6086.47, 5400.35, 18.7415, 11486.82)],
+        rtol=2e-5,
+    )
+    resting = [row for row in rows if not row.rotor]
+    assert all(row.amplitude == 0 and row.gamma2_change < 1e-10 for row in resting)
+
+
+def test_the_claims_of_the_paper_have_their_verdicts():
+    rows = claims.figure_table((0.0, 10.0, 50.0))
+    judged = claims.claims(rows)
+    assert [claim.verdict for claim in judged] == [
+        "holds",
+        "does not hold",
+        "holds",
+        "holds to lowest order only",
+        "does not hold",
+        "holds for gamma2 only",
+        "does not hold",
+        "does not hold",
+        "holds to lowest order, but not for the period",
+        "does not hold",
+        "holds for p2 only",
+    ]
+    assert [claim.holds for claim in judged] == [c.verdict == "holds" for c in judged]
+    assert "1066.43, 5307.59" in judged[0].measured
+    assert "the opposite sign" in judged[2].measured
+    assert "0.00368" in judged[3].measured
+    assert "(33) drops p2 as well" in judged[4].measured
+    assert "|p2| < 1e-10" in judged[4].measured
+    assert "exact periodic solution is stable with the paper's data" in judged[6].measured
+    assert "rho + 1/rho = 2.201" in judged[6].measured
+    assert "1.37 |mu/Omega| at most as printed, < 1e-9" in judged[9].measured
+
+
+def test_every_claim_has_a_measure_all_of_whose_values_are_in_its_text():
+    text = resources.files(claims.__package__).joinpath("claims.toml").read_text("utf-8")
+    entries, rows = tomllib.loads(text), claims.figure_table((0.0, 20.0))
+    assert entries.keys() == claims.MEASURES.keys()
+    for name, measure in claims.MEASURES.items():
+        names = {
+            re.match(r"\w+", field)[0]
+            for _, field, *_ in Formatter().parse(entries[name]["measured"])
+            if field
+        }
+        assert measure(rows)[1].keys() == names, name
+
+
+@pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
+def test_gamma2_deviates_in_proportion_to_the_rotor(body):
+    changes = [row.gamma2_change for row in claims.figure_table((10.0, 20.0, 50.0)) if row.body == body]
+    np.testing.assert_allclose(np.array(changes) / changes[0], [1, 2, 5], rtol=0.02)
+
+
+def test_the_upright_body_of_the_phase_plane_claim_is_unstable():
+    """Growth of a small tilt in the full equations, at the r0 of the claim."""
+    text = claims.claims(claims.figure_table((0.0, 10.0)))[6].measured
+    r0 = float(text.split("r0 = ")[1].split()[0])
+    growth = float(text.split("growth rate ")[1].split()[0])
+    d = fast_spin.PAPER_DATA
+    weight = -d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
+    spin = fast_spin.FastSpin(
+        22.49, 35.6, weight, 3 * d["lambda"] / d["R"] ** 3, 0.0, 0.0, 0.0, r0, d["gamma0"]
+    )
+    tau = np.linspace(0, 12, 61)
+    y = fast_spin.integrate(spin, np.array([1e-10, 0, 1, 1e-10, 0, 1 / d["gamma0"]]), tau)
+    rate = np.polyfit(tau[30:], np.log(np.hypot(y[3], y[4]))[30:], 1)[0]
+    assert rate == pytest.approx(growth, rel=0.02)
+    spun = fast_spin.FastSpin(22.49, 35.6, weight, spin.N, 0.0, 0.0, 0.0, 3 * r0, d["gamma0"])
+    y = fast_spin.integrate(spun, np.array([1e-10, 0, 1, 1e-10, 0, 1 / d["gamma0"]]), tau)
+    assert np.hypot(y[3], y[4]).max() < 1e-8
+
+
 def test_the_table_has_six_digits():
     rows = amer2013.amplitude_table(claims.figure_table((0.0, 40.0)))
     assert len({len(row) for row in rows}) == 1
@@ -153,29 +244,36 @@ def test_the_table_of_periodic_solutions_has_three_readings():
     assert lines[1][-2:] == ("yes", "stable")
 
 
+@pytest.fixture
+def installed(install_example):
+    install_example("amer2013_figures")
+
+
+@pytest.mark.usefixtures("installed")
 def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["figures", "--only", "4", "--format", "svg"]) == 0
+    assert main(["amer2013_figures", "--only", "4", "--format", "svg"]) == 0
     assert (tmp_path / "figures" / "figure_04.svg").read_bytes().startswith(b"<?xml")
     assert "phase plane of the analytical solution p2 for l = 50 sqrt(3) N m s, A = B < C" in (
         capsys.readouterr().out
     )
-    assert main(["figures", "--table"]) == 0
+    assert main(["amer2013_figures", "--table"]) == 0
     printed = capsys.readouterr().out
     assert "does not hold: A > C: the amplitude of p2 decreases" in printed
     assert "5307.59" in printed
 
 
+@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        ("figures --only 4 --format svg", "figures: these files exist; --force replaces them: figure_04.svg"),
-        ("figures -o . --only 1 --format png", ".: these files exist; --force replaces them: figure_01.png"),
-        ("figures --only 21", "figure 21: the paper has figures 1 to 20"),
-        ("figures --only 1 2 x", "unrecognized arguments: x (see atlas --help)"),
-        ("figures --format png --format gif", "atlas figures: argument --format: 'gif': allowed: png, pdf, svg (see ...)"),
-        ("figures -o figure.png", "figure.png: ...must be a folder..."),
-        ("figures -o taken", "taken: not a folder"),
+        ("amer2013_figures --only 4 --format svg", "figures: these files exist; --force replaces them: figure_04.svg"),
+        ("amer2013_figures -o . --only 1 --format png", ".: these files exist; --force replaces them: figure_01.png"),
+        ("amer2013_figures --only 21", "figure 21: the paper has figures 1 to 20"),
+        ("amer2013_figures --only 1 2 x", "unrecognized arguments: x (see atlas --help)"),
+        ("amer2013_figures --format png --format gif", "atlas amer2013_figures: argument --format: 'gif': allowed: png, pdf, svg (see ...)"),
+        ("amer2013_figures -o figure.png", "figure.png: ...must be a folder..."),
+        ("amer2013_figures -o taken", "taken: not a folder"),
     ],
 )  # fmt: skip
 def test_a_mistake_in_the_command(command, sentence, tmp_path, monkeypatch, capsys):
@@ -186,9 +284,10 @@ def test_a_mistake_in_the_command(command, sentence, tmp_path, monkeypatch, caps
     assert_refused_in_shell(command, sentence, capsys)
 
 
+@pytest.mark.usefixtures("installed")
 def test_options_take_several_values_or_are_repeated():
     def values(*arguments):
-        return vars(parser().parse_args(["figures", *arguments]))
+        return vars(parser().parse_args(["amer2013_figures", *arguments]))
 
     assert values("--only", "1", "2", "--only", "3")["only"] == [1, 2, 3]
     assert values("--format", "png", "--format", "svg", "pdf")["format"] == ["png", "svg", "pdf"]

@@ -1,18 +1,18 @@
-"""The command `atlas figures`."""
+"""The command `atlas amer2013_figures`."""
 
 from __future__ import annotations
 
 import argparse
 
-from ...cli.options import argument, command, out_options, output_folder
-from ...errors import say, text_table
-from ...files import FIGURES
+from atlas.cli.options import argument, command, out_options, output_folder
+from atlas.errors import say, text_table
+from atlas.files import FIGURES
 
 FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 
 
 @command(
-    "figures",
+    "amer2013_figures",
     *out_options(
         "FOLDER", "folder of the figures (default: figures)", default="figures", replaces="existing figures"
     ),
@@ -34,7 +34,8 @@ FORMATS = tuple(suffix.removeprefix(".") for suffix in FIGURES)
 )
 def draw_figures(options: argparse.Namespace) -> None:
     """Draw figures 1-20 of Amer et al., as printed, corrected and exact."""
-    from ...plotting.style import save
+    from atlas.plotting.style import save
+
     from . import claims
     from . import figures as amer2013
 

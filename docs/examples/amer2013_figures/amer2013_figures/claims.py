@@ -13,10 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...flags import PeriodicSolution
-from ...systems.base import Array
-from . import periodic, published
-from .fast_spin import (
+from atlas.extensions.amer2013 import periodic, published
+from atlas.extensions.amer2013.fast_spin import (
     PAPER_BODIES,
     PAPER_DATA,
     PAPER_ROTORS,
@@ -30,6 +28,8 @@ from .fast_spin import (
     rate_of,
     to_quasilinear,
 )
+from atlas.flags import PeriodicSolution
+from atlas.systems.base import Array
 
 
 class Row(NamedTuple):

@@ -15,11 +15,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from ...errors import BadInput
-from ...plotting.options import WIDTHS
-from ...plotting.style import COLOURS, STYLE
-from ...systems.base import Array
-from . import fast_spin, periodic, published
+from atlas.errors import BadInput
+from atlas.extensions.amer2013 import fast_spin, periodic, published
+from atlas.plotting.options import WIDTHS
+from atlas.plotting.style import COLOURS, STYLE
+from atlas.systems.base import Array
+
 from .claims import PeriodicRow, Row
 
 NUMBERS = range(1, 21)

@@ -232,11 +232,11 @@ def variables(system):
 
 def test_several_extensions_add_cases_and_equations_of_a_system(installed_extensions, tmp_path, monkeypatch):
     module(tmp_path, "rows", "", theory="""
-from atlas.analysis.published import row
+from atlas.analysis.published import rows
 from atlas.systems.base import StressCase
 def cases(system):
     return (StressCase(f"at rest, {system.name}", "a case of an extension", 1.0, {}),)
-ROWS = (row({"number": "(1)", "printed": "0 = 0", "true": "the same", "verdict": "true"}, (None, None)),)
+ROWS = rows({"equation": [{"number": "(1)", "printed": "0 = 0", "true": "the same", "verdict": "true"}]}, {})
 """)  # fmt: skip
     monkeypatch.syspath_prepend(tmp_path)
     parts = {

@@ -1,13 +1,14 @@
 """Papers held against the equations of motion: equations as printed and as true, with residuals.
 
-An extension is a paper. Its `equations.toml` contains the texts and, where it can, both readings as expressions.
+An extension is a paper. Its `equations.toml` contains the texts and, where it can, both readings as expressions. Its
+`MEASURES` are functions by the number of an equation, or by a key that the equations measured by it have.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from typing import Any
 
@@ -18,8 +19,9 @@ from ..scene.expressions import Expression
 from ..systems.base import PublishedEquation, System
 
 Measure = Callable[[np.random.Generator], float]
-# measures of a row as printed and as true
-Readings = tuple[Measure | None, Measure | None]
+Entry = Mapping[str, Any]
+# (entry, reading, random generator) -> residual of the equation in the reading, "printed" or "true"
+EntryMeasure = Callable[[Entry, str, np.random.Generator], float]
 
 TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")
 expression = cache(Expression)  # the same few are evaluated at many random points
@@ -36,12 +38,30 @@ def published_numbers(system: System) -> list[dict[str, str]]:
     return [row for function in functions for row in function(system.name)]
 
 
-def load(package: str) -> dict[str, Any]:
-    """The content of the equations.toml in the package of a paper."""
-    return tomllib.loads(resources.files(package).joinpath("equations.toml").read_text("utf-8"))
+def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
+    """The content of the equations.toml in the package of a paper, and its equations by number."""
+    content = tomllib.loads(resources.files(package).joinpath("equations.toml").read_text("utf-8"))
+    return content, {entry["number"]: entry for entry in content["equation"]}
 
 
-def row(entry: Mapping[str, Any], readings: Readings, measure: str = "") -> PublishedEquation:
-    """The row of the catalogue of an equation of a paper, with the description of its measure if it has none."""
-    texts = {"family": "", "measure": measure} | {key: entry[key] for key in TEXTS if key in entry}
-    return PublishedEquation(**texts, residual_printed=readings[0], residual_true=readings[1])
+def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
+    """Sum of the terms of an equation in a reading, each by `value`; a number in their place: the true terms of that equation."""
+    terms = entry.get(f"terms_{reading}") or entry["terms_true"]
+    return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
+
+
+def rows(
+    content: Mapping[str, Any], measures: Mapping[str, EntryMeasure | None]
+) -> tuple[PublishedEquation, ...]:
+    """The rows of the catalogue of a paper; a measure None: by an extension of this name, which is missing."""
+    made = []
+    for entry in content["equation"]:
+        key = next((key for key in measures if key == entry["number"] or key in entry), "")
+        texts = {"family": "", "measure": content.get("measures", {}).get(key, "").format(**entry)}
+        texts |= {name: entry[name] for name in TEXTS if name in entry}
+        measure = measures.get(key)
+        if key and not measure:
+            texts["measure"] = f"not measured: the extension {key} is not installed"
+        printed, true = (measure and partial(measure, entry, reading) for reading in ("printed", "true"))
+        made.append(PublishedEquation(**texts, residual_printed=printed, residual_true=true))
+    return tuple(made)

@@ -7,16 +7,16 @@ number can be measured. The formulas are in the table [printed] of equations.tom
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from ...analysis.published import Readings, row
+from ...analysis.published import EntryMeasure, rows
 from ...errors import BadInput
-from ...systems.base import Array, Points, PublishedEquation
+from ...systems.base import Array, Points
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
 from .reduction import CONTENT, VARIABLES, Values, evaluate, state
@@ -123,18 +123,15 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
 Formula = Callable[[FastSpin, Array], Array]
 
 
-def _readings(
+def _of_body(
     measure: Callable[[FastSpin, np.random.Generator, Any], Any],
     printed: Any,
     true: Any,
     draw: Callable[[np.random.Generator], FastSpin] = random_spin,
-) -> Readings:
-    """The magnitude of a measure (body, random generator, reading) for both readings; `draw` draws the body."""
-
-    def measured(reading: Any, rng: np.random.Generator) -> float:
-        return float(np.abs(measure(draw(rng), rng, reading)).max())
-
-    return partial(measured, printed), partial(measured, true)
+) -> EntryMeasure:
+    """The magnitude of a measure (body, random generator, what is printed or true); `draw` draws the body."""
+    readings = {"printed": printed, "true": true}
+    return lambda entry, reading, rng: float(np.abs(measure(draw(rng), rng, readings[reading])).max())
 
 
 def _rate_error(
@@ -227,74 +224,72 @@ def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[
 _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
-READINGS: dict[str, Readings] = {
-    "(1), second equation": _readings(partial(_rate_error, 1), rhs, fast_spin.rhs),
-    "(1) but for the second equation, (5)": _readings(
+# By the number or a key of an equation.
+MEASURES: dict[str, EntryMeasure] = {
+    "(1), second equation": _of_body(partial(_rate_error, 1), rhs, fast_spin.rhs),
+    "(1) but for the second equation, (5)": _of_body(
         partial(_rate_error, [0, 2, 3, 4, 5]),
         *2 * (lambda spin, y: rhs(replace(spin, N=spin.N * spin.gamma0), y),),
     ),
-    "(2), (3), S2": _readings(partial(_constancy, [1, 2]), integrals, integrals),
-    "(3), S1": _readings(partial(_constancy, 0), integrals, fast_spin.integrals),
-    "(4)": _readings(partial(_rate_error, 0), rhs, fast_spin.rhs),
-    "(7), (15)": _readings(
+    "(2), (3), S2": _of_body(partial(_constancy, [1, 2]), integrals, integrals),
+    "(3), S1": _of_body(partial(_constancy, 0), integrals, fast_spin.integrals),
+    "(4)": _of_body(partial(_rate_error, 0), rhs, fast_spin.rhs),
+    "(7), (15)": _of_body(
         # the square of the rate at which q1 grows with p1
         lambda spin, rng, squared: squared(spin) - (true_rate(spin, _ONE) - true_rate(spin, _NONE))[1] ** 2,
         frequency_squared,
         lambda spin: spin.Omega**2,
     ),
-    "(9)": _readings(_direction_cosine, -1, 1),
-    "(10), chi1 and nu": _readings(
+    "(9)": _of_body(_direction_cosine, -1, 1),
+    "(10), chi1 and nu": _of_body(
         _coupling_residual,
         lambda spin: formulas(coefficients(spin), "chi1", "nu"),
         lambda spin: (spin.chi1, spin.nu),
         partial(random_spin, l1=0.0, l2=0.0),
     ),
-    "(10), chi": _readings(
+    "(10), chi": _of_body(
         _constant_10, lambda spin: coefficients(spin)["chi"], lambda spin: np.zeros(()), _FAST
     ),
-    "(15), second equation": _readings(
+    "(15), second equation": _of_body(
         partial(_reduced_error, 3), lambda spin, x: quasilinear(spin, x, x), fast_spin.quasilinear, _FASTEST
     ),
-    "(16), (27)-(33)": _readings(
+    "(16), (27)-(33)": _of_body(
         _change_by_units,
         lambda spin: (spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
         lambda spin: (spin.C * spin.y[1] * coefficients(spin)["X"] / spin.A) ** 2,
     ),
     # (19), with the true frequency, has no forcing
-    "(19), (20), (25)": _readings(
+    "(19), (20), (25)": _of_body(
         partial(_reduced_error, 1),
         lambda spin, x: np.array([x[1], -(spin.Omega**2) * x[0], x[3], -x[2]]),
         fast_spin.quasilinear,
         _FASTEST,
     ),
-    "(24), h_k": _readings(
+    "(24), h_k": _of_body(
         _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
     ),
-    "(24), g_k": _readings(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
+    "(24), g_k": _of_body(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
     # by how much W1 has the wrong sign
-    "(32)": _readings(
+    "(32)": _of_body(
         lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
     ),
     **{
-        f"(33), {name}": _readings(
+        f"(33), {name}": _of_body(
             partial(_solution_error, index), first_order, fast_spin.first_order, paper_spin
         )
         for index, name in enumerate(("p1", "q1", "r1", "g1", "g1'", "g1''"))
     },
     # relative errors of alpha
-    "(33), alpha": _readings(
+    "(33), alpha": _of_body(
         lambda spin, rng, correction: correction(spin) / measured_period_correction(spin) - 1,
         period_correction,
         fast_spin.period_correction,
         partial(random_spin, r0=1e3),
     ),
-    "theta after (34)": _readings(partial(_angle_error, 0), angles, fast_spin.angles, paper_spin),
-    "psi after (34)": _readings(partial(_angle_error, 1), angles, fast_spin.angles, paper_spin),
-    "phi after (34)": _readings(partial(_angle_error, 2), angles, fast_spin.angles, paper_spin),
-    "section VI, data": (None, None),
-    **reduction.READINGS,
+    "theta after (34)": _of_body(partial(_angle_error, 0), angles, fast_spin.angles, paper_spin),
+    "psi after (34)": _of_body(partial(_angle_error, 1), angles, fast_spin.angles, paper_spin),
+    "phi after (34)": _of_body(partial(_angle_error, 2), angles, fast_spin.angles, paper_spin),
+    "at": reduction.residual,
 }
 
-PUBLISHED: Sequence[PublishedEquation] = tuple(
-    row(entry, READINGS[number]) for number, entry in reduction.ENTRIES.items()
-)
+PUBLISHED = rows(CONTENT, MEASURES)

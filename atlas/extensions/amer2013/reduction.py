@@ -10,13 +10,13 @@ are of higher order and left out.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache, partial
+from functools import cache
 from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
 
-from ...analysis.published import Readings, expression, load
+from ...analysis.published import Entry, expression, load, side
 from ...systems.base import Array
 from . import fast_spin, periodic
 from .fast_spin import (
@@ -30,10 +30,8 @@ from .fast_spin import (
 )
 
 Values = dict[str, Any]
-Entry = Mapping[str, Any]
 VARIABLES = ("p1", "q1", "r1", "g1", "g2", "g3")  # p1, q1, r1, g1, g1' and g1'' of (1)
-CONTENT = load(__package__)
-ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
+CONTENT, ENTRIES = load(__package__)
 
 
 def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT["definitions"]) -> Any:
@@ -44,10 +42,9 @@ def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT
     return parsed.value(values)
 
 
-def reading(number: str, which: str, values: Values) -> Any:
-    """An equation as printed or as true."""
-    entry = ENTRIES[number]
-    return sum(evaluate(term, values) for term in entry.get(f"terms_{which}", entry["terms_true"]))
+def left_side(entry: Entry, reading: str, values: Values) -> Any:
+    """Sum of the terms of an equation in one reading."""
+    return side(entry, reading, ENTRIES, lambda term: evaluate(term, values))
 
 
 def numbers(spin: FastSpin, *names: str) -> Values:
@@ -203,11 +200,11 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 }  # fmt: skip
 
 
-def residual(entry: Entry, which: str, rng: np.random.Generator) -> float:
+def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Largest error of a reading, over the difference of the two readings or the exact value."""
     values = AT[entry["at"]](rng, entry)
     results = [evaluate(entry["exact"], values)]
-    results += [reading(entry["number"], each, values) for each in ("printed", "true")]
+    results += [left_side(entry, each, values) for each in ("printed", "true")]
     if "order" in entry:  # a coefficient of the series in eps
         powers = np.vander(values["eps"], increasing=True)
         results = [np.linalg.solve(powers, each + 0 * values["eps"])[entry["order"]] for each in results]
@@ -215,11 +212,4 @@ def residual(entry: Entry, which: str, rng: np.random.Generator) -> float:
         results = [np.mean(each) for each in results]
     exact, printed, true = results
     size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)
-    return float(np.abs((printed if which == "printed" else true) - exact).max() / size)
-
-
-READINGS: dict[str, Readings] = {
-    number: (partial(residual, entry, "printed"), partial(residual, entry, "true"))
-    for number, entry in ENTRIES.items()
-    if "at" in entry
-}
+    return float(np.abs((printed if reading == "printed" else true) - exact).max() / size)

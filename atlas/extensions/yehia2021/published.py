@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...analysis.published import expression, load, row
+from ...analysis.published import Entry, EntryMeasure, expression, load, rows, side
 from ...extension import extensions
-from ...systems.base import Array, PublishedEquation
+from ...systems.base import Array
 from ...systems.gyrostat.motions import angular_velocity
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.satellite import SATELLITE
@@ -21,11 +20,10 @@ from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, di
 from . import lagrange
 
 Point = dict[str, Array]
-Entry = Mapping[str, Any]
 Values = Mapping[str, float | str]
 
 log = logging.getLogger(__name__)
-CONTENT = load(__package__)
+CONTENT, ENTRIES = load(__package__)
 STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 
@@ -145,10 +143,7 @@ def parts(point: Mapping[str, Any]) -> dict[str, Any]:
 
 def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
     """Sum of the terms of an equation in one reading."""
-    terms = entry[f"terms_{reading}"]
-    if isinstance(terms, str):
-        terms = ENTRIES[terms]["terms_true"]
-    return np.sum([expression(entry["number"], term).value(values) for term in terms], axis=0)
+    return side(entry, reading, ENTRIES, lambda term: expression(entry["number"], term).value(values))
 
 
 def true_left_side(point: Point, t: Any, number: int) -> Array:
@@ -207,7 +202,7 @@ def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
     if reading == "printed":
         return float(np.abs(left_side(entry, reading, p))[0])
     accelerations = [p[f"{name}_accel"] for name in ("psi", "theta", "phi")]
-    left = lagrange.equations(euler_state(p), accelerations, constants(p))[int(entry["number"][1]) - 5]
+    left = lagrange.equations(euler_state(p), accelerations, constants(p))[entry["lagrange"] - 5]
     return float(np.abs(left)[0])
 
 
@@ -252,8 +247,8 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     """Share of true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 minus this share."""
-    rows = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
-    share = np.mean([_condition(row, "true", rng) < 1e-9 for row in rows if "form" not in row])
+    kept = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
+    share = np.mean([_condition(row, "true", rng) < 1e-9 for row in kept if "form" not in row])
     return float(share if reading == "printed" else 1 - share)
 
 
@@ -301,18 +296,19 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# Measure (entry, reading, random generator) by the key or the function of an entry; [measures] describes each.
-MEASURES = {
-    "lagrangian": _lagrangian_error,
+# By the number or a key of an equation.
+MEASURES: dict[str, EntryMeasure | None] = {
+    "(1)": _kinematics,
+    "(2), (3)": _both_forms,
+    "(4)": _lagrangian_error,
+    "(43)": _determinant,
+    "after (43)": _lost_rank,
+    "after (45), new solutions": _shared_conditions,
+    "abstract, accuracy": _both_forms,
+    "names": _apex_distance,
     "lagrange": _equation_of_motion,
-    "kinematics": _kinematics,
-    "both_forms": _both_forms,
-    "shared": _shared_conditions,
-    "lost_rank": _lost_rank,
     "plane": _plane,
     "normal_form": _normal_form,
-    "determinant": _determinant,
-    "apex_distance": _apex_distance,
     "left_side": _equation_on_motion,
     "vanish": _largest_residual,
     "inertial": _inertial,
@@ -320,8 +316,6 @@ MEASURES = {
     "breaks": _beyond,
     "start": _condition,
 }
-ENTRIES: dict[str, Entry] = {entry["number"]: entry for entry in CONTENT["equation"]}
-
 
 # Measures by theory of another extension, which has the name of the measure.
 MISSING = [name for name in ("plane", "normal_form") if name not in extensions()]
@@ -329,14 +323,4 @@ if MISSING:
     text = " and ".join(MISSING)
     log.warning("conditions: some equations of Yehia & El-kenani are not measured: not installed: %s", text)
 
-
-def _row(entry: Entry) -> PublishedEquation:
-    """The row of the catalogue of an entry."""
-    key = entry.get("function") or next(key for key in MEASURES if key in entry)
-    if key in MISSING:
-        return row({**entry, "measure": f"not measured: the extension {key} is not installed"}, (None, None))
-    readings = partial(MEASURES[key], entry, "printed"), partial(MEASURES[key], entry, "true")
-    return row(entry, readings, CONTENT["measures"].get(key, "").format(**entry))
-
-
-PUBLISHED = tuple(map(_row, ENTRIES.values()))
+PUBLISHED = rows(CONTENT, MEASURES | dict.fromkeys(MISSING))

@@ -60,6 +60,8 @@ class Extension:
         Kind of these lines -> colour, linestyle and linewidth, as Matplotlib has them; others are thin and black.
     stress_cases : mapping of str to str, optional
         Name of a system -> function of it that returns more of its stress cases; several extensions may have some.
+    formats : mapping of str to str, optional
+        Suffix of a file, in lower case -> `Format` of `atlas.store.finished` that writes and reads atlases of this name.
     published : mapping of str to str, optional
         Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have some.
     published_numbers : mapping of str to str, optional
@@ -81,6 +83,7 @@ class Extension:
     flag_texts: Mapping[str, Reference] = field(default_factory=dict)
     line_styles: Mapping[str, Reference] = field(default_factory=dict)
     stress_cases: Mapping[str, Reference] = field(default_factory=dict)
+    formats: Mapping[str, Reference] = field(default_factory=dict)
     published: Mapping[str, Reference] = field(default_factory=dict)
     published_numbers: Mapping[str, Reference] = field(default_factory=dict)
 

@@ -15,7 +15,7 @@ import secrets
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -208,8 +208,8 @@ def check_name(path: Path, inside: str = "") -> None:
                 ) from None
 
 
-def check_folder(path: Path, *, replace: str | None = None) -> None:
-    """Raise BadInput unless `path` can be created and is no folder, but for one with a file `replace`."""
+def check_folder(path: Path) -> None:
+    """Raise BadInput unless `path` can be created and is no folder."""
     check_name(path)
     folder = path.parent
     if not folder.is_dir():
@@ -218,7 +218,7 @@ def check_folder(path: Path, *, replace: str | None = None) -> None:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise BadInput(f"{path}: cannot be written: {error.strerror}") from None
-    if path.is_dir() and not (replace and (path / replace).is_file()):
+    if path.is_dir():
         raise BadInput(f"{path}: this is a folder")
 
 
@@ -240,17 +240,22 @@ def without_suffix(name: str | Path, *suffixes: str) -> Path:
     return path.with_suffix("") if path.suffix.lower() in suffixes else path
 
 
+def either(words: Iterable[str]) -> str:
+    """Words in a sentence: "a, b or c"."""
+    *others, last = words
+    return " or ".join(filter(None, (", ".join(others), last)))
+
+
 def writable(
-    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+    name: str | Path, suffixes: Collection[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
     """The path of a file to write; BadInput for another suffix, an input and, without `force`, an existing file."""
     path = Path(name)
     if path.suffix.lower() not in suffixes:
-        allowed = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise BadInput(f"{path}: the name must end in {allowed}")
+        raise BadInput(f"{path}: the name must end in {either(suffixes)}")
     check_name(path)
     check_not_input(path, inputs)
-    check_folder(path, replace="zarr.json" if path.suffix.lower() == ".zarr" else None)
+    check_folder(path)
     remove_leftovers(path.parent)
     if path.exists() and not force:
         raise BadInput(exists_message(path))

@@ -66,6 +66,16 @@ def test_extensions_and_the_compiler_are_loaded_by_what_uses_them():
     assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0
 
 
+def test_the_library_of_a_format_is_loaded_by_its_atlases_alone():
+    code = (
+        "import sys; sys.argv[0] = 'atlas'; from atlas.cli import parser; parser()\n"
+        "if not sys.modules.keys().isdisjoint({'netCDF4', 'zarr'}): sys.exit(1)\n"
+        "from pathlib import Path; import atlas.runs.folder; from atlas.store.finished import format_of; format_of(Path('a.nc'))\n"
+        "sys.exit('zarr' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0
+
+
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)
 def test_every_variable_is_described(system):
     for name, variable in variables(system).items():

@@ -16,6 +16,7 @@ from ..files import FIGURES, atomic_write, without_suffix, writable
 from ..plotting.options import MapOptions
 from ..scene.model import DEFAULTS, Duration
 from ..scene.text import open_text
+from ..store.finished import suffixes
 from .options import (
     ATLAS,
     DEGREES,
@@ -161,7 +162,7 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
 
-    if Path(name).suffix.lower() == ".nc" or Path(name).is_dir():
+    if Path(name).suffix.lower() in suffixes() or Path(name).is_dir():
         with atlas.open_atlas(name) as ds:
             scene = resolved_scene(ds, ds)
             if scene is None:
@@ -224,7 +225,7 @@ def draw_map(options: argparse.Namespace) -> None:
     """Draw a map of an atlas."""
     from ..plotting import maps, style
 
-    stem = without_suffix(options.atlas, ".nc", ".zarr")
+    stem = without_suffix(options.atlas, *suffixes())
     names = [options.out] if options.out else [f"{stem}.png", f"{stem}.pdf"]
     paths = [writable(name, FIGURES, force=options.force, inputs=[options.atlas]) for name in names]
     given = {each.name: getattr(options, each.name) for each in fields(MapOptions) if each.metadata}

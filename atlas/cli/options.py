@@ -16,14 +16,16 @@ from ..extension import available_text
 from ..files import FIGURES, check_name, without_suffix
 from ..scene.checks import quantity
 from ..scene.text import read_text
+from ..store.finished import FILE, suffixes
 
 if TYPE_CHECKING:
     from ..scene.model import Scene
 
 STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
-FILES = (*FIGURES, ".nc", ".csv")
+FILES = (*FIGURES, FILE, ".csv")
 
+Text: TypeAlias = str | Callable[[], str]  # of a help; a function where extensions add to it
 Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
@@ -82,7 +84,7 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Names and settings of an argument for `Parser.add_argument`; the setting `lowest` is the least number allowed."""
+    """Names and settings of an argument for `Parser.add_argument`; the setting `lowest` is the least number allowed, `help` a Text."""
     return names, settings
 
 
@@ -103,7 +105,9 @@ class Command:
         for each in self.arguments:
             group = parser.add_mutually_exclusive_group() if isinstance(each, list) else parser
             for names, settings in each if isinstance(each, list) else [each]:
-                group.add_argument(*names, **{k: v for k, v in settings.items() if k != "lowest"})
+                usual = {k: v for k, v in settings.items() if k not in ("lowest", "help")}
+                about: Text | None = settings.get("help")
+                group.add_argument(*names, help=about() if callable(about) else about, **usual)
 
     def run(self, options: argparse.Namespace) -> int:
         """Run the handler, for its exit code; BadInput for an empty text or a number that is too small."""
@@ -123,7 +127,7 @@ def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handl
 
 
 def out_options(
-    metavar: str, text: str, *, replaces: str = "an existing file", **settings: Any
+    metavar: str, text: Text, *, replaces: str = "an existing file", **settings: Any
 ) -> tuple[Argument, Argument]:
     """The option for the output, and the option that allows to replace it."""
     return (
@@ -146,7 +150,7 @@ def assignment_option(name: str, metavar: str, text: str) -> Argument:
 
 
 SCENE = argument("scene", metavar="SCENE", help="scene file (TOML), - for standard input")
-ATLAS = argument("atlas", metavar="ATLAS", help="atlas file (.nc) or run folder")
+ATLAS = argument("atlas", metavar="ATLAS", help=f"atlas file ({FILE}) or run folder")
 RUN_FOLDER = argument("folder", metavar="RUN", help="run folder")
 THREADS = argument("--threads", type=int, metavar="N", lowest=1, help="processors to use (default: all)")
 DEGREES = argument("--degrees", default=None, action="store_true", help="angles in degrees")
@@ -163,7 +167,7 @@ def read_scene(name: str) -> Scene:
 
 def default_name(scene: str) -> str:
     """Name of the outputs of a scene, without suffix: k3_0.5 of k3_0.5.toml."""
-    return "scene" if scene == STANDARD_INPUT else without_suffix(scene, ".toml", ".nc", ".zarr").name
+    return "scene" if scene == STANDARD_INPUT else without_suffix(scene, ".toml", *suffixes()).name
 
 
 def input_files(scene: str) -> list[Path]:

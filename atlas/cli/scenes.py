@@ -16,10 +16,11 @@ import atlas
 
 from .. import extension, systems
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
-from ..files import atomic_write, cache_folder, check_not_input, writable
+from ..files import atomic_write, cache_folder, check_not_input, either, writable
 from ..interruption import called_as
 from ..kernel.compiling import Stopwatch
 from ..scene.examples import examples
+from ..store.finished import FILE, FORMATS, STORE, format_of, suffixes
 from ..systems.base import families_of
 from .options import (
     QUIET,
@@ -35,7 +36,16 @@ from .options import (
     read_scene,
 )
 
-OUT = "NAME.nc; or NAME/ for a run folder or NAME.zarr for a store (also s3://...), which the same command continues"
+
+def out_text() -> str:
+    """Help on the output of a run."""
+    text = f"NAME{FILE}; or NAME/ for a run folder or NAME{STORE} for a store (also s3://...), which the same command continues"
+    others = [
+        f"; or NAME{suffix} {atlases}" for suffix, atlases in suffixes().items() if suffix not in FORMATS
+    ]
+    return "".join([text, *others])
+
+
 EXECUTION = (
     THREADS,
     argument("--shard", metavar="I/N", help="compute part I of N of a run folder, counted from 1"),
@@ -55,7 +65,9 @@ SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
 @command(
     "run",
     SCENE,
-    *out_options("OUT", f"{OUT} (default: the scene's name with .nc)", replaces="an existing atlas"),
+    *out_options(
+        "OUT", lambda: f"{out_text()} (default: the scene's name with {FILE})", replaces="an existing atlas"
+    ),
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
     *EXECUTION,
 )
@@ -68,14 +80,14 @@ def run_scene(options: argparse.Namespace) -> None:
         text = dry_run(scene, options.out or "", threads=options.threads, workers=options.workers)
         say(*text.split("\n"))
     else:
-        _run(options, options.out or default_name(options.scene) + ".nc", ())
+        _run(options, options.out or default_name(options.scene) + FILE, ())
 
 
 @command(
     "extend",
     argument("atlases", metavar="ATLAS", nargs="+", help="earlier atlases, also unfinished run folders"),
     SCENE,
-    *out_options("OUT", OUT, replaces="an existing atlas", required=True),
+    *out_options("OUT", out_text, replaces="an existing atlas", required=True),
     *EXECUTION,
 )
 def extend_atlases(options: argparse.Namespace) -> None:
@@ -125,7 +137,11 @@ def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
 @command(
     "status",
     RUN_FOLDER,
-    argument("--verify", action="store_true", help="read all of it, also of a finished atlas (.nc, .zarr)"),
+    argument(
+        "--verify",
+        action="store_true",
+        help=lambda: f"read all of it, also of a finished atlas ({', '.join(suffixes())})",
+    ),
 )
 def print_status(options: argparse.Namespace) -> None:
     """Print the progress of a run folder, or verify an atlas."""
@@ -134,18 +150,19 @@ def print_status(options: argparse.Namespace) -> None:
     say(*status(options.folder, verify=options.verify).split("\n"))
 
 
-@command("join", RUN_FOLDER, *out_options("FILE", "atlas to write (.nc or .zarr)", required=True))
+@command(
+    "join",
+    RUN_FOLDER,
+    *out_options("FILE", lambda: f"atlas to write ({either(suffixes())})", required=True),
+)
 def join_folder(options: argparse.Namespace) -> None:
     """Write a finished run folder as one file."""
     from ..runs.run import RunFolder
-    from ..store import finished
     from ..store.place import ADDRESS, located
 
     folder = RunFolder.open(options.folder)
     out = located(options.out) if ADDRESS.match(options.out) else Path(options.out)
-    folder.join(
-        finished.writable(out, (".nc", ".zarr"), force=options.force, inputs=[f"{folder.place}/tiles"])
-    )
+    folder.join(format_of(out).writable(out, force=options.force, inputs=[f"{folder.place}/tiles"]))
     say(f"wrote {options.out}")
 
 
@@ -264,7 +281,7 @@ def copy_example(options: argparse.Namespace) -> None:
     with atomic_write(out) as temporary:
         temporary.write_bytes(scenes[name].read_bytes())
     figure = figure_options(scenes[name].read_text("utf-8"))
-    result, command = shlex.quote(f"{default_name(str(out))}.nc"), called_as()
+    result, command = shlex.quote(f"{default_name(str(out))}{FILE}"), called_as()
     say(f"wrote {out}; next: {command} run {shlex.quote(str(out))}, then {command} map {result}{figure}")
 
 

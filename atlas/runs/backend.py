@@ -55,8 +55,8 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path : str or Path
-        An atlas file (NAME.nc), a Zarr store (NAME.zarr, or an address such as s3://BUCKET/NAME.zarr), or a run folder, which may
-        still be growing (also s3://BUCKET/NAME/).
+        An atlas file (NAME.nc, or with a suffix of an extension), a Zarr store (NAME.zarr, or an address such as
+        s3://BUCKET/NAME.zarr), or a run folder, which may still be growing (also s3://BUCKET/NAME/).
 
     Returns
     -------
@@ -92,7 +92,7 @@ def open_atlas(path: str | Path) -> xr.Dataset:
                 path, missing_tiles, folder.tiling.count,
             )  # fmt: skip
         return folder.dataset()
-    ds = finished.form(path).open_dataset(path)
+    ds = finished.format_of(path).open_dataset(path)
     missing = [name for name in ("atlas_system", "atlas_version") if name not in ds.attrs]
     if missing:
         ds.close()

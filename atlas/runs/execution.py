@@ -11,9 +11,11 @@ import xarray as xr
 
 from .. import systems
 from ..errors import BadInput, shown
+from ..files import either
 from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
+from ..store.finished import suffixes
 from .memory import MANY_POINTS, Execution, run_in_memory
 
 
@@ -42,8 +44,8 @@ def run(
     out : str or Path, optional
         NAME.nc for one file, NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr. It is computed in
         the run folder NAME.nc.run, or NAME.zarr.run; the folder is joined and removed in the end. If a run was killed between the
-        two, the same call finishes it. Or a run folder: a text that ends in /, such as s3://BUCKET/NAME/, or a Path without
-        suffix. A run folder that exists is continued.
+        two, the same call finishes it. Extensions may add suffixes. Or a run folder: a text that ends in /, such as
+        s3://BUCKET/NAME/, or a Path without suffix. A run folder that exists is continued.
     threads : int, optional
         Default: all processors of this process. Results do not depend on it.
     progress : bool
@@ -82,7 +84,8 @@ def run(
     scene = load_scene(scene)
     began, on_cluster = time.monotonic(), bool(scheduler or workers)
     if out is None and (shard or on_cluster or stop_after is not None):
-        raise BadInput("shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc")
+        ends = either(["/", *reversed(suffixes())])
+        raise BadInput(f"shard, scheduler, workers and stop_after need an out that ends in {ends}")
     if on_cluster and threads:
         raise BadInput("threads are for a run without scheduler and workers, which run one thread each")
     if scheduler and workers:

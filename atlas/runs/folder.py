@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput
+from ..extension import not_loaded
 from ..files import check_folder, check_name, exists_message
 from ..interruption import Stopped, explain_kept
 from ..kernel import blocks
@@ -29,6 +30,7 @@ from ..label.plan import Plan
 from ..process import process_name
 from ..scene.model import Scene
 from ..store import finished
+from ..store.finished import format_of
 from ..store.place import Folder, located, place_at
 from ..store.progress import AT_WORK, Progress, clock
 from ..store.tally import Totals
@@ -60,7 +62,7 @@ def run_kept(
     path, file = destination(out)
     if options["shard"] and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
-    if file is not None and not force and finished.stamp(file) is not None:
+    if file is not None and not force and format_of(file).stamp(file) is not None:
         left = folder_of(file)  # maybe of a run that was killed during its removal
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
@@ -83,16 +85,16 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
-    if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and finished.stamp(place) is None:
+    if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and format_of(place).stamp(place) is None:
         RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
     is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
     if isinstance(place, str):
         if finished.is_store(place):
-            return folder_of(place), finished.writable(place, (), force=True)
+            return folder_of(place), format_of(place).writable(place, force=True)
         if is_run:
             return place, None
         raise BadInput(
-            f"{place}: on object storage the name must end in /, for a run, or in {finished.SUFFIX}, for a Zarr store"
+            f"{place}: on object storage the name must end in /, for a run, or in {finished.STORE}, for a Zarr store"
         )
     path = place if str(out).startswith("file:") else Path(out)
     # A Path loses a / at its end.
@@ -102,16 +104,17 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
         if not path.absolute().parent.is_dir():
             raise BadInput(f"{path}: there is no folder {path.parent}")
         return path, None
-    if path.suffix.lower() not in (".nc", finished.SUFFIX):
-        raise BadInput(
-            f"{path}: the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
-        )
+    suffixes = finished.suffixes()
+    if path.suffix.lower() not in suffixes:
+        ways = [f"in {suffix}, {atlases}" for suffix, atlases in suffixes.items()]
+        ways.insert(1, "in /, for a run folder")
+        raise BadInput(f"{path}: the name must end {', '.join(ways[:-1])}, or {ways[-1]}{not_loaded()}")
     check_name(Path(folder_of(path)), LONGEST_NAME)
-    return folder_of(path), finished.writable(path, (".nc", finished.SUFFIX), force=True)
+    return folder_of(path), format_of(path).writable(path, force=True)
 
 
 def folder_of(path: Path | str) -> Path | str:
-    """Run folder in which a NetCDF file or a Zarr store is computed."""
+    """Run folder in which an atlas of one file or store is computed."""
     return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
 
 
@@ -207,11 +210,11 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> N
 
 def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
     """Compute an atlas in its run folder, join it, and remove the folder, unless another process did."""
-    before, plan, is_joined = finished.stamp(path), execution.plan, False
+    before, plan, is_joined = format_of(path).stamp(path), execution.plan, False
 
     def is_open() -> bool:
         """Whether no other process has finished the atlas in the meantime."""
-        return finished.stamp(path) in (before, None)
+        return format_of(path).stamp(path) in (before, None)
 
     try:
         folder = RunFolder.prepare(plan, folder_of(path))
@@ -241,7 +244,7 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
     expected = result_hash(plan.scene.toml(), identity(plan.points))
     with suppress(BadInput), open_atlas(path) as ds:
         # A user's own dataset may have the attributes of an atlas, but not its hash.
-        return finished.has_hash(path) and ds.attrs.get(RESULT) == expected
+        return format_of(path).has_hash(path) and ds.attrs.get(RESULT) == expected
     return False
 
 
@@ -255,7 +258,7 @@ def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
     except BadInput:
         remove_empty(folder_of(path))
     else:
-        finished.form(path).verify(path)
+        format_of(path).verify(path)
         folder.remove()
     return open_atlas(path)
 

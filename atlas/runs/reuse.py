@@ -53,7 +53,7 @@ class Earlier:
         if not finished.is_finished(path):
             folder = RunFolder.open(path)
             programs = differences(folder.manifest["identity"], own, "there", "now")
-        elif not finished.has_hash(path) or ds.attrs.get(RESULT) != result_hash(text, own):
+        elif not finished.format_of(path).has_hash(path) or ds.attrs.get(RESULT) != result_hash(text, own):
             programs = "the programs or the processor, or another program wrote the file"
         if programs:
             raise BadInput(f"{path}: `atlas run` of now would not give its bits: different is {programs}")
@@ -66,7 +66,7 @@ class Earlier:
         if folder is not None:
             tiles = folder.tiles
             return cls(path, old, folder.tiling, names, lambda tile: tiles.read(tile, names)[1], history)
-        finished.form(path).verify(path)
+        finished.format_of(path).verify(path)
         tiling = Tiling.of(old.shape, grid.max_points_per_tile())
 
         def read(tile: int) -> dict[str, np.ndarray]:

@@ -314,7 +314,7 @@ class RunFolder:
             raise BadInput(files.damaged_message(file, error)) from None
 
     def join(self, out: Path | str) -> None:
-        """Write the atlas as a NetCDF file or a Zarr store, box by box, in memory of constant size; an error keeps an earlier file."""
+        """Write the atlas as a file or a store, box by box, in memory of constant size; an error keeps an earlier file."""
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
         ds, (notes, saved), totals = self.template(), self.notes(), Totals()
@@ -327,7 +327,7 @@ class RunFolder:
         lengths = Tiling.of(self.scene.shape, grid.max_points_per_tile()).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         blocks = self._blocks(lengths, totals)
-        finished.form(out).write_blocks(ds, chunk, self.types, blocks, attributes, out)
+        finished.format_of(out).write(finished.Content(ds, self.types, chunk, blocks, attributes), out)
 
     def _blocks(self, lengths: tuple[int, ...], totals: Totals) -> Iterator[Block]:
         """All points in boxes of these lengths with the values of the tiles, which are added to the totals."""

@@ -26,7 +26,7 @@ def status(path: str | Path, *, verify: bool = False) -> str:
         size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
         lines = [f"{printable(str(ds.attrs.get('title', '')), MAX_TEXT)}: finished atlas, {size}"]
     if verify:
-        finished.form(place).verify(place)
+        finished.format_of(place).verify(place)
         lines.append("all of it is as it was written")
     return "\n".join(printable(line, MAX_MESSAGE) for line in lines)
 

@@ -25,7 +25,6 @@ from ..variables import COMPUTED, data_variables
 HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
 VERSION = "atlas_version"  # attribute of every atlas
-METADATA = "zarr.json"  # of a Zarr store
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
 # A parameter with more values is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000

@@ -1,30 +1,95 @@
-"""The finished atlas: one NetCDF file, or one Zarr store in a folder or below an address of an object store."""
+"""The finished atlas: its formats by the suffix of its name, each of which writes, reads and verifies it."""
 
 from __future__ import annotations
 
-import json
-import re
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-import netCDF4
-
+from .. import files
 from ..errors import BadInput
-from ..files import TEMPORARY, check_not_input, exists_message, foreign_message
-from . import netcdf
-from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION
-from .place import Folder, Place, place_at
+from ..extension import load, parts
+from .place import Folder, place_at
 
-SUFFIX = ".zarr"
-# Names in a store; the group `atlas` is of version 0.1.0.
-OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from .dataset import Block
+
+FILE, STORE = ".nc", ".zarr"
+# Suffix -> module with the `FORMAT`, imported when it is used, and which atlases have it. Extensions add theirs, each of one file.
+FORMATS = {FILE: ("netcdf", "for one file"), STORE: ("zarr_store", "for a Zarr store")}
+METADATA = "zarr.json"  # of a Zarr store
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """An atlas to write, which may be larger than memory."""
+
+    ds: (
+        xr.Dataset
+    )  # without attributes, with zeros for the variables `names`; large parameters are dask arrays
+    names: Collection[str]
+    chunk: Mapping[str, int]  # lengths of a block along each dimension
+    blocks: Iterator[Block]  # boxes that cover the grid, one by one, with the values of the variables `names`
+    attributes: Callable[
+        [], Mapping[str, Any]
+    ]  # to be called after the last block, for they sum over the blocks
+
+
+class Format(Protocol):
+    """A format of finished atlases; a class for one derives from this one and defines the abstract methods.
+
+    Only Zarr stores get the address of an object store, a text, in place of a path.
+    """
+
+    @abstractmethod
+    def write(self, content: Content, path: Path | str) -> None:
+        """Write an atlas, whole or not at all; what stands at `path` is replaced, as by `files.atomic_write`."""
+
+    @abstractmethod
+    def open_dataset(self, path: Path | str) -> xr.Dataset:
+        """Open an atlas with the variables, coordinates and attributes that were written; BadInput if it cannot be read.
+
+        Nothing in it may be executed, and no memory be taken that it claims and cannot hold.
+        """
+
+    @abstractmethod
+    def verify(self, path: Path | str) -> None:
+        """Read all of an atlas; BadInput if it is not as it was written, or has no hash."""
+
+    @abstractmethod
+    def has_hash(self, path: Path | str) -> bool:
+        """Whether an atlas has the hash that `verify` compares, unlike a copy by another program; no, if it cannot be read."""
+
+    def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path | str:
+        """Check the place of an atlas to write; BadInput as `files.writable`, and if it holds anything but an atlas."""
+        path = files.writable(path, suffixes(), force=force, inputs=inputs)
+        if path.exists() and not self.has_hash(path):
+            raise BadInput(files.foreign_message(path))
+        return path
+
+    def stamp(self, path: Path | str) -> object:
+        """A value that changes when an atlas is replaced; None without a whole atlas."""
+        return Folder(Path(path).parent).stamp(Path(path).name)
+
+
+def suffixes() -> dict[str, str]:
+    """The suffixes of all formats, and which atlases have them; BadInput if an extension has one that cannot be."""
+    all_suffixes = {suffix: atlases for suffix, (_, atlases) in FORMATS.items()}
+    for suffix, (extension, _) in parts("formats").items():
+        if suffix in all_suffixes or suffix != Path(f"a{suffix}").suffix.lower():
+            raise BadInput(f"the extension {extension.name}: {suffix} must be a new suffix in lower case")
+        all_suffixes[suffix] = f"of the extension {extension.name}"
+    return all_suffixes
 
 
 def is_store(path: Path | str) -> bool:
     """Whether a result of `located` has the name of a Zarr store."""
-    return str(path).lower().endswith(SUFFIX)
+    return str(path).lower().endswith(STORE)
 
 
 def is_finished(path: Path | str) -> bool:
@@ -32,61 +97,13 @@ def is_finished(path: Path | str) -> bool:
     return (isinstance(path, Path) and path.is_file()) or METADATA in place_at(path).names()
 
 
-def form(path: Path | str) -> Any:
-    """The module for an atlas in a NetCDF file or a Zarr store; BadInput if the package zarr is not installed."""
-    if isinstance(path, Path) and not is_store(path) and not path.is_dir():
-        return netcdf
-    try:
-        from . import zarr_store
-    except ImportError:
-        raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
-    return zarr_store
-
-
-def attributes_of(place: Place) -> dict[str, Any]:
-    """Attributes of a Zarr store, empty if there is none, or if they cannot be read."""
-    try:
-        return dict(json.loads(place.read(METADATA))["attributes"])
-    except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
-        return {}
-
-
-def has_hash(path: Path | str) -> bool:
-    """Whether an atlas has its hash, unlike a copy by xarray."""
-    if form(path) is not netcdf:
-        return HASH in attributes_of(place_at(path))
-    with netcdf.NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
-        return HASH in file.ncattrs()
-
-
-def stamp(path: Path | str) -> object:
-    """A value that changes when an atlas is replaced; None without a whole atlas."""
-    if is_store(path):
-        place, attributes = place_at(path), attributes_of(place_at(path))
-        is_whole = HASH in attributes or not EARLIER_HASHES.isdisjoint(attributes)
-        return place.stamp(METADATA) if is_whole else None
-    return Folder(Path(path).parent).stamp(Path(path).name)
-
-
-def writable(
-    path: Path | str, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
-) -> Path | str:
-    """Check the place of an atlas to write; BadInput as `files.writable`, and if the place holds anything but an atlas or part of one."""
-    form(path)  # BadInput if it is not installed
-    if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
-        return netcdf.writable(path, suffixes, force=force, inputs=inputs)
-    if not is_store(path):
-        raise BadInput(f"{path}: the name must end in {SUFFIX}")
-    check_not_input(Path(path), inputs)
-    place, contents = place_at(path), place_at(path).walk()
-    is_own = not contents or f"atlas/{METADATA}" in contents
-    with suppress(FileNotFoundError, ValueError):
-        # Damaged metadata contain the name of this attribute as well.
-        is_own = VERSION.encode() in place.read(METADATA)
-    if not is_own or not all(
-        OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents
-    ):
-        raise BadInput(foreign_message(path))
-    if stamp(path) is not None and not force:
-        raise BadInput(exists_message(path))
-    return path
+def format_of(path: Path | str) -> Format:
+    """The format of an atlas, by its name; of other names Zarr for folders and addresses, NetCDF for files."""
+    is_file = isinstance(path, Path) and not is_store(path) and not path.is_dir()
+    suffix = path.suffix.lower() if isinstance(path, Path) and is_file else STORE
+    given: Format | None = None if suffix in FORMATS else load("formats", suffix)
+    if given is not None:
+        return given
+    module, _ = FORMATS.get(suffix, FORMATS[FILE])
+    own: Format = import_module(f".{module}", __package__).FORMAT
+    return own

@@ -10,7 +10,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ from xarray.core import indexing
 from .. import files
 from ..errors import BadInput, one_line
 from ..files import atomic_write, check_claim, disk_error, foreign_message
-from .dataset import HASH, VERSION, Block
+from .dataset import HASH, VERSION
+from .finished import FILE, Content, Format, suffixes
 from .tiling import Tiling
 
 GROUP = "checksums"  # in files of version 0.1.0
@@ -58,48 +59,12 @@ def _file_with_hash(path: Path) -> Iterator[Path]:
             raise disk_error(error, path) from None
 
 
-def write_blocks(
-    ds: xr.Dataset,
-    chunk: Mapping[str, int],
-    names: Collection[str],
-    blocks: Iterator[Block],
-    attributes: Callable[[], Mapping[str, Any]],
-    path: Path,
-) -> None:
-    """Write an atlas larger than memory, whole or not at all: blocks of `names`, then the attributes."""
-    coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
-    with (
-        _file_with_hash(path) as temporary,
-        NETCDF_LOCK,
-        netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
-    ):
-        for dim, length in ds.sizes.items():
-            file.createDimension(str(dim), length)
-        for name, array in ds.variables.items():
-            is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
-            options: dict[str, Any] = {"fill_value": np.nan if is_data and array.dtype.kind == "f" else False}
-            if dimensions:
-                options |= COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
-            variable = file.createVariable(str(name), array.dtype, dimensions, **options)
-            variable.set_auto_maskandscale(False)
-            variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
-            _limit_cache(variable)
-            if name not in names and array.chunks is None:
-                variable[...] = array.values
-            elif name not in names:  # a parameter too large for memory
-                array.data.store(variable, lock=False, scheduler="synchronous")
-        for box, values in blocks:
-            for name, part in values.items():
-                file[name][box] = part
-        file.setncatts(attributes())
-
-
 def writable(
-    name: str | Path, suffixes: Sequence[str], *, force: bool, inputs: Iterable[str | Path] = ()
+    name: str | Path, suffixes: Collection[str], *, force: bool, inputs: Iterable[str | Path] = ()
 ) -> Path:
     """Check a path as `files.writable`; BadInput also for NetCDF data of another program."""
     path = files.writable(name, suffixes, force=force, inputs=inputs)
-    if path.suffix.lower() == ".nc":
+    if path.suffix.lower() == FILE:
         check_path(path)
         with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
             if GROUP not in file.groups and VERSION not in file.ncattrs():
@@ -107,21 +72,7 @@ def writable(
     return path
 
 
-def verify(path: Path) -> None:
-    """Read all of a file; BadInput if it is not as it was written, or has no hash."""
-    check_path(path)
-    try:
-        with NETCDF_LOCK, netCDF4.Dataset(path) as file:
-            expected, actual = file.__dict__.get(HASH), _hash(file)
-    except Exception as error:  # reading a damaged file may raise any error
-        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
-    if expected is None:
-        raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")
-    if expected != actual:
-        raise BadInput(f"{path}: damaged: its hash differs")
-
-
-def check_path(path: Path) -> None:
+def check_path(path: Path | str) -> None:
     """Raise BadInput for a path that the NetCDF library cannot open, or takes for another one."""
     whole = os.path.abspath(path)
     if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
@@ -190,24 +141,79 @@ class _Array(NetCDF4ArrayWrapper):
             ) from None
 
 
-def open_dataset(path: Path) -> xr.Dataset:
-    """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
-    check_path(path)
-    try:
-        with ExitStack() as stack:
-            store = _Store.open(str(path))
-            stack.callback(store.close)
-            file = store.ds  # this takes the lock as well
-            with NETCDF_LOCK:
-                variables = [v for group in (file, *file.groups.values()) for v in group.variables.values()]
-                claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)
-                check_claim(sum(claimed), path.stat().st_size)
-            ds = xr.open_dataset(store, chunks=None)
-            stack.pop_all()
-    except BadInput:
-        raise
-    except Exception as error:  # reading a damaged file may raise any error
-        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
-    ds.encoding["source"] = str(path)
-    ds.attrs.pop(HASH, None)
-    return ds
+class NetCDF(Format):
+    """Atlases as NetCDF files."""
+
+    def write(self, content: Content, path: Path | str) -> None:
+        ds, names, chunk = content.ds, content.names, content.chunk
+        coordinates = " ".join(str(name) for name in ds.coords if name not in ds.dims)
+        with (
+            _file_with_hash(Path(path)) as temporary,
+            NETCDF_LOCK,
+            netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
+        ):
+            for dim, length in ds.sizes.items():
+                file.createDimension(str(dim), length)
+            for name, array in ds.variables.items():
+                is_data, dimensions = name in ds.data_vars, [str(dim) for dim in array.dims]
+                fill = np.nan if is_data and array.dtype.kind == "f" else False
+                options: dict[str, Any] = {"fill_value": fill}
+                if dimensions:
+                    options |= COMPRESSION | {"chunksizes": [chunk[d] for d in dimensions]}
+                variable = file.createVariable(str(name), array.dtype, dimensions, **options)
+                variable.set_auto_maskandscale(False)
+                variable.setncatts(array.attrs | ({"coordinates": coordinates} if is_data else {}))
+                _limit_cache(variable)
+                if name not in names and array.chunks is None:
+                    variable[...] = array.values
+                elif name not in names:  # a parameter too large for memory
+                    array.data.store(variable, lock=False, scheduler="synchronous")
+            for box, values in content.blocks:
+                for name, part in values.items():
+                    file[name][box] = part
+            file.setncatts(content.attributes())
+
+    def open_dataset(self, path: Path | str) -> xr.Dataset:
+        """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
+        check_path(path)
+        try:
+            with ExitStack() as stack:
+                store = _Store.open(str(path))
+                stack.callback(store.close)
+                file = store.ds  # this takes the lock as well
+                with NETCDF_LOCK:
+                    variables = [v for g in (file, *file.groups.values()) for v in g.variables.values()]
+                    claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)
+                    check_claim(sum(claimed), Path(path).stat().st_size)
+                ds = xr.open_dataset(store, chunks=None)
+                stack.pop_all()
+        except BadInput:
+            raise
+        except Exception as error:  # reading a damaged file may raise any error
+            raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+        ds.encoding["source"] = str(path)
+        ds.attrs.pop(HASH, None)
+        return ds
+
+    def verify(self, path: Path | str) -> None:
+        check_path(path)
+        try:
+            with NETCDF_LOCK, netCDF4.Dataset(path) as file:
+                expected, actual = file.__dict__.get(HASH), _hash(file)
+        except Exception as error:  # reading a damaged file may raise any error
+            raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+        if expected is None:
+            raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")
+        if expected != actual:
+            raise BadInput(f"{path}: damaged: its hash differs")
+
+    def has_hash(self, path: Path | str) -> bool:
+        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
+            return HASH in file.ncattrs()
+        return False
+
+    def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
+        return writable(path, suffixes(), force=force, inputs=inputs)
+
+
+FORMAT = NetCDF()

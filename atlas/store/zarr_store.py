@@ -11,30 +11,39 @@ import asyncio
 import hashlib
 import json
 import math
+import re
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-import zarr
-from google_crc32c import value as crc32c
-from zarr.abc.store import OffsetByteRequest, RangeByteRequest, SuffixByteRequest
-from zarr.codecs import BloscCodec, Crc32cCodec
-from zarr.core.buffer import Buffer
-from zarr.errors import ZarrUserWarning
-from zarr.storage import LocalStore, ObjectStore, WrapperStore
 
+from .. import files
 from .._version import __version__
 from ..errors import BadInput, one_line
 from ..files import MAX_RATIO, MIN_CLAIM, TEMPORARY, atomic_folder, check_claim, hash_of
-from .dataset import EARLIER_HASHES, HASH, METADATA, VERSION, Block
+from .dataset import EARLIER_HASHES, HASH, VERSION
+from .finished import METADATA, STORE, Content, Format, is_store, suffixes
 from .place import Folder, Place, place_at
 
+try:
+    import zarr
+    from google_crc32c import value as crc32c
+    from zarr.abc.store import OffsetByteRequest, RangeByteRequest, SuffixByteRequest
+    from zarr.codecs import BloscCodec, Crc32cCodec
+    from zarr.core.buffer import Buffer
+    from zarr.errors import ZarrUserWarning
+    from zarr.storage import LocalStore, ObjectStore, WrapperStore
+except ImportError:
+    raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
+
+# Names in a store; the group `atlas` is of version 0.1.0.
+OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # values of a coordinate in one object: a store with a long axis opens at once
@@ -88,57 +97,6 @@ class PlaceStore(WrapperStore[Any]):
         await asyncio.to_thread(self.place.write, key, content, durable=False)
 
 
-def write_blocks(
-    ds: xr.Dataset,
-    chunk: Mapping[str, int],
-    names: Collection[str],
-    blocks: Iterator[Block],
-    attributes: Callable[[], Mapping[str, Any]],
-    path: Path | str,
-) -> None:
-    """Write an atlas as `netcdf.write_blocks`; on an object store a part of it is recognised as unfinished."""
-    with (
-        atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
-        warnings.catch_warnings(),
-        zarr.config.set({"array.write_empty_chunks": True}),
-    ):
-        warnings.simplefilter("ignore", ZarrUserWarning)  # consolidated metadata are no part of version 3 yet
-        place = place_at(where)
-        # The mark of an unfinished atlas comes first, before earlier objects are removed: this process may end at any time.
-        unfinished: dict[str, Any] = {VERSION: __version__}
-        metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": unfinished}
-        place.write(METADATA, json.dumps(metadata).encode())
-        if not isinstance(place, Folder):
-            place.clear(but=METADATA)
-        store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
-        for name, variable in ds.variables.items():
-            lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
-            if name not in names and variable.size <= MAX_WHOLE:
-                lengths = list(variable.shape)
-            encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
-            if name in names or variable.chunks is not None:
-                lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
-        template = ds.drop_attrs(deep=False).assign_attrs(unfinished).assign(lazy)
-        template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
-        group = zarr.open_group(store, mode="r+", use_consolidated=False)
-        for name, variable in ds.variables.items():  # parameters too large for memory
-            if variable.chunks is not None and name not in names:
-                lazy[name].data.store(group[str(name)], lock=False, scheduler="synchronous")
-        arrays: dict[str, Any] = {name: group[name] for name in names}
-        with ThreadPoolExecutor(8) as pool:
-            for box, values in blocks:
-                writes = [pool.submit(arrays[name].__setitem__, box, part) for name, part in values.items()]
-                for write in writes:
-                    write.result()
-        zarr.consolidate_metadata(store)
-        metadata = json.loads(place.read(METADATA))
-        for name, value in attributes().items():
-            plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-            metadata["attributes"][str(name)] = plain
-        metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
-        place.write(METADATA, json.dumps(metadata).encode())
-
-
 def _root_hash(metadata: dict[str, Any]) -> str:
     """Hash of the root metadata without HASH."""
     attributes = {name: value for name, value in metadata["attributes"].items() if name != HASH}
@@ -150,70 +108,154 @@ def _objects_hash(hashes: Mapping[str, str]) -> str:
     return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
-def open_dataset(path: Path | str) -> xr.Dataset:
-    """Open a store of any program lazily; BadInput if it is none, unfinished, damaged, or claims more than its objects can hold."""
-    place = place_at(path)
+def _attributes_of(place: Place) -> dict[str, Any]:
+    """Attributes of a Zarr store, empty if there is none, or if they cannot be read."""
     try:
-        metadata = json.loads(place.read(METADATA))
-        attributes = metadata["attributes"]
-        is_own = HASH in attributes
-        if is_own and attributes[HASH].partition("-")[0] != _root_hash(metadata):
-            raise ValueError("its metadata were changed since it was written")
-        if attributes.keys() == {VERSION}:
+        return dict(json.loads(place.read(METADATA))["attributes"])
+    except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
+        return {}
+
+
+class Zarr(Format):
+    """Atlases as Zarr stores, in folders and on object stores."""
+
+    def write(self, content: Content, path: Path | str) -> None:
+        """As `Format.write`; on an object store a part of an atlas is recognised as unfinished."""
+        ds, names, chunk = content.ds, content.names, content.chunk
+        with (
+            atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
+            warnings.catch_warnings(),
+            zarr.config.set({"array.write_empty_chunks": True}),
+        ):
+            # Consolidated metadata are no part of version 3 yet.
+            warnings.simplefilter("ignore", ZarrUserWarning)
+            place = place_at(where)
+            # The mark of an unfinished atlas comes first, before earlier objects are removed: this process may end at any time.
+            unfinished: dict[str, Any] = {VERSION: __version__}
+            metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": unfinished}
+            place.write(METADATA, json.dumps(metadata).encode())
+            if not isinstance(place, Folder):
+                place.clear(but=METADATA)
+            store, encoding, lazy = PlaceStore(place, read_only=False), dict[Any, Any](), dict[Any, Any]()
+            for name, variable in ds.variables.items():
+                lengths = [min(chunk[str(dim)], ds.sizes[dim]) for dim in variable.dims]
+                if name not in names and variable.size <= MAX_WHOLE:
+                    lengths = list(variable.shape)
+                encoding[name] = CODECS | ({"chunks": lengths} if lengths else {})
+                if name in names or variable.chunks is not None:
+                    lazy[name] = variable.chunk(dict(zip(variable.dims, lengths, strict=True)))
+            template = ds.drop_attrs(deep=False).assign_attrs(unfinished).assign(lazy)
+            template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
+            group = zarr.open_group(store, mode="r+", use_consolidated=False)
+            for name, variable in ds.variables.items():  # parameters too large for memory
+                if variable.chunks is not None and name not in names:
+                    lazy[name].data.store(group[str(name)], lock=False, scheduler="synchronous")
+            arrays: dict[str, Any] = {name: group[name] for name in names}
+            with ThreadPoolExecutor(8) as pool:
+                for box, values in content.blocks:
+                    writes = [pool.submit(arrays[name].__setitem__, box, v) for name, v in values.items()]
+                    for write in writes:
+                        write.result()
+            zarr.consolidate_metadata(store)
+            metadata = json.loads(place.read(METADATA))
+            for name, value in content.attributes().items():
+                plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+                metadata["attributes"][str(name)] = plain
+            metadata["attributes"][HASH] = f"{_root_hash(metadata)}-{_objects_hash(store.hashes)}"
+            place.write(METADATA, json.dumps(metadata).encode())
+
+    def open_dataset(self, path: Path | str) -> xr.Dataset:
+        """Open a store of any program lazily; BadInput if it is none, unfinished, damaged, or claims more than its objects can hold."""
+        place = place_at(path)
+        try:
+            metadata = json.loads(place.read(METADATA))
+            attributes = metadata["attributes"]
+            is_own = HASH in attributes
+            if is_own and attributes[HASH].partition("-")[0] != _root_hash(metadata):
+                raise ValueError("its metadata were changed since it was written")
+            if attributes.keys() == {VERSION}:
+                raise BadInput(
+                    f"{path}: unfinished: the command that wrote it was ended; the same command finishes it"
+                )
+            is_whole = is_own or "atlas_seal" in attributes
+            is_consolidated = "consolidated_metadata" in metadata
+            sizes = dict[str, int]()
+            store = PlaceStore(place, is_whole=is_whole, sizes=sizes if is_own else None)
+            group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
+            claimed = 0
+            for name, array in group.arrays():
+                size = math.prod(array.shape) * array.dtype.itemsize
+                claimed += size
+                if array.dtype.kind in "biuf":
+                    sizes[name] = math.prod(array.chunks) * array.dtype.itemsize
+                for chunk in (array.chunks, array.shards or ()):
+                    if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):
+                        raise ValueError(f"the chunks of {name} are larger than the array")
+            if claimed > MIN_CLAIM and isinstance(place, Folder):
+                stored = 0
+                for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
+                    if stored * MAX_RATIO >= claimed:  # a large store has many files
+                        break
+                check_claim(claimed, stored)
+            ds = xr.open_zarr(store, consolidated=is_consolidated, chunks=None)
+        except BadInput:
+            raise
+        except FileNotFoundError:
+            raise BadInput(f"{path}: not a Zarr store: there is no {METADATA} in it") from None
+        except Exception as error:  # damaged metadata may raise any error
+            raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
+        for variable in ds.variables.values():
+            if "flag_values" in variable.attrs:
+                variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
+        ds.encoding[HASH] = ds.attrs.pop(HASH, None)
+        ds.attrs = {name: value for name, value in ds.attrs.items() if name not in EARLIER_HASHES}
+        return ds
+
+    def verify(self, path: Path | str) -> None:
+        with self.open_dataset(path) as ds:  # compares its metadata
+            expected, place = ds.encoding[HASH], place_at(path)
+        if expected is None:
             raise BadInput(
-                f"{path}: unfinished: the command that wrote it was ended; the same command finishes it"
+                f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
             )
-        is_whole = is_own or "atlas_seal" in attributes
-        is_consolidated = "consolidated_metadata" in metadata
-        sizes = dict[str, int]()
-        store = PlaceStore(place, is_whole=is_whole, sizes=sizes if is_own else None)
-        group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
-        claimed = 0
-        for name, array in group.arrays():
-            size = math.prod(array.shape) * array.dtype.itemsize
-            claimed += size
-            if array.dtype.kind in "biuf":
-                sizes[name] = math.prod(array.chunks) * array.dtype.itemsize
-            for chunk in (array.chunks, array.shards or ()):
-                if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):
-                    raise ValueError(f"the chunks of {name} are larger than the array")
-        if claimed > MIN_CLAIM and isinstance(place, Folder):
-            stored = 0
-            for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                if stored * MAX_RATIO >= claimed:  # a large store has many files
-                    break
-            check_claim(claimed, stored)
-        ds = xr.open_zarr(store, consolidated=is_consolidated, chunks=None)
-    except BadInput:
-        raise
-    except FileNotFoundError:
-        raise BadInput(f"{path}: not a Zarr store: there is no {METADATA} in it") from None
-    except Exception as error:  # damaged metadata may raise any error
-        raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
-    for variable in ds.variables.values():
-        if "flag_values" in variable.attrs:
-            variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
-    ds.encoding[HASH] = ds.attrs.pop(HASH, None)
-    ds.attrs = {name: value for name, value in ds.attrs.items() if name not in EARLIER_HASHES}
-    return ds
+        names = [name for name in place.walk() if not TEMPORARY.fullmatch(name.rpartition("/")[2])]
+        try:
+            with ThreadPoolExecutor(8) as pool:
+                contents = pool.map(
+                    lambda name: hashlib.sha256(place.read(name, MAX_OBJECT_BYTES)).hexdigest(), names
+                )
+                actual = _objects_hash(dict(zip(names, contents, strict=True)))
+        except (FileNotFoundError, ValueError) as error:
+            raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+        if expected.partition("-")[2] != actual:
+            raise BadInput(f"{path}: damaged: its objects are not those that were written")
+
+    def has_hash(self, path: Path | str) -> bool:
+        return HASH in _attributes_of(place_at(path))
+
+    def stamp(self, path: Path | str) -> object:
+        place, attributes = place_at(path), _attributes_of(place_at(path))
+        is_whole = HASH in attributes or not EARLIER_HASHES.isdisjoint(attributes)
+        return place.stamp(METADATA) if is_whole else None
+
+    def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path | str:
+        if isinstance(path, Path) and not (is_store(path) and path.is_dir()):
+            return files.writable(path, suffixes(), force=force, inputs=inputs)
+        if not is_store(path):
+            raise BadInput(f"{path}: the name must end in {STORE}")
+        files.check_not_input(Path(path), inputs)
+        place, contents = place_at(path), place_at(path).walk()
+        is_own = not contents or f"atlas/{METADATA}" in contents
+        with suppress(FileNotFoundError, ValueError):
+            # Damaged metadata contain the name of this attribute as well.
+            is_own = VERSION.encode() in place.read(METADATA)
+        if not is_own or not all(
+            OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents
+        ):
+            raise BadInput(files.foreign_message(path))
+        if self.stamp(path) is not None and not force:
+            raise BadInput(files.exists_message(path))
+        return path
 
 
-def verify(path: Path | str) -> None:
-    """Read all objects of a store; BadInput if one was changed, or if the store has no hash."""
-    with open_dataset(path) as ds:  # compares its metadata
-        expected, place = ds.encoding[HASH], place_at(path)
-    if expected is None:
-        raise BadInput(
-            f"{path}: has no hash: another program or an earlier version wrote it, or it is unfinished"
-        )
-    names = [name for name in place.walk() if not TEMPORARY.fullmatch(name.rpartition("/")[2])]
-    try:
-        with ThreadPoolExecutor(8) as pool:
-            contents = pool.map(
-                lambda name: hashlib.sha256(place.read(name, MAX_OBJECT_BYTES)).hexdigest(), names
-            )
-            actual = _objects_hash(dict(zip(names, contents, strict=True)))
-    except (FileNotFoundError, ValueError) as error:
-        raise BadInput(f"{path}: damaged: {one_line(error)}") from None
-    if expected.partition("-")[2] != actual:
-        raise BadInput(f"{path}: damaged: its objects are not those that were written")
+FORMAT = Zarr()

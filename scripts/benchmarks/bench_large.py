@@ -84,9 +84,8 @@ def large_store(path: Path, gigabytes: float) -> None:
     chunk = dict(zip(dims(run.scene), lengths.tile, strict=True))
     first = {name: value.reshape(lengths.shape_of(0)) for name, value in values.items()}
     blocks = iter([(lengths.slices(0), first)])
-    finished.form(path).write_blocks(
-        run.template(), chunk, names, blocks, lambda: run.attributes(Totals()), path
-    )
+    content = finished.Content(run.template(), names, chunk, blocks, lambda: run.attributes(Totals()))
+    finished.format_of(path).write(content, path)
     objects = [
         "/".join(str(part.start // size) for part, size in zip(box, lengths.tile, strict=True))
         for box in lengths

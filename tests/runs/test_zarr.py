@@ -164,7 +164,7 @@ def test_a_copy_by_another_program_is_read_as_it_is(store, tmp_path, capsys):
         ds.to_zarr(tmp_path / "copy.zarr")
     with atlas.open_atlas(tmp_path / "copy.zarr") as copy, atlas.open_atlas(store) as ds:
         np.testing.assert_array_equal(copy.label, ds.label)
-    assert not finished.has_hash(tmp_path / "copy.zarr")
+    assert not finished.format_of(tmp_path / "copy.zarr").has_hash(tmp_path / "copy.zarr")
     assert main(["status", f"{tmp_path}/copy.zarr", "--verify"]) == 2
     assert "has no hash" in capsys.readouterr().err
 
@@ -219,7 +219,7 @@ def test_an_export_to_an_object_store_that_is_killed_is_refused_and_finished(sce
     whole, write, clear = atlas.run(scene, progress=False), Objects.write, Objects.clear
     root = Objects(out)
     left = 0
-    while not finished.has_hash(out):
+    while not finished.format_of(out).has_hash(out):
         left += 17
         count = left
 

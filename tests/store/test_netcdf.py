@@ -81,7 +81,7 @@ def test_texts_scalars_and_flags_are_read_as_written(tmp_path):
     )
     with atlas.open_atlas(tmp_path / "a.nc") as read:
         xr.testing.assert_identical(read.load(), ds)
-    netcdf.verify(tmp_path / "a.nc")
+    netcdf.FORMAT.verify(tmp_path / "a.nc")
 
 
 def test_all_variables_have_checksums_for_other_programs_as_well(small_file):
@@ -160,7 +160,7 @@ def test_a_flipped_bit_is_found_when_the_file_is_verified(small_scene, tmp_path)
         content[place] ^= 1 << int(rng.integers(8))
         path.write_bytes(content)
         try:
-            netcdf.verify(path)
+            netcdf.FORMAT.verify(path)
             with atlas.open_atlas(path) as ds:
                 assert_same_bytes(truth, ds)
                 assert repr(ds.attrs) == repr(truth.attrs)

@@ -10,6 +10,7 @@ import atlas
 from ...cli.options import ATLAS, DEGREES, command, out_options
 from ...errors import say
 from ...files import without_suffix, writable
+from ...store.finished import suffixes
 
 
 @command("page", ATLAS, *out_options("FILE", ".html (default: ATLAS.html)"), DEGREES)
@@ -17,7 +18,7 @@ def make_page(options: argparse.Namespace) -> None:
     """Make one HTML file of an atlas, in which points can be integrated."""
     from .page import FORMATS, atlas_page
 
-    name = options.out or f"{without_suffix(options.atlas, '.nc', '.zarr')}.html"
+    name = options.out or f"{without_suffix(options.atlas, *suffixes())}.html"
     out = writable(name, FORMATS, force=options.force, inputs=[options.atlas])
     with atlas.open_atlas(options.atlas) as ds:
         page = atlas_page(ds, file=Path(options.atlas).name, degrees=options.degrees)

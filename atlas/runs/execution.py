@@ -15,7 +15,6 @@ from ..files import either
 from ..scene.checks import MAX_THREADS, typed, whole_number
 from ..scene.model import Scene
 from ..scene.read import load_scene
-from ..store.finished import suffixes
 from .memory import MANY_POINTS, Execution, run_in_memory
 
 
@@ -84,6 +83,8 @@ def run(
     scene = load_scene(scene)
     began, on_cluster = time.monotonic(), bool(scheduler or workers)
     if out is None and (shard or on_cluster or stop_after is not None):
+        from ..store.finished import suffixes
+
         ends = either(["/", *reversed(suffixes())])
         raise BadInput(f"shard, scheduler, workers and stop_after need an out that ends in {ends}")
     if on_cluster and threads:

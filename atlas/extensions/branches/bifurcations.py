@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ...flags import BifurcationKind, Completeness
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat.body import across, length
-from ..equilibria.algebra import frames_of, rotated
+from ..equilibria.algebra import body_at_rest, frames_of, rotated
 
 if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
@@ -80,7 +80,7 @@ class BodyFamily(NamedTuple):
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
         """The family on the range of some values, (bodies, parameters), with the symmetries that most of them have."""
-        body = system.body_at_rest(points(values))
+        body = body_at_rest(system, points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
         upright = 2 * body.acts_along(body.alpha).sum() < len(values)
         limits, axis = np.array([values.min(0), values.max(0)]), symmetric[0] if len(symmetric) == 1 else -1
@@ -100,7 +100,7 @@ class BodyFamily(NamedTuple):
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
         """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions, and that."""
-        body = self.system.body_at_rest(self.points(values))
+        body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
         gradient, _ = body.gradient(frames[:, 0], frames[:, 2])
@@ -196,7 +196,7 @@ def solutions_at(
     distance[known] = -np.take_along_axis(roots, nearest, 1)[:, 0]
     index[used] = (eigenvalues[is_used] < 0).sum(1)
     potential = np.full(used.shape, np.nan)
-    body = family.system.body_at_rest(family.points(values[node, None]))
+    body = body_at_rest(family.system, family.points(values[node, None]))
     potential[known] = body.potential(some[:, 0], some[:, 2])
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)

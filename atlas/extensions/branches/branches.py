@@ -18,7 +18,7 @@ from ...scene.read import scene_from
 from ...store import dataset
 from ...systems.base import Array, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
-from ..equilibria.algebra import attitudes
+from ..equilibria.algebra import attitudes, body_at_rest
 from ..equilibria.dataset import UNUSED, attributes
 from .bifurcations import BodyFamily, Branches, follow
 
@@ -130,7 +130,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
         return grid.points_at(scene, {name: values[:, 0]}).base
 
     some = values[possible]
-    body = system.body_at_rest(points(some[:, None]))
+    body = body_at_rest(system, points(some[:, None]))
     if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
         raise BadInput(f"branches: {name} changes no equilibria; take a parameter of body or field")
     family = BodyFamily.of(system, points, some[:, None])
@@ -167,7 +167,7 @@ def _variables(
         variables[count] = (along,), np.where(unknown, np.nan, values.sum(0))
     frames = np.array([point.frame for point in points]).reshape(-1, 3, 3)
     where = np.array([point.value for point in points])
-    potential = family.system.body_at_rest(family.points(where[:, None])).potential(
+    potential = body_at_rest(family.system, family.points(where[:, None])).potential(
         frames[:, 0], frames[:, 2]
     )
     attitude = attitudes(frames) | {"potential": potential}

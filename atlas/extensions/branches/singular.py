@@ -30,6 +30,7 @@ from ...flags import Flag
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, across, length
+from ..equilibria.algebra import body_at_rest
 
 # Nodes along each axis of the interpolation by polynomials, and relative sizes of terms that are left out of them.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
@@ -90,7 +91,7 @@ class Potential(NamedTuple):
         for count in _NODES:
             nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
-            body = system.body_at_rest(points(0.5 + 0.5 * grid))
+            body = body_at_rest(system, points(0.5 + 0.5 * grid))
             axes = [i for i in range(3) if body.symmetric_about(i).all()]
             upright, axis = not body.acts_along(body.alpha).any(), axes[0] if len(axes) == 1 else -1
             inverse = np.linalg.inv(chebvander(nodes, count - 1))

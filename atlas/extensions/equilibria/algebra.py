@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ...errors import BadInput
 from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ...systems.base import Array, Mask, Points, subset
+from ...systems.fixed_point.system import FixedPoint
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, across, cross_matrix
 from ...systems.gyrostat.secular import NEARLY, critical_directions
@@ -108,6 +109,12 @@ def _scale(body: Body) -> Array:
     """Size of the gradient of the potential, (bodies,)."""
     vectors = np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field)
     return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
+
+
+def body_at_rest(system: Gyrostat, points: Points) -> Body:
+    """The body in the frame in which its relative equilibria rest; about a fixed point it turns at the rate n."""
+    body = system.body(points)
+    return body._replace(turn=points["n"]) if isinstance(system, FixedPoint) else body
 
 
 def frames_of(alpha: Array, gamma: Array) -> Array:

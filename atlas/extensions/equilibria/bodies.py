@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import BadInput
-from ...systems.base import Points, System
-from ...systems.fixed_point.initial import without_vectors
+from ...systems.base import Array, Points, System
+from ...systems.fixed_point.initial import VECTORS
 from ...systems.fixed_point.system import FixedPoint
 from ...systems.gyrostat import Gyrostat
 from . import algebra, rotations
@@ -23,7 +23,7 @@ def equilibria(system: System, body: Mapping[str, float]) -> dict[str, NDArray[A
     points = system.with_defaults(body)
     if not isinstance(system, FixedPoint):
         return algebra.equilibria(system, points)
-    solutions = rotations.rotations(system, without_vectors(points))
+    solutions = rotations.rotations(system, _without_vectors(points))
     if solutions.pop("flat").any():
         raise BadInput(algebra.NOT_CERTAIN)
     return {name: values for name, values in solutions.items() if name != "row"}
@@ -38,7 +38,7 @@ def equilibria_of_bodies(
 ) -> dict[str, NDArray[Any]] | None:
     """The same of many bodies, see `algebra.equilibria_of_bodies`; permanent rotations always have their stability."""
     if isinstance(system, FixedPoint):
-        return rotations.rotations_of_bodies(system, without_vectors(points), ordered)
+        return rotations.rotations_of_bodies(system, _without_vectors(points), ordered)
     if isinstance(system, Gyrostat):
         return algebra.equilibria_of_bodies(system, points, pause, stability, ordered)
     return None
@@ -53,3 +53,8 @@ def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]
     _, first, row = np.unique(key[:, varying], axis=0, return_index=True, return_inverse=True)
     bodies = {name: np.full(first.size, p.default) for name, p in system.parameters.items()}
     return bodies | dict(zip(names, columns[first].T, strict=True)), row.ravel()
+
+
+def _without_vectors(points: Points) -> dict[str, Array]:
+    """The points without starts by p0 .. gamma30."""
+    return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}

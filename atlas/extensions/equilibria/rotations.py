@@ -12,7 +12,7 @@ from ...systems.base import FAMILY_TOLERANCE, Points, subset
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.secular import NEARLY, PLACES, directions
-from .algebra import padded, stability_at_rest
+from .algebra import body_at_rest, padded, stability_at_rest
 
 _UNCERTAIN = 1e-13  # eigenvalue of the amended potential's Hessian, relative to its size, of which rounding decides the sign
 
@@ -25,7 +25,7 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
     directions in which the amended potential decreases (0: stable); flat: whether the index is uncertain; theta0, phi0 (rad),
     gamma and equilibria.STABILITY. nearly: also attitudes near complex solutions, index -1.
     """
-    turning = system.body_at_rest(points)
+    turning = body_at_rest(system, points)
     vectors, dimensions = directions(turning, nearly=nearly)
     column, body = np.nonzero(dimensions != -1)
     g = vectors[:, column, body]

@@ -146,11 +146,6 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     return {**points, **euler, **{name: np.where(given, np.nan, points[name]) for name in VECTORS}}
 
 
-def without_vectors(points: Points) -> dict[str, Array]:
-    """The points without starts by p0 .. gamma30."""
-    return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}
-
-
 def check(points: Points) -> None:
     """Raise BadInput on starts or fields given incompletely or twice."""
     for names, what, alternatives in (

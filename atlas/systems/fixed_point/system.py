@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..base import Array, Flags, Geometry, Points, identify, other_families, shared
-from ..gyrostat import Body, Gyrostat
+from ..gyrostat import Gyrostat
 from . import any_axis, equations, families, initial
 
 
@@ -75,10 +75,6 @@ class FixedPoint(Gyrostat):
     def oscillation_families(self, points: Points) -> Flags:
         """Families about the third axis or the vertical."""
         return families.identify_family(points)[0]
-
-    def body_at_rest(self, points: Points) -> Body:
-        """In a frame that turns at the rate n."""
-        return self.body(points)._replace(turn=points["n"])
 
 
 FIXED_POINT = FixedPoint()

@@ -41,10 +41,6 @@ class Gyrostat(System):
     def body(self, points: Points) -> Body:
         """The body, the frame and what acts, with vectors of shape (points, 3)."""
 
-    def body_at_rest(self, points: Points) -> Body:
-        """The body in the frame in which its relative equilibria rest."""
-        return self.body(points)
-
     def frequency_bound(self, points: Points) -> Array:
         """From the energy, see Body.frequency_bound."""
         w, alpha, gamma = self.start(points)

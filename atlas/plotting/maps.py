@@ -310,7 +310,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
             scale = cells.color_scale(by_variable[view.name], list(view.flags.values()), options.cmap)
             image = view.draw(ax, scale, exponents, levels[view.name], inner=columns > 1)
             if len(view.texts) == 1 or (view.texts and i < columns):
-                ax.set_title(wrapped(view.texts[-1], 0.75 * width, 8))
+                ax.set_title(wrapped(view.texts[-1], 0.75 * width, 8, fig.dpi))
             if len(view.texts) == 2 and (i + 1) % columns == 0:
                 ax.annotate(view.texts[0], (1.03, 0.5), xycoords="axes fraction", rotation=270, va="center")
             of_bar = scale if not view.flags else exponents if view.exponents is not None else None
@@ -379,7 +379,7 @@ class Sheet:
         figure = PrintFigure(
             figsize=(width / 25.4, (height or width) / 25.4), layout="constrained", dpi=float(options.dpi)
         )
-        text = wrapped(drawable(" ".join(notes)), width - 3.0, 6.5)
+        text = wrapped(drawable(" ".join(notes)), width - 3.0, 6.5, figure.dpi)
         foot = TEXT_ROW * (text.count("\n") + 1) + 2.0 if text else 0.0
         head = self._draw_legend(figure, legend)
         rows = -(-self.panels // self.columns)
@@ -403,8 +403,8 @@ class Sheet:
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
         """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
         width = self.options.size_mm[0]
-        texts = [wrapped(text, width - 9.0, 7) for text in legend]
-        title = wrapped(self.options.title, width, 9) if self.options.title else None
+        texts = [wrapped(text, width - 9.0, 7, figure.dpi) for text in legend]
+        title = wrapped(self.options.title, width, 9, figure.dpi) if self.options.title else None
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
                 list(legend.values()), texts, loc="outside upper center",
@@ -430,10 +430,10 @@ class Sheet:
         width = self.options.size_mm[0]
         for which, share, own in zip("xy", (0.7, 0.6), zip(*labels, strict=True), strict=True):
             if len(axes) > 1 and len(set(own)) == 1:
-                getattr(figure, f"sup{which}label")(wrapped(own[0], share * width, 8))
+                getattr(figure, f"sup{which}label")(wrapped(own[0], share * width, 8, figure.dpi))
             else:
                 for ax, text in zip(axes, own, strict=True):
-                    ax.set(**{f"{which}label": wrapped(text, share * width / self.columns, 8)})
+                    ax.set(**{f"{which}label": wrapped(text, share * width / self.columns, 8, figure.dpi)})
         for ax in axes[-self.columns :]:  # nothing is below them
             ax.tick_params(labelbottom=True)
 

@@ -8,12 +8,14 @@ import re
 import warnings
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib import colormaps, rc_context
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.cbook import is_math_text
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -28,6 +30,7 @@ from ..files import FIGURES, atomic_write, writable
 from ..systems.base import families_of
 from .options import Width, width_mm
 
+PRINT_DPI = 600
 FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
     "font.family": [FONT],
@@ -42,7 +45,7 @@ STYLE: dict[Any, Any] = {
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.0,
     "pdf.fonttype": 42,
-    "savefig.dpi": 600,
+    "savefig.dpi": PRINT_DPI,
     "svg.hashsalt": "atlas",
     "hatch.linewidth": 0.4,
 }
@@ -191,20 +194,42 @@ def drawable(text: str) -> str:
     return "\n".join(lines)
 
 
-def wrapped(text: str, width: float, size: float) -> str:
-    """A drawable text in lines of at most some mm in letters of this size in pt, without breaks in formulas."""
+def wrapped(text: str, width: float, size: float, dpi: float) -> str:
+    """A drawable text in lines of at most some mm in letters of this size in pt, without breaks in formulas.
+
+    Hinting changes the widths of letters with the resolution: lines fit at `dpi`, in print, and without hinting.
+    """
     font, lines = FontProperties(family=FONT, size=size), list[str]()
+    measures: list[tuple[Any, float]] = [(text_to_path, 72.0)]
+    measures += [(RendererAgg(1, 1, each), each) for each in {dpi, PRINT_DPI}]
+
+    @cache
+    def widths(part: str) -> np.ndarray:
+        """Widths of a part of a line in inches, one for each measure."""
+        is_math = is_math_text(part)
+        return np.array(
+            [m.get_text_width_height_descent(part, font, is_math)[0] / each for m, each in measures]
+        )
+
+    def fits(line: str) -> bool:
+        """Whether no measure finds a line too long; a word outside of formulas is as wide alone as in its line."""
+        is_math = is_math_text(line)
+        if is_math and 25.4 * len(line) * size / 72 <= width:
+            return True  # a formula is slow to measure, and has more letters than are drawn, each narrower than its size
+        parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
+        return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
+
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         for line in text.split("\n"):
-            lines.append("")
-            for word in re.findall(r"(?:\\\$|\$[^$]*\$|[^\s$])+", line):
-                longer = f"{lines[-1]} {word}".strip()
-                extent = text_to_path.get_text_width_height_descent(longer, font, is_math_text(longer))[0]
-                if lines[-1] and extent * 25.4 / 72 > width:
-                    lines.append(word)
-                else:
+            words = re.findall(r"(?:\\\$|\$[^$]*\$|[^\s$])+", line)
+            lines.append(words.pop(0) if words else "")
+            for word in words:
+                longer = f"{lines[-1]} {word}"
+                if fits(longer):
                     lines[-1] = longer
+                else:
+                    lines.append(word)
     return "\n".join(lines)
 
 

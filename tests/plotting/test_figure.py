@@ -6,9 +6,12 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.collections import QuadMesh
+from matplotlib.font_manager import FontProperties
 
 import atlas
+from atlas.plotting import style
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -70,6 +73,29 @@ def test_texts_of_panels_are_inside_and_apart(small, radius, points, mm, columns
     ]
     for figure in figures:
         assert_legible(figure, mm)
+
+
+def test_lines_of_captions_fit_whatever_the_hash(points):
+    """The hash differs between processors, and letters are wider or narrower on a screen than in print."""
+    renderers = {dpi: RendererAgg(1, 1, dpi) for dpi in (100, 300, style.PRINT_DPI)}
+    generator, font = np.random.default_rng(7), FontProperties(family=style.FONT, size=6.5)
+    for mm in generator.uniform(80, 180, 200):
+        ds = points.assign_attrs(atlas_kernel_hash=generator.bytes(8).hex())
+        words, screen = style.caption(ds).split(), int(generator.choice([100, 300]))
+        before = words.index("(kernel") - generator.integers(5, 20)
+        for line in style.wrapped(" ".join(words[before:]), mm, 6.5, screen).split("\n")[:3]:
+            for dpi in (screen, style.PRINT_DPI):
+                drawn = renderers[dpi].get_text_width_height_descent(line, font, False)[0]
+                assert drawn / dpi * 25.4 <= mm, (dpi, line)
+
+
+@pytest.mark.parametrize("mm", WIDTHS)
+def test_figures_fit_whatever_the_hash(small, points, mm):
+    ds = points.assign_attrs(atlas_kernel_hash=np.random.default_rng(mm).bytes(8).hex())
+    figure = atlas.figure([small, ds], width=mm, caption=True)
+    assert_legible(figure, mm)
+    figure.set_dpi(style.PRINT_DPI)
+    assert_legible(figure, mm)
 
 
 @pytest.mark.parametrize("mm", WIDTHS)

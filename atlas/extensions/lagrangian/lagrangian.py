@@ -16,6 +16,7 @@ import keyword
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import numpy as np
 from ...errors import BadInput, shown
 from ...files import atomic_write
 from ...systems.arithmetic import FUNCTIONS, TIME_UNIT
-from .sympy_text import Block, lines_of, require_arithmetic, text
+from .sympy_text import function_text, lines_of, require_arithmetic
 
 # Any expression or symbol of sympy, which is imported only when it is used.
 Expression = Any
@@ -298,8 +299,8 @@ class _Mechanics:
                 result[f"momentum_{coordinate.name}"] = -total[i]
         return result
 
-    def accelerations(self, block: Block) -> list[Expression]:
-        """v' as expressions, after the assignments of a block."""
+    def accelerations(self) -> list[Expression]:
+        """v' as expressions."""
         import sympy
 
         matrix = self.mass_matrix()
@@ -307,34 +308,17 @@ class _Mechanics:
         result: list[Expression] = [None] * len(right_side)
         for group in map(sorted, sympy.Matrix(matrix).connected_components()):
             part = [[matrix[i][j] for j in group] for i in group]
-            if len(group) == 1:
-                solved = [_simplest(sympy.cancel(right_side[group[0]] / part[0][0]))]
-            else:
-                given = [block.named(f"f_{self.velocities[i].name}", right_side[i]) for i in group]
-                solved = _solution(part, given, block)
-            for i, acceleration in zip(group, solved, strict=True):
+            for i, acceleration in zip(group, _solution(part, [right_side[i] for i in group]), strict=True):
                 result[i] = acceleration
         return result
 
     def module(self, title: str) -> str:
         """Text of the module of equations."""
-        block = Block(self.state, self.parameters)
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
-        accelerations = zip(self.velocities, self.accelerations(block), strict=True)
-        slopes = [
-            (f"{velocity.name}_dot", acceleration, velocity) for velocity, acceleration in accelerations
-        ]
-        doc = "Time derivatives of the state"
-        if block.definitions:
-            doc += "; f is the right-hand side of M v' = f, with the mass matrix M"
-        if any(symbol.name.startswith("D1") for symbol in block.definitions):
-            doc += " = K D K^T"
-        functions = [
-            block.function("rhs", f"{doc}.", [text(v) for q, v in pairs if q not in self.omit], slopes)
-        ]
+        slopes = tuple(v for q, v in pairs if q not in self.omit) + tuple(self.accelerations())
         integrals = self.integrals()
         losses = {name: loss for name, loss in self.balances().items() if loss != 0}
-        returning = [
+        returning: list[tuple[str, str, Any]] = [
             (name, f"{meaning}; the tuple of its terms.", tuple(terms))
             for name, (meaning, terms) in integrals.items()
         ]
@@ -343,7 +327,9 @@ class _Mechanics:
             for name, loss in losses.items()
         ]
         returning += [(name, "", value) for name, value in self.functions.items()]
-        functions += [Block(self.state, self.parameters).returning(*each) for each in returning]
+        symbols, shapes = (self.state, self.parameters), repeat(self.state[0])
+        functions = [function_text("rhs", "Time derivatives of the state.", slopes, *symbols, self.state)]
+        functions += [function_text(*each, *symbols, shapes) for each in returning]
         used = sorted(name for name in FUNCTIONS if re.search(rf"\b{name}\(", "".join(functions)))
         names = [name if FUNCTIONS[name] == name else f"{FUNCTIONS[name]} as {name}" for name in used]
         head = [self.docstring(title), *([f"from numpy import {', '.join(names)}\n"] if used else [])]
@@ -435,38 +421,26 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
     return multiples, len(functions), operations, int(expression.count_ops())
 
 
-def _solution(
-    matrix: list[list[Expression]], right_side: Sequence[Expression], block: Block
-) -> list[Expression]:
+def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
     """Solution of symmetric equations: of two by the inverse of their matrix, of more by its factors K D K^T."""
     import sympy
 
-    if len(matrix) == 2:
+    n, given = len(matrix), sympy.Matrix(right_side)
+    if n == 1:
+        return [_simplest(sympy.cancel(given[0] / matrix[0][0]))]
+    if n == 2:
         (a, b), (_, c) = matrix
         determinant = _simplest(a * c - b * b)
         p, q, r = (_simplest(sympy.cancel(entry / determinant)) for entry in (c, -b, a))
-        f1, f2 = right_side
-        return [p * f1 + q * f2, q * f1 + r * f2]
-    n, zero = len(matrix), sympy.Integer(0)
+        return [p * given[0] + q * given[1], q * given[0] + r * given[1]]
     if any(_is_singular([row[:k] for row in matrix[:k]]) for k in range(1, n)):
         raise BadInput(
             "from_lagrangian: the mass matrix has a principal minor that is 0: it must be positive definite where it"
             " couples more than two velocities"
         )
-    K = [[zero] * n for _ in range(n)]
-    D: list[Expression] = []
-    for j in range(n):
-        D.append(block.named(f"D{j + 1}", matrix[j][j] - sum(K[j][k] ** 2 * D[k] for k in range(j))))
-        for i in range(j + 1, n):
-            rest = matrix[i][j] - sum(K[i][k] * K[j][k] * D[k] for k in range(j))
-            K[i][j] = block.named(f"K{i + 1}{j + 1}", rest / D[j])
-    y: list[Expression] = []
-    for i in range(n):
-        y.append(block.named(f"y{i + 1}", right_side[i] - sum(K[i][k] * y[k] for k in range(i))))
-    x: list[Expression] = [zero] * n
-    for i in reversed(range(n)):
-        x[i] = block.named(f"x{i + 1}", y[i] / D[i] - sum(K[k][i] * x[k] for k in range(i + 1, n)))
-    return x
+    K, D = sympy.Matrix(matrix).LDLdecomposition(hermitian=False)
+    y = K.lower_triangular_solve(given)
+    return list(K.T.upper_triangular_solve(sympy.Matrix([y[i] / D[i, i] for i in range(n)])))
 
 
 def _names(symbols: Sequence[Expression]) -> str:

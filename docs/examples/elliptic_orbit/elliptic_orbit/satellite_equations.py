@@ -2,14 +2,19 @@
 
 Written by atlas.systems.from_lagrangian from the Lagrangian
 
-    L = nu_rate**2/2
-        + (e*cos(nu) + 1)**2*(A*(roll_rate*cos(yaw) - (pitch_rate + 1)*sin(yaw)*cos(roll))**2 + B*(yaw_rate + (pitch_rate + 1)*sin(roll))**2 + C*(roll_rate*sin(yaw) + (pitch_rate + 1)*cos(roll)*cos(yaw))**2)/2
-        - (3*e*cos(nu) + 3)*(A*(-sin(pitch)*sin(roll)*sin(yaw) + cos(pitch)*cos(yaw))**2 + B*sin(pitch)**2*cos(roll)**2 + C*(sin(pitch)*sin(roll)*cos(yaw) + sin(yaw)*cos(pitch))**2)/2
+    L = nu_rate**2/2 + (e*cos(nu) + 1)**2*(A*(roll_rate*cos(yaw) - (pitch_rate + 1)*sin(yaw)*cos(roll))**2 +
+        B*(yaw_rate + (pitch_rate + 1)*sin(roll))**2 + C*(roll_rate*sin(yaw) + (pitch_rate +
+        1)*cos(roll)*cos(yaw))**2)/2 - (3*e*cos(nu) + 3)*(A*(-sin(pitch)*sin(roll)*sin(yaw) +
+        cos(pitch)*cos(yaw))**2 + B*sin(pitch)**2*cos(roll)**2 + C*(sin(pitch)*sin(roll)*cos(yaw) +
+        sin(yaw)*cos(pitch))**2)/2
 
 and the generalised forces
 
-    Q_nu = e*(e*cos(nu) + 1)*(A*(roll_rate*cos(yaw) - (pitch_rate + 1)*sin(yaw)*cos(roll))**2 + B*(yaw_rate + (pitch_rate + 1)*sin(roll))**2 + C*(roll_rate*sin(yaw) + (pitch_rate + 1)*cos(roll)*cos(yaw))**2)*sin(nu)
-           - 3*e*(A*(-sin(pitch)*sin(roll)*sin(yaw) + cos(pitch)*cos(yaw))**2 + B*sin(pitch)**2*cos(roll)**2 + C*(sin(pitch)*sin(roll)*cos(yaw) + sin(yaw)*cos(pitch))**2)*sin(nu)/2
+    Q_nu = e*(e*cos(nu) + 1)*(A*(roll_rate*cos(yaw) - (pitch_rate + 1)*sin(yaw)*cos(roll))**2 + B*(yaw_rate +
+           (pitch_rate + 1)*sin(roll))**2 + C*(roll_rate*sin(yaw) + (pitch_rate +
+           1)*cos(roll)*cos(yaw))**2)*sin(nu) - 3*e*(A*(-sin(pitch)*sin(roll)*sin(yaw) +
+           cos(pitch)*cos(yaw))**2 + B*sin(pitch)**2*cos(roll)**2 + C*(sin(pitch)*sin(roll)*cos(yaw) +
+           sin(yaw)*cos(pitch))**2)*sin(nu)/2
 """
 
 from numpy import cos, sin
@@ -20,80 +25,89 @@ INTEGRALS = ()
 
 
 def rhs(state, constants):
-    """Time derivatives of the state; f is the right-hand side of M v' = f, with the mass matrix M = K D K^T."""
+    """Time derivatives of the state."""
     pitch, roll, yaw, nu, pitch_rate, roll_rate, yaw_rate, nu_rate = state
     A, B, C, e = constants
-    cos_nu = cos(nu)
-    sin_roll = sin(roll)
+    part1 = e * cos(nu) + 1
     cos_roll = cos(roll)
+    part3 = cos_roll**2
+    part4 = A * part3
+    part5 = B * part3
     cos_yaw = cos(yaw)
-    sin_yaw = sin(yaw)
+    part7 = cos_yaw**2
+    part8 = C * part7
+    part9 = B + part3 * part8 - part4 * part7 + part4 - part5
+    part10 = 1 / part9
     cos_pitch = cos(pitch)
     sin_pitch = sin(pitch)
+    part13 = 3 * sin_pitch
+    part14 = cos_yaw * sin_pitch
+    sin_roll = sin(roll)
+    sin_yaw = sin(yaw)
+    part17 = cos_pitch * sin_yaw
+    part18 = sin_pitch * sin_yaw
+    part19 = cos_pitch * cos_yaw - part18 * sin_roll
+    part20 = part14 * sin_roll + part17
     sin_nu = sin(nu)
-    sum1 = cos_nu * e + 1.0
-    common1 = B * cos_roll * cos_roll
-    common13 = C * cos_yaw * cos_yaw
-    common14 = A * cos_roll * cos_roll
-    D1 = (
-        sum1 * sum1 * (B - common1 + common13 * cos_roll * cos_roll - common14 * cos_yaw * cos_yaw + common14)
+    pitch_rate_plus_1 = pitch_rate + 1
+    part23 = pitch_rate_plus_1 * sin_roll
+    part23_plus_yaw_rate = part23 + yaw_rate
+    part25 = B * part23_plus_yaw_rate
+    part26 = cos_roll * pitch_rate_plus_1
+    part27 = cos_yaw * part26 + roll_rate * sin_yaw
+    part28 = cos_yaw * part27
+    part29 = C * part28
+    part30 = cos_yaw * roll_rate
+    part31 = -part26 * sin_yaw + part30
+    part32 = A * part31 * sin_yaw
+    part33 = part27 * sin_yaw
+    part34 = C * part33
+    part35 = cos_yaw * part31
+    part36 = A * part35
+    part37 = part1 * yaw_rate
+    part38 = sin_yaw**2
+    part39 = A * part38
+    part40 = cos_roll * part23
+    part41 = part29 * sin_roll
+    part42 = part1 * roll_rate
+    part43 = (3 * A * part19 * (part14 + part17 * sin_roll) - 3 * C * part20 * (cos_pitch * cos_yaw * sin_roll
+        - part18) - cos_pitch * part13 * part5 - cos_roll * part37 * (A * part33 + C * part35 - part34 -
+        part36) + 2 * e * nu_rate * sin_nu * (cos_roll * part29 - cos_roll * part32 + part25 * sin_roll) -
+        part42 * (A * part31 * sin_roll * sin_yaw + B * cos_roll * part23_plus_yaw_rate + B * cos_roll *
+        pitch_rate_plus_1 * sin_roll - part39 * part40 - part40 * part8 - part41))
+    part44 = B * sin_roll
+    part45 = part1**2
+    part46 = part10 * part45
+    part47 = B**2 * sin_roll**2
+    A_minus_C = A - C
+    part49 = -A_minus_C
+    part50 = part3 * part38 * part49**2 * part7
+    part51 = 1 / (part45 * (A + C * part38 - part39) - part46 * part50)
+    part52 = part1 * part49
+    part53 = part10 * part43
+    part54 = cos_roll * cos_yaw * sin_yaw
+    part55 = (part51 * (part1 * (-A_minus_C * part1 * part23 * part30 * sin_yaw - cos_roll * part13 * (-A *
+        part19 * sin_yaw + C * cos_yaw * part20 - part44 * sin_pitch) + 2 * e * nu_rate * sin_nu * (part34 +
+        part36) + part1 * pitch_rate_plus_1 * (cos_roll * part25 + part32 * sin_roll - part41) - part37 * (-A
+        * part28 + C * cos_yaw * part27 + C * part31 * sin_yaw - part32)) - part52 * part53 * part54))
+    part56 = part49 * part54
+    part57 = part10 * part56
+    part58 = B * part45 * sin_roll
+    part59 = ((-part1 * part44 * part53 + part1 * (-B * part26 * part42 + 2 * e * nu_rate * part25 * sin_nu -
+        3 * part19 * part20 * part49 + part27 * part31 * part52) + part55 * part57 * part58) / (B * part45 -
+        part1**4 * part47 * part50 * part51 / part9**2 - part46 * part47))
+    part60 = part10 * part59
+    part61 = part51 * part56 * part58 * part60 + part55
+    return (
+        pitch_rate,
+        roll_rate,
+        yaw_rate,
+        nu_rate,
+        -part44 * part60 - part57 * part61 + part10 * part43 / part1,
+        part61,
+        part59,
+        0 + 0.0 * nu_rate,
     )
-    K21 = cos_roll * cos_yaw * sin_yaw * sum1 * sum1 * (C - A) / D1
-    K31 = B * sin_roll * sum1 * sum1 / D1
-    common6 = cos_roll * (pitch_rate + 1.0)
-    common9 = cos_yaw * roll_rate - common6 * sin_yaw
-    common10 = A * common9 * sin_yaw
-    common7 = common6 * cos_yaw + roll_rate * sin_yaw
-    common11 = A * common9 * cos_yaw + C * common7 * sin_yaw
-    common12 = A * sin_yaw * sin_yaw
-    common2 = cos_pitch * cos_yaw - sin_pitch * sin_roll * sin_yaw
-    common3 = cos_pitch * sin_yaw + cos_yaw * sin_pitch * sin_roll
-    common4 = sin_roll * (pitch_rate + 1.0)
-    common5 = B * (common4 + yaw_rate)
-    common8 = C * common7 * cos_yaw
-    f_pitch_rate = sum1 * (
-        3 * A * common2 * (cos_pitch * sin_roll * sin_yaw + cos_yaw * sin_pitch)
-        - 3 * C * common3 * (cos_pitch * cos_yaw * sin_roll - sin_pitch * sin_yaw)
-        - 3 * common1 * cos_pitch * sin_pitch
-        - cos_roll * sum1 * yaw_rate * (A * common7 * sin_yaw + C * common9 * cos_yaw - common11)
-        + 2 * e * nu_rate * sin_nu * (common5 * sin_roll - common10 * cos_roll + common8 * cos_roll)
-        - roll_rate
-        * sum1
-        * (
-            A * common9 * sin_roll * sin_yaw
-            + B * cos_roll * sin_roll * (pitch_rate + 1.0)
-            + B * cos_roll * (common4 + yaw_rate)
-            - common12 * common4 * cos_roll
-            - common13 * common4 * cos_roll
-            - common8 * sin_roll
-        )
-    )
-    D2 = sum1 * sum1 * (A + C * sin_yaw * sin_yaw - common12) - D1 * K21 * K21
-    K32 = -D1 * K21 * K31 / D2
-    D3 = B * sum1 * sum1 - D1 * K31 * K31 - D2 * K32 * K32
-    f_yaw_rate = sum1 * (
-        2 * B * e * nu_rate * sin_nu * (common4 + yaw_rate)
-        - B * common6 * roll_rate * sum1
-        - 3 * common2 * common3 * (C - A)
-        + common7 * common9 * sum1 * (C - A)
-    )
-    f_roll_rate = sum1 * (
-        2 * common11 * e * nu_rate * sin_nu
-        - common4 * cos_yaw * roll_rate * sin_yaw * sum1 * (A - C)
-        - 3
-        * cos_roll
-        * sin_pitch
-        * (C * common3 * cos_yaw - A * common2 * sin_yaw - B * sin_pitch * sin_roll)
-        - sum1 * yaw_rate * (C * common7 * cos_yaw - A * common7 * cos_yaw + C * common9 * sin_yaw - common10)
-        + sum1 * (pitch_rate + 1.0) * (common10 * sin_roll + common5 * cos_roll - common8 * sin_roll)
-    )
-    y2 = f_roll_rate - K21 * f_pitch_rate
-    y3 = f_yaw_rate - K31 * f_pitch_rate - K32 * y2
-    x3 = y3 / D3
-    x2 = y2 / D2 - K32 * x3
-    x1 = f_pitch_rate / D1 - K21 * x2 - K31 * x3
-    nu_rate_dot = 0.0 * nu_rate
-    return pitch_rate, roll_rate, yaw_rate, nu_rate, x1, x2, x3, nu_rate_dot
 
 
 def pitch_at_pericentre(state, constants):
@@ -117,6 +131,4 @@ def yaw_at_pericentre(state, constants):
 def cos_tilt(state, constants):
     pitch, roll, yaw, nu, pitch_rate, roll_rate, yaw_rate, nu_rate = state
     A, B, C, e = constants
-    cos_roll = cos(roll)
-    cos_yaw = cos(yaw)
-    return cos_roll * cos_yaw
+    return cos(roll) * cos(yaw)

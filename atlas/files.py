@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from . import hdf5
 from .errors import BadInput, one_line, option
 from .process import PROCESS_NAME, is_running, process_name
 
@@ -259,4 +260,19 @@ def writable(
     remove_leftovers(path.parent)
     if path.exists() and not force:
         raise BadInput(exists_message(path))
+    if path.suffix.lower() == ".nc":
+        hdf5.check_path(path)
+    check_replaceable(path)
     return path
+
+
+def check_replaceable(path: Path) -> None:
+    """Raise BadInput if a file of numbers stands at `path` that is not certainly an atlas of this package."""
+    if not path.is_file():
+        return
+    with path.open("rb") as file:
+        if path.suffix.lower() in (".nc", ".zarr") or file.read(8).startswith(hdf5.SIGNATURES):
+            if text := hdf5.locked_text(path):
+                raise BadInput(f"{path}: {text}; it is not replaced")
+            if not hdf5.is_own(path):
+                raise BadInput(foreign_message(path))

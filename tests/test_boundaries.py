@@ -88,7 +88,7 @@ PRIVATE = {
     """,
     "forged files, which carry the hashes of whole ones": """
         kernel.machine_code._with_hash kernel/test_machine_code.py:?._cache kernel/test_machine_code.py:?._cache._place
-        runs.run._key store.netcdf._hash
+        runs.run._key store.netcdf._hash store.zarr_store._root_hash
     """,
     "Matplotlib, whose animations are drawn frame by frame": """
         plotting/test_trajectory_figure.py:?._draw_was_started plotting/test_trajectory_figure.py:?._fig
@@ -96,7 +96,7 @@ PRIVATE = {
     """,
     "a step of a calculation whose inputs no public call takes, or at a hundred times the cost": """
         extensions.studies.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
-        runs.cluster._has_result runs.folder._Job runs.refine._decode runs.refine._encode
+        runs.cluster._has_result runs.folder._Job store.zarr_store._unpacked_bytes runs.refine._decode runs.refine._encode
         extensions.studies.exact._quadrature extensions.studies.reference._dop853 extensions.studies.reference._integrate_group
     """,
 }  # fmt: skip

@@ -76,7 +76,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
 
     from_input = options.points == STANDARD_INPUT
     inputs = [] if from_input else [options.points]
-    out = netcdf.writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
+    out = writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
     system = systems.get(options.system)
     numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
@@ -136,10 +136,9 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 
 def file_of_scene(options: argparse.Namespace, what: str) -> Path:
     """The file for a dataset computed from a scene, or for its figure; BadInput if it must not be written."""
-    from ..store import netcdf
 
     name = options.out or f"{default_name(options.scene)}_{what}.png"
-    return netcdf.writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
+    return writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
 
 
 def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **options: Any) -> None:
@@ -184,14 +183,13 @@ def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
 )
 def print_comparison(options: argparse.Namespace) -> None:
     """Print an atlas beside theory, or beside another atlas."""
-    from ..store import netcdf
 
     if options.out and not options.other:
         raise BadInput(
             "-o: only of two atlases; atlas map --variable agreement draws the comparison with theory"
         )
     inputs = [name for name in (options.atlas, options.other) if name]
-    out = options.out and netcdf.writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
+    out = options.out and writable(options.out, (".nc", *FIGURES), force=options.force, inputs=inputs)
     with ExitStack() as stack:
         ds, *other = (stack.enter_context(atlas.open_atlas(name)) for name in inputs)
         say(*ds.atlas.compare(*other, worst=options.worst, degrees=options.degrees).split("\n"))

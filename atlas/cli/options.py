@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from ..errors import MAX_MESSAGE, BadInput, allowed_text, printable, say, shown
 from ..extension import available_text
-from ..files import FIGURES, check_name, without_suffix
+from ..files import FIGURES, check_name, without_suffix, writable
 from ..scene.checks import quantity
 from ..scene.text import read_text
 from ..store.finished import FILE, suffixes
@@ -189,10 +189,9 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
     if existing and not force:
         raise BadInput(f"{folder}: these files exist; --force replaces them: {', '.join(existing)}")
     folder.mkdir(parents=True, exist_ok=True)
-    from ..store import netcdf
 
     for file in files:
-        netcdf.writable(folder / file, (Path(file).suffix,), force=True)
+        writable(folder / file, (Path(file).suffix,), force=True)
     return folder
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import hdf5
 from ..errors import BadInput, allowed_text, one_line, shown
 from ..systems.base import Array, Parameter, System
 from ..variables import POINT
@@ -111,16 +112,15 @@ def read(
     import xarray as xr
 
     try:
+        hdf5.check_contained(path)
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as ds:
             if len(ds.dims) > 1:
                 dims = ", ".join(map(str, ds.dims))
                 raise BadInput(f"{path}: has the dimensions {dims}; points need one")
             _check_bytes(path, ds.nbytes, max_bytes)
             ds.load()
-    except BadInput:
-        raise
     except Exception as error:  # reading a damaged file, also its values, may raise any error
-        raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+        raise hdf5.unreadable(path, error) from None
     try:
         return table(ds, names)
     except BadInput as error:

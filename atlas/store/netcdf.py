@@ -9,8 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -22,14 +21,13 @@ from xarray.backends.locks import HDF5_LOCK, NETCDFC_LOCK, combine_locks
 from xarray.backends.netCDF4_ import NetCDF4ArrayWrapper
 from xarray.core import indexing
 
-from .. import files
+from .. import files, hdf5
 from ..errors import BadInput, one_line
-from ..files import atomic_write, check_claim, disk_error, foreign_message
-from .dataset import HASH, VERSION
-from .finished import FILE, Content, Format, suffixes
+from ..files import atomic_write, check_claim, disk_error
+from .dataset import HASH
+from .finished import Content, Format, suffixes
 from .tiling import Tiling
 
-GROUP = "checksums"  # in files of version 0.1.0
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
 ROW_VALUES = 1 << 16  # values read at a time from a variable without chunks
 # The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
@@ -57,28 +55,6 @@ def _file_with_hash(path: Path) -> Iterator[Path]:
                 file.setncattr(HASH, _hash(file))
         except (RuntimeError, OSError) as error:
             raise disk_error(error, path) from None
-
-
-def writable(
-    name: str | Path, suffixes: Collection[str], *, force: bool, inputs: Iterable[str | Path] = ()
-) -> Path:
-    """Check a path as `files.writable`; BadInput also for NetCDF data of another program."""
-    path = files.writable(name, suffixes, force=force, inputs=inputs)
-    if path.suffix.lower() == FILE:
-        check_path(path)
-        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(path) as file:
-            if GROUP not in file.groups and VERSION not in file.ncattrs():
-                raise BadInput(foreign_message(path))
-    return path
-
-
-def check_path(path: Path | str) -> None:
-    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another one."""
-    whole = os.path.abspath(path)
-    if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
-        raise BadInput(
-            f"{path}: the NetCDF library opens no path with a backslash or with bytes that are not UTF-8 ({whole})"
-        )
 
 
 def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
@@ -175,8 +151,8 @@ class NetCDF(Format):
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
         """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
-        check_path(path)
         try:
+            hdf5.check_contained(path)
             with ExitStack() as stack:
                 store = _Store.open(str(path))
                 stack.callback(store.close)
@@ -187,33 +163,35 @@ class NetCDF(Format):
                     check_claim(sum(claimed), Path(path).stat().st_size)
                 ds = xr.open_dataset(store, chunks=None)
                 stack.pop_all()
-        except BadInput:
-            raise
         except Exception as error:  # reading a damaged file may raise any error
-            raise BadInput(f"{path}: not a NetCDF file that can be read ({one_line(error)})") from None
+            raise hdf5.unreadable(path, error) from None
         ds.encoding["source"] = str(path)
         ds.attrs.pop(HASH, None)
         return ds
 
     def verify(self, path: Path | str) -> None:
-        check_path(path)
         try:
+            hdf5.check_contained(path)
             with NETCDF_LOCK, netCDF4.Dataset(path) as file:
                 expected, actual = file.__dict__.get(HASH), _hash(file)
         except Exception as error:  # reading a damaged file may raise any error
-            raise BadInput(f"{path}: damaged: {one_line(error)}") from None
+            raise hdf5.unreadable(path, error, "damaged") from None
         if expected is None:
             raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")
         if expected != actual:
             raise BadInput(f"{path}: damaged: its hash differs")
 
     def has_hash(self, path: Path | str) -> bool:
-        with suppress(OSError, RuntimeError), NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
+        with (
+            suppress(Exception),
+            NETCDF_LOCK,
+            netCDF4.Dataset(Path(path)) as file,
+        ):  # one damaged name raises any error
             return HASH in file.ncattrs()
         return False
 
     def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path:
-        return writable(path, suffixes(), force=force, inputs=inputs)
+        return files.writable(path, suffixes(), force=force, inputs=inputs)
 
 
 FORMAT = NetCDF()

@@ -11,8 +11,10 @@ import asyncio
 import hashlib
 import json
 import math
+import os
 import re
 import warnings
+import zlib
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
@@ -22,11 +24,14 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from xarray.backends.zarr import ZarrArrayWrapper, ZarrStore
+from xarray.core import indexing
 
 from .. import files
 from .._version import __version__
 from ..errors import BadInput, one_line
 from ..files import MAX_RATIO, MIN_CLAIM, TEMPORARY, atomic_folder, check_claim, hash_of
+from ..hdf5 import MAX_CHUNK_BYTES, MAX_NAMES
 from .dataset import EARLIER_HASHES, HASH, VERSION
 from .finished import METADATA, STORE, Content, Format, is_store, suffixes
 from .place import Folder, Place, place_at
@@ -44,9 +49,10 @@ except ImportError:
 
 # Names in a store; the group `atlas` is of version 0.1.0.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
-MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # values of a coordinate in one object: a store with a long axis opens at once
+PLAIN = {"bytes", "crc32c", "transpose", "vlen-bytes", "vlen-utf8"}  # codecs that do not pack
+PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
 
@@ -59,17 +65,23 @@ class PlaceStore(WrapperStore[Any]):
         *,
         read_only: bool = True,
         is_whole: bool = False,
-        sizes: Mapping[str, int] | None = None,
+        packed: Mapping[str, tuple[str, int, int]] | None = None,
+        has_checksums: bool = False,
     ):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        # Whether every object must be there; array -> bytes of the numbers in an object, if all are packed by CODECS.
-        self.is_whole, self.sizes = is_whole, sizes
+        self.is_whole, self.has_checksums = is_whole, has_checksums  # of every object
+        # Array -> codec that packs its objects, and the least and most bytes that one may unpack to.
+        self.packed = {} if packed is None else packed
+        self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
 
     async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Buffer | None:
-        damaged = f"{self.place}: the values of {key.partition('/')[0]} are damaged: the object {key}"
+        name = key.partition("/")[0]
+        damaged = f"{self.place}: the values of {name} are damaged: the object {key}"
         try:
+            if self.folder and os.path.realpath(where := os.path.join(self.folder, key)) != where:
+                raise ValueError("it is no regular file (a symbolic link, or in one, which is not followed)")
             content = await asyncio.to_thread(self.place.read, key, MAX_OBJECT_BYTES)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             if self.is_whole and "/c" in key:
@@ -77,11 +89,13 @@ class PlaceStore(WrapperStore[Any]):
             return None
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
-        if self.sizes is not None and "/c" in key:
-            # Checked here, because errors of codecs would not name the object. Bytes 4 to 7 of Blosc are the unpacked size.
-            size, checksum = (int.from_bytes(part, "little") for part in (content[4:8], content[-4:]))
-            if checksum != crc32c(content[:-4]) or size != self.sizes.get(key.partition("/")[0], size):
+        if "/c" in key:
+            # Checked here, because errors of codecs would not name the object, and come after all of it is unpacked.
+            if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)
+            codec, least, most = self.packed.get(name, ("", 0, 0))
+            if codec and not least <= _unpacked_bytes(content, codec, most) <= most:
+                raise BadInput(f"{damaged} does not unpack to the numbers of its chunk")
         match byte_range:
             case RangeByteRequest():
                 content = content[byte_range.start : byte_range.end]
@@ -95,6 +109,69 @@ class PlaceStore(WrapperStore[Any]):
         content = value.to_bytes()
         self.hashes[key] = hashlib.sha256(content).hexdigest()
         await asyncio.to_thread(self.place.write, key, content, durable=False)
+
+
+class _Store(ZarrStore):
+    """A Zarr store for xarray, in which whatever the values of an array raise is BadInput that names it."""
+
+    def open_store_variable(self, name: str) -> xr.Variable:
+        """Variable of the store, read through `_Array`."""
+        variable = super().open_store_variable(name)
+        array = _Array(self.members[name])
+        array.what = f"{self.zarr_group.store.place}: the values of {name}"
+        return variable.copy(deep=False, data=indexing.LazilyIndexedArray(array))
+
+
+class _Array(ZarrArrayWrapper):
+    """An array; BadInput where it cannot be read."""
+
+    __slots__ = ("what",)
+    what: str  # of the store it is, for messages
+
+    def __getitem__(self, key: Any) -> Any:
+        try:
+            return super().__getitem__(key)
+        except BadInput:
+            raise
+        except Exception as error:  # of a codec, or of numbers that do not fit
+            raise BadInput(f"{self.what} are damaged: {one_line(error)}") from None
+
+
+def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
+    """Bytes that an object unpacks to, as its header says or, of gzip, as they are counted up to `most`; -1 if that is not known."""
+    if codec == "blosc":
+        return int.from_bytes(content[4:8], "little")
+    if codec == "zstd":  # RFC 8878: magic number, descriptor, window and dictionary, size of the content
+        descriptor = content[4] if content[:4] == b"\x28\xb5\x2f\xfd" and len(content) > 4 else 0
+        is_single, flag = descriptor >> 5 & 1, descriptor >> 6
+        start, length = 5 + (not is_single) + (0, 1, 2, 4)[descriptor & 3], (is_single, 2, 4, 8)[flag]
+        return (
+            int.from_bytes(content[start : start + length], "little") + 256 * (length == 2) if length else -1
+        )
+    count = 0
+    with suppress(zlib.error):
+        while content and count <= most:
+            part = zlib.decompressobj(31)
+            count += len(part.decompress(content, most + 1))
+            if count <= most and not part.eof:
+                return -1
+            content = part.unused_data
+        return count
+    return -1
+
+
+def _codec(array: zarr.Array[Any]) -> str:
+    """Name of the codec that packs the objects of an array, empty without one and for shards; ValueError where it may unpack to any size."""
+    codecs = getattr(array.metadata, "codecs", ())  # none of format 2
+    names = [str(codec.to_dict()["name"]) for codec in codecs]
+    if names == ["sharding_indexed"]:  # of version 0.1.0
+        return ""
+    packing = [name for name in names if name not in PLAIN]
+    if len(packing) > 1 or not PACKING.issuperset(packing):
+        raise ValueError(
+            f"the codecs of {array.basename} may unpack to more than its chunks ({', '.join(names)})"
+        )
+    return packing[0] if packing else ""
 
 
 def _root_hash(metadata: dict[str, Any]) -> str:
@@ -179,15 +256,20 @@ class Zarr(Format):
                 )
             is_whole = is_own or "atlas_seal" in attributes
             is_consolidated = "consolidated_metadata" in metadata
-            sizes = dict[str, int]()
-            store = PlaceStore(place, is_whole=is_whole, sizes=sizes if is_own else None)
+            if len(metadata.get("consolidated_metadata", {}).get("metadata", {})) > MAX_NAMES:
+                raise ValueError(f"it has more than {MAX_NAMES} arrays")
+            packed = dict[str, tuple[str, int, int]]()
+            store = PlaceStore(place, is_whole=is_whole, packed=packed, has_checksums=is_own)
             group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
             claimed = 0
             for name, array in group.arrays():
                 size = math.prod(array.shape) * array.dtype.itemsize
                 claimed += size
-                if array.dtype.kind in "biuf":
-                    sizes[name] = math.prod(array.chunks) * array.dtype.itemsize
+                chunk_bytes = math.prod(array.chunks) * array.dtype.itemsize
+                limits = (chunk_bytes, chunk_bytes) if array.dtype.kind in "biuf" else (0, MAX_CHUNK_BYTES)
+                packed[name] = _codec(array), *limits
+                if len(packed) > MAX_NAMES:
+                    raise ValueError(f"it has more than {MAX_NAMES} arrays")
                 for chunk in (array.chunks, array.shards or ()):
                     if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):
                         raise ValueError(f"the chunks of {name} are larger than the array")
@@ -197,7 +279,8 @@ class Zarr(Format):
                     if stored * MAX_RATIO >= claimed:  # a large store has many files
                         break
                 check_claim(claimed, stored)
-            ds = xr.open_zarr(store, consolidated=is_consolidated, chunks=None)
+            own = _Store.open_group(store, mode="r", consolidated=is_consolidated)
+            ds = xr.open_dataset(own, chunks=None)
         except BadInput:
             raise
         except FileNotFoundError:

@@ -197,7 +197,7 @@ def test_paths_that_the_library_takes_for_others_are_refused(small_file, small_s
         (tmp_path / name / "a.nc").write_bytes(small_file.read_bytes())
         for action in (
             lambda path: atlas.open_atlas(path / "a.nc"),
-            lambda path: netcdf.writable(path / "b.nc", (".nc",), force=False),
+            lambda path: files.writable(path / "b.nc", (".nc",), force=False),
             lambda path: atlas.run(small_scene, path / "run.nc"),
         ):
             with pytest.raises(BadInput, match="the NetCDF library opens no path") as error:

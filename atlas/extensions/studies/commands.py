@@ -21,7 +21,7 @@ from ...cli.options import (
     read_scene,
 )
 from ...errors import say, text_table
-from ...files import FIGURES, atomic_write
+from ...files import FIGURES, atomic_write, writable
 from ...systems.base import stress_cases_of
 
 
@@ -55,8 +55,7 @@ def measure_accuracy(options: argparse.Namespace) -> None:
 
     inputs = input_files(options.scene)
     outs = [
-        netcdf.writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs)
-        for out in options.out
+        writable(out, (".nc", ".csv", *FIGURES), force=options.force, inputs=inputs) for out in options.out
     ]
     scene = read_scene(options.scene)
     from ...plotting import style

@@ -1,0 +1,129 @@
+"""HDF5 files of unknown origin, seen by h5py before the NetCDF library opens them: what they contain, and whose they are.
+
+The NetCDF library follows whatever a file names: numbers in other files, links into them, groups that contain themselves.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import mmap
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from .errors import BadInput, one_line
+
+MAX_NAMES = 2000  # variables and groups of a file
+MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
+SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # of NetCDF 4 and of its earlier formats
+OWN = b"atlas_version", b"checksums"  # attribute of every atlas; group of an atlas of version 0.1.0
+
+
+def locked_text(path: Path | str) -> str:
+    """End of a message about a file that another program holds for writing; empty if none does."""
+    with suppress(OSError), open(path, "rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return "another program writes it, or has locked it (HDF5_USE_FILE_LOCKING=FALSE reads it all the same)"
+    return ""
+
+
+def check_path(path: Path | str) -> None:
+    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another one."""
+    whole = os.path.abspath(path)
+    if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
+        raise BadInput(
+            f"{path}: the NetCDF library opens no path with a backslash or with bytes that are not UTF-8 ({whole})"
+        )
+
+
+def unreadable(
+    path: Path | str, error: Exception, what: str = "not a NetCDF file that can be read"
+) -> BadInput:
+    """The answer to an error while a file was read: the error itself if it is one, that it is locked, or what it is and why."""
+    if isinstance(error, BadInput):
+        return error
+    return BadInput(f"{path}: {locked_text(path) or f'{what} ({one_line(error)})'}")
+
+
+@contextmanager
+def _opened(path: Path | str) -> Iterator[Any]:
+    """An open HDF5 file, whatever locks there are."""
+    from h5py import h5f, h5p
+
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_file_locking(False, True)
+    file = h5f.open(str(path).encode(), h5f.ACC_RDONLY, access)
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def check_contained(path: Path | str) -> None:
+    """Raise ValueError for a file whose numbers are in other files, or that no program can read in bounded time and memory.
+
+    BadInput for a path that the NetCDF library cannot open.
+    """
+    check_path(path)
+    with open(path, "rb") as file:
+        status = os.fstat(file.fileno())
+        if file.read(3) != b"CDF":  # earlier formats have their numbers in the file
+            _check_objects(str(path), status.st_dev, status.st_ino, status.st_size, status.st_ctime_ns)
+
+
+@lru_cache(maxsize=256)
+def _check_objects(path: str, *_: int) -> None:
+    """The same of an HDF5 file; it is checked once as long as the other arguments show that it has not changed."""
+    from h5py import h5d, h5g, h5l, h5o, h5t
+
+    with _opened(path) as file:
+        groups, known, count = [h5g.open(file, b"/")], set[int](), 0
+        while groups:
+            group = groups.pop()
+            if (address := h5o.get_info(group).addr) in known:
+                raise ValueError("a group of it has two names, or contains itself")
+            known.add(address)
+            for name in group:
+                text = name.decode("utf-8", "replace")
+                count += 1
+                if count > MAX_NAMES:
+                    raise ValueError(f"it has more than {MAX_NAMES} variables and groups")
+                kind = group.links.get_info(name).type
+                if kind == h5l.TYPE_SOFT:  # another name in the same file
+                    continue
+                if kind != h5l.TYPE_HARD:
+                    raise ValueError(f"{text} is a link to another file")
+                item = h5o.open(group, name)
+                if isinstance(item, h5g.GroupID):
+                    groups.append(item)
+                if not isinstance(item, h5d.DatasetID):
+                    continue
+                plan, kept = item.get_create_plist(), item.get_type()
+                if plan.get_external_count() or plan.get_layout() == h5d.VIRTUAL:
+                    raise ValueError(f"the values of {text} are in other files")
+                if isinstance(kept, h5t.TypeFloatID) and kept.get_size() < 4:
+                    raise ValueError(f"{text} has floats of 2 bytes, which the NetCDF library cannot read")
+                if plan.get_layout() == h5d.CHUNKED:
+                    chunk, size = (math.prod(s) * kept.get_size() for s in (plan.get_chunk(), item.shape))
+                    if chunk > max(MAX_CHUNK_BYTES, size):
+                        raise ValueError(f"the chunks of {text} are larger than the array")
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file is certainly an atlas of this package: it opens and has OWN, or it is damaged and has its bytes."""
+    from h5py import h5a, h5g
+
+    try:
+        with _opened(path) as file:
+            root = h5g.open(file, b"/")
+            return bool(h5a.exists(root, OWN[0]) or OWN[1] in root)
+    except Exception:  # of an earlier format, or damaged
+        with suppress(ValueError), path.open("rb") as content:  # ValueError: empty
+            return mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ).find(OWN[0]) >= 0
+        return False

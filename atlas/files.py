@@ -34,6 +34,7 @@ MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
 # Seconds without a write after which the temporary file of another machine is a leftover.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
+CLOCK_ERROR = 60.0  # seconds by which the times of two machines may differ
 
 
 def exists_message(path: Path | str) -> str:
@@ -52,8 +53,11 @@ def foreign_message(path: Path | str) -> str:
 
 
 @contextmanager
-def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
-    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut."""
+def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iterator[Path]:
+    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut.
+
+    With `new` it replaces nothing: FileExistsError, or another OSError on a file system without hard links.
+    """
     temporary = temporary_path(path)
     # O_EXCL and O_NOFOLLOW: never through a link that somebody else has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -61,7 +65,7 @@ def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
         yield temporary
         if durable:
             _sync(temporary)
-        os.replace(temporary, path)
+        (os.link if new else os.replace)(temporary, path)
         if durable:
             _sync(path.parent)  # for the new name
     finally:
@@ -71,6 +75,7 @@ def atomic_write(path: Path, *, durable: bool = True) -> Iterator[Path]:
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Give a temporary folder, which appears at `path` whole or, where a kill falls between two moves, not at all."""
+    remove_leftovers(path.parent)
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
     try:
@@ -93,6 +98,11 @@ def age(path: Path) -> float:
     """Seconds since a file was written, by the clock of its file system."""
     with tempfile.TemporaryFile(dir=path.parent) as new:
         return os.fstat(new.fileno()).st_mtime - path.stat().st_mtime
+
+
+def is_recent(age: float, most: float) -> bool:
+    """Whether an age is at most so many seconds; one far below 0 is of a clock that was wrong, and tells nothing."""
+    return -CLOCK_ERROR <= age <= most
 
 
 def remove_leftovers(folder: Path) -> None:

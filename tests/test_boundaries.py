@@ -23,7 +23,7 @@ PUBLIC = {"_replace", "_make", "_fields", "_asdict", "_repr_html_", "_exit"}
 REPLACED = {
     "the clock": """
         interruption.GRACE_PERIOD interruption.MESSAGE_PERIOD kernel.compiling._finished kernel.compiling.time
-        runs.claims.CLAIM_AGE runs.claims.CLAIM_INTERVAL runs.claims.time runs.cluster.CONNECT_TIMEOUT runs.folder.Event
+        runs.claims.CLAIM_AGE runs.claims.CLAIM_INTERVAL runs.claims.NAMED_AFTER runs.claims.time runs.cluster.CONNECT_TIMEOUT runs.folder.Event
         runs.folder.time runs.memory.Execution.time_is_up runs.run.time store.place.time.monotonic store.place.time.sleep
     """,
     "the disk: full, read-only, without hard links, with other contents; and how often it is read": """

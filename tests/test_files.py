@@ -110,8 +110,10 @@ def test_leftovers_of_killed_processes_are_removed_and_all_else_is_kept(tmp_path
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
-    """After an error what was there stays, and nothing else is left."""
+    """After an error what was there stays, and nothing else is left, nor from a process that was killed."""
     path = tmp_path / "store"
+    machine, boot, _, _ = files.process_name().split("-")
+    (tmp_path / f".atlas-{machine}-{boot}-1-1-00000000.tmp").mkdir()
     for content in ("first", "second"):
         with files.atomic_folder(path) as temporary:
             assert files.TEMPORARY.fullmatch(temporary.name)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from threading import Event, Thread
 
-from ..process import is_running, process_name
+from ..files import is_recent
+from ..process import PROCESS_NAME, is_running, process_name
 from ..store.place import Place
 
 SUFFIX = ".claim"  # of the name of a claimed tile
 POLL = 0.5  # seconds between two attempts to claim
 # Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
+NAMELESS_AGE = 10.0  # seconds after which a claim that names no process, as a full disk left it, expires
+NAMED_AFTER = 5.0  # seconds of waiting after which a line says for whom
 TAKEOVER = 0.2  # seconds until it is decided which of several processes has taken over an expired claim
 
 
@@ -35,8 +40,10 @@ def claimant(place: Place, name: str) -> str:
     """The process that holds a claim, unless it is this one, has ended, or has not renewed it for CLAIM_AGE: then an empty text."""
     with suppress(OSError, ValueError):  # it has been removed
         process = place.read(name).decode("ascii", "replace")
-        if process != process_name() and is_running(process) is not False and place.age(name) <= CLAIM_AGE:
-            return process or "a process that has just begun"
+        if process != process_name() and is_running(process) is not False:
+            is_named = PROCESS_NAME.fullmatch(process)
+            if is_recent(place.age(name), CLAIM_AGE if is_named else NAMELESS_AGE):
+                return process if is_named else "a process that has just begun"
     return ""
 
 
@@ -66,3 +73,30 @@ def claimants(place: Place) -> Iterator[tuple[str, str]]:
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)
+
+
+def named(process: str, hosts: Mapping[str, str]) -> str:
+    """A process as messages name it, with its host where that is known."""
+    match = PROCESS_NAME.fullmatch(process)
+    return f"{f'process {match[3]}' if match else process} on {hosts.get(process, 'this or another machine')}"
+
+
+@dataclass
+class Wait:
+    """The wait for a claim, about which a line is logged once it has been long."""
+
+    place: Place
+    hosts: Callable[[], Mapping[str, str]] = dict  # of processes, as far as they are known
+    began: float = field(default_factory=time.monotonic)
+    is_announced: bool = False
+
+    def announce(self, name: str) -> None:
+        """Say after NAMED_AFTER for whom, once."""
+        if self.is_announced or time.monotonic() - self.began < NAMED_AFTER:
+            return
+        if process := claimant(self.place, name):
+            self.is_announced = True
+            logging.getLogger("atlas").warning(
+                "%s: waits for %s, which holds %s; this claim expires %.0f s after its last sign of life",
+                self.place, named(process, self.hosts()), name, CLAIM_AGE,
+            )  # fmt: skip

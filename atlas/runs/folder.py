@@ -22,7 +22,7 @@ import xarray as xr
 from ..errors import BadInput
 from ..extension import not_loaded
 from ..files import check_folder, check_name, exists_message
-from ..interruption import Stopped, explain_kept
+from ..interruption import explain_kept
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch
 from ..label import half_step
@@ -32,7 +32,7 @@ from ..scene.model import Scene
 from ..store import finished
 from ..store.finished import format_of
 from ..store.place import Folder, located, place_at
-from ..store.progress import AT_WORK, Progress, clock
+from ..store.progress import AT_WORK, Progress
 from ..store.tally import Totals
 from ..store.tile import Tiles
 from . import claims, cluster, estimate, refine
@@ -74,7 +74,7 @@ def run_kept(
         RunFolder.discard(execution.plan, path)
     if file is not None:
         return run_to_file(file, execution)
-    folder = RunFolder.prepare(execution.plan, path)
+    folder = RunFolder.prepare(execution.plan, path, execution.check_time)
     with complete(folder, execution):
         explain_kept(None)
     return folder.dataset()
@@ -217,12 +217,15 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
         return format_of(path).stamp(path) in (before, None)
 
     try:
-        folder = RunFolder.prepare(plan, folder_of(path))
+        folder = RunFolder.prepare(plan, folder_of(path), execution.check_time)
         if is_open():
             with complete(folder, execution) as bar:
+                wait = claims.Wait(folder.place, folder.hosts)
                 # One process joins: on an object store a second one would remove the objects of the first.
                 while not is_joined and is_open():
                     if not claims.claim(folder.place, JOINING):
+                        execution.check_time(folder.progress_text())
+                        wait.announce(JOINING)
                         time.sleep(claims.POLL)
                         continue
                     with claims.held(folder.place, JOINING):
@@ -281,7 +284,7 @@ class _Job:
         first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
         files, size_of = self.tiles, self.tiles.tiling.size_of
         tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
-        pause = claims.POLL
+        pause, wait = claims.POLL, claims.Wait(files.place, self.run.hosts)
         while tiles:
             claimed, files.listing = [], None
             for tile in tiles:
@@ -300,6 +303,7 @@ class _Job:
                 else:
                     claimed.append(tile)
             if len(claimed) == len(tiles):
+                wait.announce(files.name(claimed[0], claims.SUFFIX))
                 if self.stop.wait(pause):
                     return
                 pause = min(2 * pause, MAX_CLAIM_POLL)
@@ -338,7 +342,7 @@ class _Job:
         finally:
             run.remove_leftovers()
         if execution.time_is_up and not all(map(self.tiles.is_written, unfinished)):
-            raise Stopped(f"stopped after {clock(execution.stop_after or 0)}; {run.progress_text()}")
+            execution.check_time(run.progress_text())
 
     def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
         plan, threads, (part, parts) = self.execution.plan, self.execution.threads, self.execution.shard

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from ..interruption import Stopped
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced, say
 from ..label import half_step
@@ -26,7 +27,7 @@ from ..label.plan import Plan
 from ..scene import grid
 from ..scene.model import Scene
 from ..store import dataset
-from ..store.progress import Progress
+from ..store.progress import Progress, clock
 from ..store.tiling import Tiling, tile_types
 from ..systems.base import derived_values
 from ..variables import variables
@@ -92,6 +93,11 @@ class Execution:
     def time_is_up(self) -> bool:
         """Whether no tile may begin any more."""
         return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
+
+    def check_time(self, state: str) -> None:
+        """Raise Stopped, with a text on the run, if no tile may begin any more."""
+        if self.time_is_up:
+            raise Stopped(f"stopped after {clock(self.stop_after or 0)}; {state}")
 
     @cached_property
     def client(self) -> Any:

@@ -19,7 +19,7 @@ import os
 import re
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -32,7 +32,6 @@ import xarray as xr
 
 from .. import files
 from ..errors import BadInput, one_line, option, shown
-from ..process import PROCESS_NAME
 from ..scene import grid
 from ..scene.read import parse_scene
 from ..store import dataset, finished, progress
@@ -126,8 +125,13 @@ class RunFolder:
             raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
-    def prepare(cls, plan: ScenePlan, path: Path | str) -> RunFolder:
-        """Create or open the run of a scene; BadInput if its place holds anything else."""
+    def prepare(
+        cls, plan: ScenePlan, path: Path | str, check_time: Callable[[str], object] = str
+    ) -> RunFolder:
+        """Create or open the run of a scene; BadInput if its place holds anything else.
+
+        `check_time`: raises Stopped, with a text on the run, where the time is up before another process has created it.
+        """
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -139,8 +143,11 @@ class RunFolder:
                 raise BadInput(f"{path}: this folder contains something else: there is no {MANIFEST} in it")
             manifest = _new_manifest(plan)
             place.make()
+            wait = claims.Wait(place)
             while MANIFEST not in place.names():  # of several processes one creates it
                 if not claims.claim(place, CREATION):
+                    check_time(f"another process begins {place}")
+                    wait.announce(CREATION)
                     time.sleep(claims.POLL)
                     continue
                 if MANIFEST not in place.names():
@@ -165,14 +172,10 @@ class RunFolder:
         if run is None:
             return  # `prepare` refuses it
         processes = (process for _, process in claims.claimants(run.place) if process)
-        at_work = dict.fromkeys(processes, "this or another machine")
-        at_work |= {c["process"]: c["host"] for _, c, s in run.processes() if s == progress.AT_WORK}
-        if at_work:
-            process, host = at_work.popitem()
-            match = PROCESS_NAME.fullmatch(process)
+        if at_work := [*processes, *run.hosts()]:
+            process = claims.named(at_work[-1], run.hosts())
             raise BadInput(
-                f"{run.path}: is computed by {f'process {match[3]}' if match else process} on {host}; wait for it, end it,"
-                " or choose another name"
+                f"{run.path}: is computed by {process}; wait for it, end it, or choose another name"
             )
         run.remove()
 
@@ -204,6 +207,10 @@ class RunFolder:
                 content = files.parsed(self.place.read(name))
                 files.check_types(content, PROGRESS_TYPES)
                 yield name, content, progress.state(content, partial(self.place.age, name))
+
+    def hosts(self) -> dict[str, str]:
+        """The hosts of the processes that are at work and say so, by process."""
+        return {c["process"]: c["host"] for _, c, state in self.processes() if state == progress.AT_WORK}
 
     def levels(self) -> Iterator[Level]:
         """The levels up to the first damaged one, which is logged; the next run writes it anew."""

@@ -64,11 +64,23 @@ class Folder:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """Write a content unless there is one, and return whether there was none; others may see a part of it."""
-        with suppress(FileExistsError), self._file(name).open("xb") as file:
-            file.write(content)
-            return True
-        return False
+        """Write a content unless there is one, and return whether there was none."""
+        path = self._file(name)
+        try:
+            with atomic_write(path, durable=False, new=True) as temporary:
+                temporary.write_bytes(content)
+        except FileExistsError:
+            return False
+        except OSError:  # of a file system without hard links, where a kill may leave an empty file
+            with suppress(FileExistsError), path.open("xb", buffering=0) as file:
+                try:
+                    file.write(content)
+                except BaseException:
+                    path.unlink()
+                    raise
+                return True
+            return False
+        return True
 
     def _file(self, name: str) -> Path:
         """Path of a content; its folder is made, but not the place itself, which another process may have removed."""

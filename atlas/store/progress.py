@@ -12,6 +12,7 @@ from dataclasses import KW_ONLY, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from ..files import is_recent
 from ..kernel import compiling
 from ..process import is_running, process_name
 
@@ -105,7 +106,7 @@ def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
     if not content["running"]:
         return "ended"
     running = is_running(str(content["process"]))
-    if running is None and age() >= SILENCE:
+    if running is None and not is_recent(age(), SILENCE):
         return f"no progress for more than {SILENCE / 60:.0f} minutes"
     return "died" if running is False else AT_WORK
 

@@ -1,6 +1,8 @@
 """Any number of processes on one folder: each claims the tiles that it computes, and claims of dead ones expire."""
 
+import errno
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from truth import assert_same_bytes, tile_path
 
 import atlas
 from atlas import BadInput, files, load_scene
+from atlas.interruption import Stopped
 from atlas.runs import claims, memory
 from atlas.runs import folder as folders
 from atlas.runs.claims import SUFFIX, claim
@@ -69,8 +72,14 @@ def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
     assert not claim(*place)
     age(path, claims.CLAIM_AGE + 10)
     assert claim(*place)
-    path.write_text("")  # just created
+    path.write_text("")  # just created, by an earlier version
     assert not claim(*place)
+    age(path, claims.NAMELESS_AGE + 1)  # on a full disk
+    assert claim(*place)
+    for seconds, is_expired in ((30, False), (3600, True)):  # of a clock that was ahead
+        path.write_text("-".join(("0" * 8, boot, pid, start)))
+        age(path, -seconds)
+        assert claim(*place) == is_expired
 
 
 def test_of_several_processes_that_take_over_a_claim_at_once_one_has_it(tmp_path, living, monkeypatch):
@@ -86,6 +95,52 @@ def test_only_one_process_creates_a_claim(tmp_path):
         assert place.create("a.claim", b"one")
         assert not place.create("a.claim", b"two")
         assert place.read("a.claim") == b"one"
+
+
+@pytest.mark.parametrize("links", ["links", "no links"])
+def test_a_claim_that_cannot_be_written_is_not_there(tmp_path, links, monkeypatch):
+    """Not even empty: that would be one of an unknown process."""
+
+    def refuse(*names):
+        raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+
+    if links == "no links":
+        monkeypatch.setattr(files.os, "link", refuse)
+    place, limits = places.Folder(tmp_path), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))  # as on a full disk
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            place.create("a.claim", b"one")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())
+    assert place.create("a.claim", b"one")
+    assert not place.create("a.claim", b"two")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.claim", b"one")]
+
+
+@pytest.mark.parametrize("name", ["manifest.claim", "joining.claim", "tiles/00000003.claim"])
+def test_who_waits_says_for_whom_and_ends_when_the_time_is_up(
+    name, small_scene, tmp_path, living, monkeypatch, caplog
+):
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
+    monkeypatch.setattr(claims, "NAMED_AFTER", 0.0)
+    scene, run = load_scene(small_scene), tmp_path / "a.nc.run"
+    if name == "manifest.claim":
+        run.mkdir()
+    else:
+        RunFolder.prepare(ScenePlan.of(scene), run)
+    places.Folder(run).write(name, living.encode())
+    with pytest.raises(Stopped, match=r"stopped after 0:0\d; .*a\.nc\.run"):
+        atlas.run(scene, tmp_path / "a.nc", threads=1, progress=False, stop_after=3.0)
+    number = living.split("-")[2]
+    place, claim = str(run) + "/tiles" * ("/" in name), name.rpartition("/")[2]
+    assert [record.getMessage() for record in caplog.records if "waits" in record.getMessage()] == [
+        f"{place}: waits for process {number} on this or another machine, which holds {claim}; this claim expires 180 s"
+        " after its last sign of life"
+    ]
+    (run / name).unlink()
+    atlas.run(scene, tmp_path / "a.nc", threads=1, progress=False).close()
 
 
 @pytest.mark.parametrize("creator", ["slow", "dead"])

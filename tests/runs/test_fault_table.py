@@ -6,6 +6,7 @@ Kills of real processes stand in `test_runner`, `test_folder` and `test_zarr`, a
 import hashlib
 import json
 import os
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -153,6 +154,33 @@ def test_a_full_disk(run, moment, scene, whole, evaluated, monkeypatch):
         if name.endswith(".tmp") or not name.startswith(("night/", "night.nc.run/", "night.zarr.run/"))
     ]
     assert_recovers(run, scene, whole, evaluated, after.missing)
+
+
+# What is left as a claim, and the seconds since it was written: on a full disk by earlier versions, or by a clock that was ahead.
+CLAIMS = {"empty": (b"", 60.0), "of the future": (b"00000000-00000000-1-1", -3600.0)}
+
+
+@pytest.mark.parametrize(
+    ("run", "name"),
+    [("folder", "tiles/00000003.claim"), ("file", "joining.claim"), ("store", "manifest.claim")],
+    indirect=["run"],
+)
+@pytest.mark.parametrize("fault", CLAIMS)
+def test_a_claim_that_no_process_holds(run, name, fault, scene, whole, evaluated):
+    """Nobody waits for it."""
+    (content, seconds), path = CLAIMS[fault], Path(run.tiles_at)
+    if name == "manifest.claim":
+        path.mkdir()
+    else:
+        RunFolder.prepare(ScenePlan.of(scene), path)
+    (path / name).write_bytes(content)
+    os.utime(path / name, (time.time() - seconds,) * 2)
+    began = time.monotonic()
+    with run.compute(scene) as ds:
+        assert_same_bytes(whole, ds)
+    assert time.monotonic() - began < 60
+    assert sum(evaluated) == 63
+    assert not [name for name in run.left() if name.endswith((".tmp", ".claim"))]
 
 
 def forged(content: bytes, **facts) -> bytes:

@@ -606,6 +606,7 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
         "at work, of another machine": f"{'0' * 8}-{boot}-{pid}-{start}",
         "no progress for more than 10 minutes": f"{'0' * 8}-{boot}-{pid}-{start}",
         "ended": process_name(),
+        "no progress for more than 10 minutes, of the future": f"{'0' * 8}-{boot}-{pid}-{start}",
     }
     for i, (case, name) in enumerate(cases.items()):
         file = run.path / f"progress-{i}{name}.json"
@@ -614,11 +615,11 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
             "running": case != "ended", "process": name, "written": f"{now:%Y-%m-%dT%H:%M:%SZ}",
         }))  # fmt: skip
         if "no progress" in case:
-            os.utime(file, (now.timestamp() - 3600,) * 2)
+            os.utime(file, (now.timestamp() + (3600 if "future" in case else -3600),) * 2)
     lines = status(run.path).splitlines()
-    for line, case in zip(lines[2:7], cases, strict=True):
+    for line, case in zip(lines[2:8], cases, strict=True):
         assert f", {case.partition(',')[0]}; written" in line
-    assert lines[7].startswith("63 points left, 0:01 at")  # 101 points per second
+    assert lines[8].startswith("63 points left, 0:01 at")  # 101 points per second
     progress_file(run.path, points_per_second=1e-310)
     for file in run.path.glob("progress-[0-4]*.json"):
         if file.name != f"progress-{process_name()}.json":

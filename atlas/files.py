@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import logging
 import os
 import re
 import secrets
@@ -160,6 +161,54 @@ def cache_folder() -> Path:
     import platformdirs  # few commands need it
 
     return Path(os.environ.get("ATLAS_CACHE") or platformdirs.user_cache_path("precession-atlas", False))
+
+
+def is_private(folder: Path, instead: str) -> bool:
+    """Whether no other user can have filled a folder of the cache, whose content may then be used; if not, warns once what is done instead."""
+    status = os.lstat(folder)
+    danger = _danger(status)
+    if stat.S_ISLNK(status.st_mode):
+        danger = "is a symbolic link"
+    elif not stat.S_ISDIR(status.st_mode):
+        danger = "is not a folder"
+    elif not danger and not os.access(folder, os.R_OK | os.X_OK):
+        danger = "cannot be read"
+    if danger:
+        complain(
+            folder,
+            f"{danger}: nothing in it is used, {instead}; remove it, or set ATLAS_CACHE to a folder that only you can write",
+        )
+    return danger is None
+
+
+def read_private(path: Path) -> bytes:
+    """Content of a file of the cache; ValueError if another user may have written it."""
+    # Neither follow a link nor wait for the other end of a pipe.
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode) or _danger(status):
+            raise ValueError(_danger(status) or "it is not a file")
+        return file.read()
+
+
+def _danger(status: os.stat_result) -> str | None:
+    """Why another user may have written a file or folder; None if nobody can have."""
+    if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
+        return "belongs to another user"
+    if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return "can be written by other users"
+    return None
+
+
+_complaints: set[Path] = set()
+
+
+def complain(folder: Path, text: str) -> None:
+    """Log a warning about an unusable cache, once for each folder."""
+    if folder not in _complaints:
+        _complaints.add(folder)
+        logging.getLogger("atlas").warning("the kernel cache %s %s", folder, text)
 
 
 def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
-from itertools import pairwise, product
+from itertools import chain, pairwise, product
 from pathlib import Path
 from typing import cast
 
@@ -34,22 +34,35 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
     scene = systems.origin(plane.scene.system), plane.scene.toml()
     of = repr((code, scene, plane.extent, plane.fixed, what))
     path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
-    with suppress(OSError, ValueError):
-        kept = files.parsed(files.read_bytes(path), is_sealed=True)["lines"]
-        return {kind: [np.array(line) for line in group] for kind, group in kept.items()}
+    with suppress(OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError):
+        if _is_private(path.parent):
+            kept = files.parsed(files.read_private(path), is_sealed=True)["lines"]
+            lines = {kind: [np.array(line, float) for line in group] for kind, group in kept.items()}
+            points = np.concatenate([np.empty((0, len(plane.extent))), *chain(*lines.values())])
+            if np.isfinite(points).all():
+                return lines
     began = time.process_time()
     lines = trace()
     if time.process_time() - began > WORTH_KEEPING:
         with suppress(OSError):
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            for folder in (path.parent.parent, path.parent):
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_private(path.parent):
+                return lines
             content = {kind: [line.tolist() for line in group] for kind, group in lines.items()}
             with files.atomic_write(path, durable=False) as temporary:
+                temporary.chmod(0o600)
                 temporary.write_text(files.sealed({"lines": content}))
             files.remove_leftovers(path.parent)
             stored = sorted(path.parent.glob("*.json"), key=lambda file: file.stat().st_mtime)
             for old in stored[:-KEPT_PLANES]:
                 old.unlink(missing_ok=True)
     return lines
+
+
+def _is_private(folder: Path) -> bool:
+    """Whether the folder of the lines, and the cache that it is in, are the user's own; warns once if not."""
+    return all(files.is_private(each, "tracing lines of theory anew") for each in (folder.parent, folder))
 
 
 # Samples along each axis before refinement: even, as SAMPLES.

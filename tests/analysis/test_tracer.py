@@ -1,10 +1,13 @@
 """Lines of theory: their places, what their cache depends on, and lines of an extension of one's own on a map."""
 
+import os
+import stat
+
 import numpy as np
 import pytest
 
 import atlas
-from atlas import sources
+from atlas import files, sources
 from atlas.analysis import tracer
 from atlas.analysis.plane import Plane
 from atlas.extension import Extension, extensions
@@ -82,6 +85,70 @@ def test_kept_lines_depend_on_the_code_of_extensions(own, without_extension, tmp
     assert not is_traced()
     without_extension("own_lines")
     assert is_traced()
+
+
+PLANE = {"n": (0.1, 2.0), "m": (0.1, 2.0)}
+FALSE_LINE = {"kind": [[[-5.0, -5.0], [5.0, 5.0]]]}
+# Contents of the cache that are no lines of finite points on two axes; the first is whole.
+NO_LINES = [
+    FALSE_LINE, [1, 2], "text", 3, None, {"kind": 1.0}, {"kind": [1.0]}, {"kind": [[1.0, 2.0]]}, {"kind": [["a"]]},
+    {"kind": [[[1.0, 2.0, 3.0]]]}, {"kind": [[[1.0, 2.0], [3.0]]]}, {"kind": [[[1.0, float("nan")]]]}, {"kind": [[[1.0, None]]]},
+    {"kind": [[[10**400, 1]]]}, {"kind": [[[[1.0, 2.0]]]]}, {"kind": [[]]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "danger", ["none", "folder 777", "cache 770", "file 606", "another owner", "link", "no cache"]
+)
+def test_lines_of_strangers_are_traced_anew(danger, tmp_path, monkeypatch, caplog):
+    """As machine code: nobody else may have written them; and whatever is no list of finite points."""
+    cache = tmp_path / "cache"
+    monkeypatch.setenv("ATLAS_CACHE", str(cache))
+    monkeypatch.setattr(tracer, "WORTH_KEEPING", -1.0)
+    plane = Plane(atlas.load_scene(SCENE), PLANE, {})
+
+    def drawn():
+        return tracer.cached_lines(lambda: {"kind": [np.eye(2)]}, plane)["kind"][0].tolist()
+
+    if danger == "no cache":
+        cache.write_text("")
+        assert drawn() == np.eye(2).tolist()
+        return
+    previous = os.umask(0o002)  # of systems where each user has a group
+    try:
+        assert drawn() == np.eye(2).tolist()
+    finally:
+        os.umask(previous)
+    (file,) = (cache / "lines").iterdir()
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (cache, cache / "lines", file)] == [
+        0o700,
+        0o700,
+        0o600,
+    ]
+    file.write_text(files.sealed({"lines": FALSE_LINE}))
+    assert drawn() == FALSE_LINE["kind"][0]
+    if danger == "none":
+        for content in NO_LINES[1:]:
+            file.write_text(files.sealed({"lines": content}))
+            assert drawn() == np.eye(2).tolist(), content
+        file.write_text(files.sealed({"other": FALSE_LINE}))
+    elif danger == "link":
+        (cache / "lines").rename(tmp_path / "real")
+        (cache / "lines").symlink_to(tmp_path / "real")
+    elif danger == "another owner":
+        owner = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    else:
+        name, mode = danger.split()
+        {"folder": cache / "lines", "cache": cache, "file": file}[name].chmod(int(mode, 8))
+    for _ in range(2):
+        assert drawn() == np.eye(2).tolist()
+    messages = [each for each in caplog.messages if "the kernel cache" in each]
+    assert len(messages) == (danger not in ("none", "file 606"))
+    assert all(
+        "nothing in it is used, tracing lines of theory anew; remove it, or set ATLAS_CACHE" in each
+        for each in messages
+    )
 
 
 @pytest.mark.usefixtures("whole_kernels")

@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C) and SIGTERM: the command ends within two seconds, with its files whole."""
+"""SIGINT (Ctrl-C), SIGTERM and SIGHUP: the command ends within two seconds, with its files whole. Others end a run between tiles."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ from typing import NoReturn
 from .errors import printable
 
 # Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
-INTERRUPTED, TERMINATED = 130, 143
+INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
 # Seconds from a signal to the end of a process that does not react to exceptions; seconds to find, and to print, its message.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end
 
-_received = signal.SIGINT  # the last signal
+_received = signal.SIGINT  # the last signal of SIGNALS
+stopped_by = ""  # name of the last signal of STOPS, after which no tile begins
 _kept: Callable[[], object] = str  # text about the finished work
 
 
@@ -43,7 +45,7 @@ def end_process(number: int | None = None, *_: object) -> None:
 
 def outcome(number: int | None = None) -> tuple[int, str]:
     """Exit code and message of a process that a signal ends; by default the last one that it got."""
-    code = TERMINATED if (number or _received) == signal.SIGTERM else INTERRUPTED
+    code = 128 + (number or _received)
     kept = _in_time(_kept)
     command = f"{called_as()} {shlex.join(sys.argv[1:])}"
     return code, printable(f"atlas: interrupted; {f'{kept}; `{command}` continues' if kept else MESSAGE}")
@@ -113,9 +115,13 @@ def start_deadline() -> None:
 
 def exit_process(code: int) -> NoReturn:
     """Exit with the code of a finished command, which later signals do not change."""
-    for number in SIGNALS:
+    for number in (*SIGNALS, *STOPS):
         signal.signal(number, signal.SIG_IGN)
-    if code in (INTERRUPTED, TERMINATED):  # Python may end itself with SIGINT after a KeyboardInterrupt
+    if code in (
+        INTERRUPTED,
+        TERMINATED,
+        HUNG_UP,
+    ):  # Python may end itself with SIGINT after a KeyboardInterrupt
         os._exit(code)
     sys.exit(code)
 
@@ -151,3 +157,28 @@ def signals_as_interrupt() -> Iterator[None]:
     finally:
         for number in replaced:
             signal.signal(number, previous[number])
+
+
+@contextmanager
+def signals_as_stop() -> Iterator[None]:
+    """Let the signals of STOPS end a run as `stop_after` does, in the main thread and where nothing else is set for them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    global stopped_by
+    stopped_by = ""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        global stopped_by
+        stopped_by = signal.Signals(number).name
+
+    replaced = [number for number in STOPS if signal.getsignal(number) is signal.SIG_DFL]
+    for number in replaced:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        stopped_by = ""
+        for number in replaced:
+            signal.signal(number, signal.SIG_DFL)

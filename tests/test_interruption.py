@@ -1,5 +1,6 @@
 """Signals: commands end in order, soon, and with one exit code."""
 
+import fcntl
 import hashlib
 import io
 import os
@@ -8,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import termios
 import threading
 import time
 
@@ -15,11 +17,13 @@ import pytest
 
 import atlas
 from atlas import interruption
+from atlas.cli import main
 from atlas.errors import say
-from atlas.interruption import INTERRUPTED, MESSAGE, TERMINATED, signals_as_interrupt
+from atlas.interruption import HUNG_UP, INTERRUPTED, MESSAGE, STOPPED, TERMINATED, signals_as_interrupt
+from atlas.runs import folder as folders
 from atlas.store.place import Folder
 
-EXIT_CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
+EXIT_CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
 
 
 @pytest.mark.parametrize("number", interruption.SIGNALS)
@@ -124,6 +128,60 @@ def test_a_run_in_another_program_raises_when_the_library_returns(small_scene, t
     monkeypatch.setattr(Folder, "names", slow)
     with pytest.raises(KeyboardInterrupt):
         atlas.run(small_scene, f"{tmp_path}/run/", progress=False)
+
+
+@pytest.mark.parametrize("number", interruption.STOPS)
+@pytest.mark.parametrize("is_ignored", [False, True])
+def test_a_signal_of_a_batch_system_ends_a_run_between_two_tiles(
+    number, is_ignored, small_scene, tmp_path, monkeypatch, capsys
+):
+    """Of the command alone, and unless it is ignored or another program has its own use of it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
+    (tmp_path / "s.toml").write_text(small_scene)
+    evaluate_at, tiles = folders.evaluate_at, []
+
+    def signalled(*arguments, **options):
+        tiles.append(1)
+        if len(tiles) == 3:
+            os.kill(os.getpid(), number)
+            ended = time.monotonic() + 10
+            while not (is_ignored or interruption.stopped_by) and time.monotonic() < ended:
+                time.sleep(0.01)
+        return evaluate_at(*arguments, **options)
+
+    monkeypatch.setattr(folders, "evaluate_at", signalled)
+    command = ["run", "s.toml", "-o", "night.nc", "--threads", "1", "--quiet"]
+    before = signal.signal(number, signal.SIG_IGN if is_ignored else signal.SIG_DFL)
+    try:
+        code = main(command)
+        assert signal.getsignal(number) is (signal.SIG_IGN if is_ignored else signal.SIG_DFL)
+    finally:
+        signal.signal(number, before)
+    printed = capsys.readouterr()
+    if not is_ignored:
+        assert (code, printed.out) == (STOPPED, "")
+        assert printed.err.splitlines()[-1] == (
+            f"atlas: stopped by {number.name}; 3 of 9 tiles are in night.nc.run/; the same command continues"
+        )
+        code = main(command)
+    assert code == 0
+    assert len(tiles) == 9
+    with signals_as_interrupt():  # in the library nothing is set for it
+        assert signal.getsignal(number) is before
+
+
+def test_a_command_whose_terminal_hangs_up_ends_without_a_traceback():
+    code = HANGING.format(kept="endless").replace("hashlib.pbkdf2_hmac(", "import time; time.sleep(60), (")
+    ours, theirs = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=theirs, stdout=theirs, stderr=theirs,
+        preexec_fn=lambda: (os.setsid(), fcntl.ioctl(0, termios.TIOCSCTTY, 0)),
+    )  # fmt: skip
+    os.close(theirs)
+    assert b"at work" in os.read(ours, 100)
+    os.close(ours)
+    assert process.wait(30) == HUNG_UP
 
 
 def test_a_signal_of_a_forked_child_is_none_of_its_parent():
@@ -243,7 +301,7 @@ def test_during_imports_the_command_ends_without_a_traceback(number):
 
 def test_no_signal_changes_the_exit_code_of_a_command_that_has_ended():
     """Not even a KeyboardInterrupt inside exec, after which Python would end itself with SIGINT."""
-    codes = [0, 2, INTERRUPTED, TERMINATED]
+    codes = [0, 2, INTERRUPTED, TERMINATED, HUNG_UP]
     program = (
         "import os, signal\n"
         "from atlas.interruption import exit_process\n"

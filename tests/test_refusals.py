@@ -3,13 +3,16 @@
 In a sentence "..." stands for any text. Rows of extensions stand in their own tests.
 """
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
-from refusals import assert_refused, assert_refused_in_shell, unchanged_folder
+from refusals import assert_refused, assert_refused_in_shell, matches, unchanged_folder
 from scenes import GIVEN, SAMPLE, SAMPLED, SMALL
 
 import atlas
@@ -522,6 +525,28 @@ def test_a_mistake_in_a_file_of_points(name, content, sentence, tmp_path, monkey
 def test_a_mistake_in_a_command(command, sentence, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert_refused_in_shell(command, sentence, capsys)
+
+
+# Settings of other programs, which they read when they are imported.
+ENVIRONMENTS = [
+    ("NUMBA_DISABLE_JIT=1", "run small.toml -o new.nc", "NUMBA_DISABLE_JIT is set: nothing can be integrated without compiled kernels; unset it"),
+    ("NUMBA_DISABLE_JIT=1", "points satellite in.csv -o new.nc", "NUMBA_DISABLE_JIT is set: nothing can be integrated without compiled kernels; unset it"),
+    ("NUMBA_NUM_THREADS=0", "run small.toml -o new/", "Numba cannot be used: Number of threads specified must be > 0. (NUMBA_NUM_THREADS=0)"),
+    ("MPLBACKEND=bogus", "map atlas.nc -o new.png", "MPLBACKEND: Key backend: 'bogus' is not a valid value for backend; supported values are ..."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("setting", "command", "sentence"), ENVIRONMENTS)
+def test_a_mistake_in_the_environment(setting, command, sentence, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    with unchanged_folder():
+        process = subprocess.run(
+            [sys.executable, "-m", "atlas", *command.split()], capture_output=True, text=True,
+            env=os.environ | dict([setting.split("=")]),
+        )  # fmt: skip
+    assert (process.returncode, process.stdout) == (2, "")
+    (line,) = process.stderr.splitlines()
+    assert matches(line, f"atlas: {sentence}"), line
 
 
 @pytest.mark.parametrize(("call", "sentence"), CALLS, ids=starts(CALLS))

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
@@ -31,7 +32,7 @@ __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; exit code 0 done, 1 failed, 2 bad input, 75 out of time, 130 interrupted, 143 terminated."""
+    """Run a command; exit code 0 done, 1 failed, 2 bad input, 75 out of time, 129 hung up, 130 interrupted, 143 terminated."""
     explain_kept(None)
     try:
         with messages_for_shell(), signals_as_interrupt():
@@ -41,12 +42,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BadInput as error:
         say(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
+    except ValueError as error:
+        if not str(error).startswith("Key backend:"):  # of Matplotlib, when it is imported
+            raise
+        say(f"atlas: MPLBACKEND: {printable(str(error), MAX_MESSAGE)}", file=sys.stderr)
+        return BAD_INPUT
     except Stopped as stopped:
         say(f"atlas: {stopped}; the same command continues", file=sys.stderr)
         return STOPPED
     except KeyboardInterrupt:
         code, message = outcome()
-        say(message, file=sys.stderr)
+        with suppress(OSError):  # a terminal that hung up
+            say(message, file=sys.stderr)
         return code
     except BrokenPipeError:
         sys.stderr.close()
@@ -98,7 +105,7 @@ def parser() -> argparse.ArgumentParser:
     ):
         each.add(commands)
     top.epilog = (
-        "Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after), 130 interrupted, 143 terminated"
-        f" (SIGTERM){printable(extension.not_loaded(), MAX_MESSAGE)}."
+        "Exit codes: 0 done, 1 failed, 2 bad input, 75 out of time (--stop-after, SIGUSR1, SIGUSR2, SIGXCPU), 129 hung up,"
+        f" 130 interrupted, 143 terminated (SIGTERM){printable(extension.not_loaded(), MAX_MESSAGE)}."
     )
     return top

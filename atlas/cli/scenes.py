@@ -17,7 +17,7 @@ import atlas
 from .. import extension, systems
 from ..errors import MAX_MESSAGE, MAX_TEXT, BadInput, allowed_text, attribute_text, printable, say, text_table
 from ..files import atomic_write, cache_folder, check_not_input, either, writable
-from ..interruption import called_as
+from ..interruption import called_as, signals_as_stop
 from ..kernel.compiling import Stopwatch
 from ..scene.examples import examples
 from ..store.finished import FILE, FORMATS, STORE, format_of, suffixes
@@ -97,6 +97,7 @@ def extend_atlases(options: argparse.Namespace) -> None:
     _run(options, options.out, options.atlases)
 
 
+@signals_as_stop()
 def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
     """Run the scene of the options into an atlas."""
     shard = None

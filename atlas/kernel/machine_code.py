@@ -12,6 +12,7 @@ import gc
 import hashlib
 import io
 import logging
+import os
 import pickle
 import shutil
 import stat
@@ -25,7 +26,14 @@ from typing import Any, NamedTuple
 
 import llvmlite
 import llvmlite.binding as llvm
-import numba
+
+from ..errors import BadInput, one_line
+
+try:
+    import numba
+except ValueError as error:
+    threads = os.environ.get("NUMBA_NUM_THREADS")
+    raise BadInput(f"Numba cannot be used: {one_line(error)} (NUMBA_NUM_THREADS={threads})") from None
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -33,7 +41,6 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-from ..errors import one_line
 from ..files import atomic_write, cache_folder, complain, is_private, read_private, remove_leftovers
 from ..systems.arithmetic import names_in
 from .compiling import compilation
@@ -138,20 +145,26 @@ def _hash(trees: Iterable[str], environment: str) -> str:
     return hashlib.sha256("\n".join([*trees, environment]).encode()).hexdigest()[:16]
 
 
+def check_compiler() -> None:
+    """BadInput where Numba compiles nothing: kernels are no plain Python."""
+    config: Any = numba.config
+    if config.DISABLE_JIT:
+        raise BadInput(
+            "NUMBA_DISABLE_JIT is set: nothing can be integrated without compiled kernels; unset it"
+        )
+
+
 def load(source: str) -> ModuleType:
     """Make the generated module; its function `integrate` is compiled, or taken from the cache, when first called."""
+    check_compiler()
     with PARSING:
         name = f"atlas_kernel_{digest(source)}"
         if name not in sys.modules:
             module = ModuleType(name)
             _define(source, module, functions=False)
-            compiles = isinstance(module.integrate, Dispatcher)  # false under NUMBA_DISABLE_JIT
-            if compiles:
-                module.integrate._cache = _MachineCode(name)  # as the option `cache` of njit does
-                compiler = module.integrate._compiler
-                compiler.compile = functools.partial(_compile, source, module, compiler.compile)
-            else:
-                _define(source, module, functions=True)
+            module.integrate._cache = _MachineCode(name)  # as the option `cache` of njit does
+            compiler = module.integrate._compiler
+            compiler.compile = functools.partial(_compile, source, module, compiler.compile)
             sys.modules[name] = module  # Numba finds the globals of a cached kernel by the name of its module
         return sys.modules[name]
 

@@ -35,6 +35,7 @@ FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
 STYLE: dict[Any, Any] = {
     "font.family": [FONT],
     "mathtext.fontset": "dejavusans",
+    "text.usetex": False,
     "font.size": 8,
     "axes.labelsize": 8,
     "axes.titlesize": 8,

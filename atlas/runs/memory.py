@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from ..interruption import Stopped
+from .. import interruption
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced, say
+from ..kernel.machine_code import check_compiler
 from ..label import half_step
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -65,6 +66,7 @@ class Execution:
         cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
     ) -> Execution:
         """The execution of a scene, by the paths of earlier atlases and the options of `run`."""
+        check_compiler()
         plan, paths = ScenePlan.of(scene), [reuse] if isinstance(reuse, str | Path) else reuse
         earlier = []
         if paths:
@@ -92,12 +94,18 @@ class Execution:
     @property
     def time_is_up(self) -> bool:
         """Whether no tile may begin any more."""
-        return self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
+        is_late = self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
+        return is_late or interruption.stopped_by != ""
 
     def check_time(self, state: str) -> None:
         """Raise Stopped, with a text on the run, if no tile may begin any more."""
         if self.time_is_up:
-            raise Stopped(f"stopped after {clock(self.stop_after or 0)}; {state}")
+            why = (
+                f"by {interruption.stopped_by}"
+                if interruption.stopped_by
+                else f"after {clock(self.stop_after or 0)}"
+            )
+            raise interruption.Stopped(f"stopped {why}; {state}")
 
     @cached_property
     def client(self) -> Any:

@@ -509,6 +509,13 @@ def test_a_map_in_the_axes_of_the_caller(small):
     assert figure.get_size_inches().tolist() == [4, 3]
 
 
+def test_latex_is_not_asked_for_where_the_settings_of_the_user_name_it(small, tmp_path):
+    for path, usetex in ((tmp_path / "a.png", False), (tmp_path / "b.png", True)):
+        with matplotlib.rc_context({"text.usetex": usetex}):
+            style.save(maps.atlas_map(small), path, dpi=50)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
 def test_maps_of_the_caller_carry_the_entries_of_one_legend(small):
     figure = Figure()
     left, right = figure.subplots(1, 2)

@@ -55,10 +55,7 @@ def foreign_message(path: Path | str) -> str:
 
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iterator[Path]:
-    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut.
-
-    With `new` it replaces nothing: FileExistsError, or another OSError on a file system without hard links.
-    """
+    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut; `new`: never an older file."""
     temporary = temporary_path(path)
     # O_EXCL and O_NOFOLLOW: never through a link that somebody else has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
@@ -164,7 +161,9 @@ def cache_folder() -> Path:
 
 
 def is_private(folder: Path, instead: str) -> bool:
-    """Whether no other user can have filled a folder of the cache, whose content may then be used; if not, warns once what is done instead."""
+    """Whether no other user can have filled a folder of the cache; otherwise warns once, and says what is done instead of using it."""
+    if folder != cache_folder() and not is_private(cache_folder(), instead):
+        return False
     status = os.lstat(folder)
     danger = _danger(status)
     if stat.S_ISLNK(status.st_mode):

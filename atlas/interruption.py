@@ -28,7 +28,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end
 
 _received = signal.SIGINT  # the last signal of SIGNALS
-stopped_by = ""  # name of the last signal of STOPS, after which no tile begins
+stopped_by = ""  # "by SIGUSR1" after a signal of STOPS: no tile begins any more
 _kept: Callable[[], object] = str  # text about the finished work
 
 
@@ -117,18 +117,14 @@ def exit_process(code: int) -> NoReturn:
     """Exit with the code of a finished command, which later signals do not change."""
     for number in (*SIGNALS, *STOPS):
         signal.signal(number, signal.SIG_IGN)
-    if code in (
-        INTERRUPTED,
-        TERMINATED,
-        HUNG_UP,
-    ):  # Python may end itself with SIGINT after a KeyboardInterrupt
+    if code > 128:  # Python may end itself with SIGINT after a KeyboardInterrupt
         os._exit(code)
     sys.exit(code)
 
 
 @contextmanager
 def signals_as_interrupt() -> Iterator[None]:
-    """Turn SIGINT and SIGTERM into KeyboardInterrupt in the main thread; a second signal ends the process."""
+    """Turn SIGINT, SIGTERM and SIGHUP into KeyboardInterrupt in the main thread; a second signal ends the process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -144,8 +140,10 @@ def signals_as_interrupt() -> Iterator[None]:
         raise KeyboardInterrupt
 
     previous = {number: signal.getsignal(number) for number in SIGNALS}
-    # A signal that was ignored from the start stays ignored.
+    # A signal that was ignored from the start stays ignored; SIGHUP means something else to a program with a handler for it.
     replaced = [number for number, handler in previous.items() if handler is not signal.SIG_IGN]
+    if previous[signal.SIGHUP] not in (signal.SIG_IGN, signal.SIG_DFL, end_process):
+        replaced.remove(signal.SIGHUP)
     for number in replaced:
         signal.signal(number, interrupt)
     try:
@@ -162,18 +160,14 @@ def signals_as_interrupt() -> Iterator[None]:
 @contextmanager
 def signals_as_stop() -> Iterator[None]:
     """Let the signals of STOPS end a run as `stop_after` does, in the main thread and where nothing else is set for them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    global stopped_by
-    stopped_by = ""
 
     def stop(number: int, frame: FrameType | None) -> None:
         global stopped_by
-        stopped_by = signal.Signals(number).name
+        stopped_by = f"by {signal.Signals(number).name}"
 
-    replaced = [number for number in STOPS if signal.getsignal(number) is signal.SIG_DFL]
+    global stopped_by
+    in_main = threading.current_thread() is threading.main_thread()
+    replaced = [number for number in STOPS if in_main and signal.getsignal(number) is signal.SIG_DFL]
     for number in replaced:
         signal.signal(number, stop)
     try:

@@ -24,6 +24,7 @@ Lines = dict[str, list[np.ndarray]]  # by kind, each (vertices, axes)
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
 WORTH_KEEPING = 0.1  # seconds of tracing
+TRACING_ANEW = "tracing lines of theory anew"  # in place of using the cache
 
 
 def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
@@ -35,7 +36,7 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
     of = repr((code, scene, plane.extent, plane.fixed, what))
     path = files.cache_folder() / LINES_FOLDER / f"{hashlib.sha256(of.encode()).hexdigest()[:32]}.json"
     with suppress(OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError):
-        if _is_private(path.parent):
+        if files.is_private(path.parent, TRACING_ANEW):
             kept = files.parsed(files.read_private(path), is_sealed=True)["lines"]
             lines = {kind: [np.array(line, float) for line in group] for kind, group in kept.items()}
             points = np.concatenate([np.empty((0, len(plane.extent))), *chain(*lines.values())])
@@ -47,7 +48,7 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
         with suppress(OSError):
             for folder in (path.parent.parent, path.parent):
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if not _is_private(path.parent):
+            if not files.is_private(path.parent, TRACING_ANEW):
                 return lines
             content = {kind: [line.tolist() for line in group] for kind, group in lines.items()}
             with files.atomic_write(path, durable=False) as temporary:
@@ -58,11 +59,6 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
             for old in stored[:-KEPT_PLANES]:
                 old.unlink(missing_ok=True)
     return lines
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether the folder of the lines, and the cache that it is in, are the user's own; warns once if not."""
-    return all(files.is_private(each, "tracing lines of theory anew") for each in (folder.parent, folder))
 
 
 # Samples along each axis before refinement: even, as SAMPLES.

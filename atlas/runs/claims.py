@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from threading import Event, Thread
 
 from ..files import is_recent
@@ -81,21 +81,16 @@ def named(process: str, hosts: Mapping[str, str]) -> str:
     return f"{f'process {match[3]}' if match else process} on {hosts.get(process, 'this or another machine')}"
 
 
-@dataclass
 class Wait:
-    """The wait for a claim, about which a line is logged once it has been long."""
+    """The wait for a claim, about which a line is logged once it has been long; `hosts`: of processes, as far as they are known."""
 
-    place: Place
-    hosts: Callable[[], Mapping[str, str]] = dict  # of processes, as far as they are known
-    began: float = field(default_factory=time.monotonic)
-    is_announced: bool = False
+    def __init__(self, place: Place, hosts: Callable[[], Mapping[str, str]] = dict):
+        self.place, self.hosts, self.due = place, hosts, time.monotonic() + NAMED_AFTER
 
     def announce(self, name: str) -> None:
-        """Say after NAMED_AFTER for whom, once."""
-        if self.is_announced or time.monotonic() - self.began < NAMED_AFTER:
-            return
-        if process := claimant(self.place, name):
-            self.is_announced = True
+        """Say once, after NAMED_AFTER, for whom."""
+        if time.monotonic() >= self.due and (process := claimant(self.place, name)):
+            self.due = math.inf
             logging.getLogger("atlas").warning(
                 "%s: waits for %s, which holds %s; this claim expires %.0f s after its last sign of life",
                 self.place, named(process, self.hosts()), name, CLAIM_AGE,

@@ -95,16 +95,12 @@ class Execution:
     def time_is_up(self) -> bool:
         """Whether no tile may begin any more."""
         is_late = self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
-        return is_late or interruption.stopped_by != ""
+        return is_late or bool(interruption.stopped_by)
 
     def check_time(self, state: str) -> None:
         """Raise Stopped, with a text on the run, if no tile may begin any more."""
         if self.time_is_up:
-            why = (
-                f"by {interruption.stopped_by}"
-                if interruption.stopped_by
-                else f"after {clock(self.stop_after or 0)}"
-            )
+            why = interruption.stopped_by or f"after {clock(self.stop_after or 0)}"
             raise interruption.Stopped(f"stopped {why}; {state}")
 
     @cached_property

@@ -125,13 +125,8 @@ class RunFolder:
             raise BadInput(f"{file}: damaged: {one_line(error)}") from None
 
     @classmethod
-    def prepare(
-        cls, plan: ScenePlan, path: Path | str, check_time: Callable[[str], object] = str
-    ) -> RunFolder:
-        """Create or open the run of a scene; BadInput if its place holds anything else.
-
-        `check_time`: raises Stopped, with a text on the run, where the time is up before another process has created it.
-        """
+    def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
+        """Create or open the run of a scene; BadInput if its place holds anything else; `check` ends the wait for another process."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -146,7 +141,7 @@ class RunFolder:
             wait = claims.Wait(place)
             while MANIFEST not in place.names():  # of several processes one creates it
                 if not claims.claim(place, CREATION):
-                    check_time(f"another process begins {place}")
+                    check(f"another process begins {place}")
                     wait.announce(CREATION)
                     time.sleep(claims.POLL)
                     continue

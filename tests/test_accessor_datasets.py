@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import assert_refused
 
 import atlas
 from atlas import BadInput, load_scene
@@ -186,17 +187,69 @@ def test_flags_are_selected_by_names_and_numbers(ds):
             ds.atlas.select(label=flag)
 
 
-def test_averages_of_flags_are_no_flags(three_axes):
-    averaged = three_axes.mean("m", keep_attrs=True)
+def changed_label(ds: xr.Dataset, **attributes: object) -> xr.Dataset:
+    return ds.assign(label=ds.label.assign_attrs(attributes))
+
+
+AVERAGED = "they were averaged, interpolated or masked with nan; choose points by select, sel or isel, or "
+OF_FLOATS = f"label: values of type float... are no flags: {AVERAGED}mask with where(condition, 0)"
+OF_CELLS = f"label: values with cell_methods = '...' are no flags: {AVERAGED}remove this attribute from data that were only joined"
+# Name -> a dataset with three axes changed, and the sentence about its labels.
+NO_FLAGS = {
+    "averaged": (lambda ds: ds.mean("theta0", keep_attrs=True), OF_FLOATS),
+    "without attributes": (lambda ds: ds.isel(m=0).assign(label=(ds.label.mean("m") / 2).drop_attrs()), OF_FLOATS),
+    "masked": (lambda ds: ds.isel(m=0).assign(label=ds.label.isel(m=0).where(ds.label.isel(m=0) > 2)), OF_FLOATS),
+    # ncwa writes means of bytes as bytes, and ncra leaves a dimension of one value.
+    "of NCO": (lambda ds: changed_label(ds.isel(m=0), cell_methods="m: mean"), OF_CELLS),
+    "of NCO, axis kept": (
+        lambda ds: changed_label(ds.isel(m=[0]), cell_methods="area: point m, sigma: sum (of bytes)"), OF_CELLS,
+    ),
+    "whole": (
+        lambda ds: ds.isel(m=0).assign(label=ds.label.isel(m=0).astype("float32")),
+        "label: values of type float32 are no flags: they were averaged, or written as floats; as all are whole numbers"
+        ' here, .astype("int8") makes flags of them',
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", NO_FLAGS)
+def test_averages_of_flags_are_no_flags(three_axes, change):
+    averaged, sentence = NO_FLAGS[change][0](three_axes), NO_FLAGS[change][1]
     for question in (
-        lambda a: a.map(),
+        lambda a: a.map("label"),
         lambda a: a.fractions(),
+        lambda a: a.probability(over="sigma"),
         lambda a: a.select(label=3),
         lambda a: a.trust(),
         lambda a: a.boundary("drifting"),
+        lambda a: a.to_dataframe(),
+        lambda a: a.compare(averaged),
+        lambda a: a.differences(averaged),
     ):
-        with pytest.raises(BadInput, match="label: values of type float64 are no flags: they were averaged"):
-            question(averaged.atlas)
+        assert_refused(lambda question=question: question(averaged.atlas), sentence)
+    assert_refused(
+        averaged.atlas.compare, "label: damaged, averaged or masked: not the flags of an atlas, 0 to 4"
+    )
+
+
+def test_flags_that_NCO_joined_are_flags(three_axes):
+    """ncrcat writes the method of a mean on data of which it only joined parts."""
+    joined = changed_label(three_axes, cell_methods="m: mean")
+    xr.testing.assert_identical(joined.atlas.fractions(), three_axes.atlas.fractions())
+    assert joined.atlas.compare() == three_axes.atlas.compare()
+    selected = joined.atlas.select(label="drifting")
+    assert selected.atlas.fractions().sel(label="drifting") == 1
+    place = {"m": float(joined.m[1])}
+    assert joined.atlas.map("label", select=place).axes
+    near = joined.atlas.nearest(**place)
+    xr.testing.assert_identical(near.atlas.fractions(), three_axes.atlas.nearest(**place).atlas.fractions())
+    assert joined.label.attrs["cell_methods"] == "m: mean"
+
+
+def test_whole_numbers_of_another_type_are_flags_again(three_axes):
+    floats = three_axes.assign(label=three_axes.label.astype("float32"))
+    again = floats.assign(label=floats.label.astype("int8"))
+    xr.testing.assert_identical(again.atlas.fractions(), three_axes.atlas.fractions())
 
 
 @pytest.mark.parametrize("has_coordinate", [True, False])

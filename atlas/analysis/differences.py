@@ -19,7 +19,7 @@ from ..store.joined import part_of
 from ..variables import main_instrument
 from .compare import confusion, place
 from .degrees import factor, in_degrees
-from .metadata import flag_names, flags_of, has_flags, is_averaged, numeric_coordinates, scene_of, system_of
+from .metadata import flag_names, flags_of, has_flags, numeric_coordinates, scene_of, system_of
 
 OVER_BOUND = (
     *RATES,
@@ -105,7 +105,7 @@ def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str],
     flags, numbers = [], []
     for name in (str(n) for n in first.data_vars if n in second and {*first[n].dims} == {*second[n].dims}):
         a, b = first[name], second[name]
-        if all(has_flags(each) and not is_averaged(each) for each in (a, b)):
+        if all(map(has_flags, (a, b))):
             flags += [name] if flag_names(a) == flag_names(b) else []
         elif a.dtype.kind in "iuf" and b.dtype.kind in "iuf":
             numbers.append(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -25,6 +26,10 @@ from ..variables import POINT, data_variables
 
 MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
 TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
+# In CF's attribute cell_methods: names of dimensions and a method whose results are other numbers than flags.
+_AVERAGED = re.compile(
+    r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
+)
 
 
 def system_of(ds: xr.Dataset) -> System:
@@ -221,12 +226,15 @@ def _positions(name: str) -> tuple[str, str] | None:
 def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable is one of flags: Booleans, or flags by their name or by a long_name of their own.
 
-    Differences of flags inherit their attributes: a flag's long_name under another name means numbers.
+    Differences of flags inherit their attributes: a flag's long_name under another name means numbers. Averages of flags
+    may have lost theirs.
     """
     if array.dtype.kind == "b":
         return True
     registered = [v for system in systems.SYSTEMS.values() for v in _registry(system).values() if v.flags]
     known, text = any(array.name == v.name for v in registered), str(array.attrs.get("long_name"))
+    if known and array.dtype.kind == "f":
+        return True
     own = "long_name" in array.attrs and not any(text == v.long_name for v in registered)
     return "flag_meanings" in array.attrs and (known or own)
 
@@ -238,9 +246,20 @@ def flag_names(array: xr.DataArray) -> list[str]:
     if not has_flags(array):
         return []
     if is_averaged(array):
+        what, remedy = f"values of type {array.dtype}", "mask with where(condition, 0)"
+        if array.dtype.kind in "biu":
+            what = f"values with cell_methods = {shown(array.attrs['cell_methods'])}"
+            remedy = "remove this attribute from data that were only joined"
+        elif "flag_meanings" in array.attrs and not any(
+            (array.isel(box) % 1).any() for box in chunks(array.sizes, array.dims)
+        ):
+            raise BadInput(
+                f"{array.name}: {what} are no flags: they were averaged, or written as floats;"
+                ' as all are whole numbers here, .astype("int8") makes flags of them'
+            )
         raise BadInput(
-            f"{array.name}: values of type {array.dtype} are no flags: they were averaged, interpolated or masked with"
-            " nan; choose points by select, sel or isel, or mask with where(condition, 0)"
+            f"{array.name}: {what} are no flags: they were averaged, interpolated or masked with nan;"
+            f" choose points by select, sel or isel, or {remedy}"
         )
     names = [printable(name, MAX_TEXT) for name in str(array.attrs["flag_meanings"]).split()]
     values = array.attrs.get("flag_values", range(len(names)))
@@ -253,8 +272,14 @@ def flag_names(array: xr.DataArray) -> list[str]:
 
 
 def is_averaged(array: xr.DataArray) -> bool:
-    """Whether a variable has the names of flags but other values, such as averages."""
-    return has_flags(array) and array.dtype.kind not in "biu"
+    """Whether a variable has the names of flags but other values, such as averages, of other types or along fewer dimensions."""
+    if not has_flags(array):
+        return False
+    texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
+    names = re.findall(r"[\w.+-]+", " ".join(texts))
+    # NCO writes a method on data that it only joined, whose dimensions are still there.
+    gone = any(n not in {*array.dims, *array.coords} or array[n].size < 2 for n in names)
+    return gone or array.dtype.kind not in "biu"
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -286,7 +311,7 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
 def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> np.ndarray:
     """Values of a variable of flags from 0 to count - 1; BadInput, which begins with words, for others."""
     values = ds[name].values
-    if values.dtype.kind not in "iu" or not ((values >= 0) & (values < count)).all():
+    if values.dtype.kind not in "iu" or is_averaged(ds[name]) or not ((values >= 0) & (values < count)).all():
         raise BadInput(f"{name}: {words}: not the flags of an atlas, 0 to {count - 1}")
     return values
 

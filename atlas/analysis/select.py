@@ -81,7 +81,7 @@ def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
     ds = in_degrees(ds if ds.dims else ds.expand_dims("point"), degrees)
     frame = ds.to_dataframe()
     for name, array in ds.items():
-        if array.dtype.kind != "b" and has_flags(array) and not is_averaged(array):
+        if array.dtype.kind != "b" and has_flags(array):
             names = flag_names(array)
             flags_of(ds, str(name), len(names))
             frame[name] = Categorical.from_codes(frame[name].to_numpy(), names)
@@ -123,6 +123,8 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
+    # NCO writes methods on data that it only joined; they would read as averages where a value is chosen.
+    sound = {n for n, a in ds.data_vars.items() if "cell_methods" in a.attrs and not is_averaged(a)}
     for name, value in values.items():
         if name not in axes:
             problem = "has no values in this dataset" if name in ds.dims else "not an axis of this atlas"
@@ -138,6 +140,9 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
                 )
             axis, value = (np.log(axis), math.log(value)) if log else (axis, value)
         ds = ds.isel({name: int(np.lexsort((axis, np.abs(axis - value)))[0])})
+    ds = ds.copy() if sound else ds
+    for each in sound:
+        del ds[each].attrs["cell_methods"]
     return ds
 
 

@@ -54,8 +54,11 @@ def test_the_table_of_an_atlas_has_its_axes_as_index(small_scene):
     frame = ds.atlas.to_dataframe()
     assert frame.index.names == ["sigma", "theta0"]
     assert frame.groupby("label", observed=True).size().sum() == ds.label.size
-    means = ds.mean("theta0", keep_attrs=True).atlas.to_dataframe()  # no flags any more
-    assert means.label.dtype == float
+    means = ds.mean("theta0", keep_attrs=True)
+    with pytest.raises(BadInput, match=r"^label: values of type float64 are no flags: they were averaged"):
+        means.atlas.to_dataframe()
+    flags = [name for name, array in means.items() if "flag_meanings" in array.attrs]
+    assert means.drop_vars(flags).atlas.to_dataframe().theta_dot_rms.dtype == float
 
 
 def test_a_row_is_a_point(points):

@@ -172,8 +172,9 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
-    variations = [ds[name].values.ravel()[disagree] for name in RATES if name in ds]
-    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *variations])
+    # By whole arrays: xarray 2026.9 cannot choose single points of transposed variables that it reads lazily.
+    values = {name: array.values.ravel()[disagree] for name, array in ds.data_vars.items()}
+    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *(values[n] for n in RATES if n in ds)])
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims
@@ -181,13 +182,12 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
         indices = dict(zip(map(str, dims), map(int, index), strict=True))
-        point = ds.isel(indices)
         line = (
-            f"  {place(ds, indices)}: theory {names[int(point['predicted'])]},"
-            f" measured {names[int(point['label'])]}, unsteadiness {unsteadiness[i]:.3g}"
+            f"  {place(ds, indices)}: theory {names[values['predicted'][i]]},"
+            f" measured {names[values['label'][i]]}, unsteadiness {unsteadiness[i]:.3g}"
         )
         if {"growth_rate", "end_time"} <= set(ds):
-            line += f", growth_rate x time = {float(point['growth_rate'] * point['end_time']):.2f}"
+            line += f", growth_rate x time = {values['growth_rate'][i] * values['end_time'][i]:.2f}"
         lines.append(line)
     return lines
 

@@ -46,7 +46,9 @@ def _variables(data: Data) -> Mapping[str, xr.DataArray]:
 
 
 def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
-    """Data with some of its variables multiplied, in other units."""
+    """Data with some of its variables multiplied, in other units; names of points that contain one become mere coordinates."""
+    levels = [str(data[name].dims[0]) for name in factors if name in data.indexes and name not in data.dims]
+    data = data.reset_index(list(set(levels))) if levels else data
     variables, new = _variables(data), dict[str, xr.Variable]()
     for name, number in factors.items():
         old = variables[name].variable

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, allowed_text, option, shown
+from ..scene.tables import check_written
 from .degrees import factor, in_degrees
 from .metadata import (
     CHANGED,
@@ -112,6 +113,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
 
 def _number(name: str, value: object) -> float:
     """The value of an axis or parameter as a float; BadInput unless it is a finite number."""
+    check_written(name, value)
     array = np.asarray(value)
     if array.ndim or array.dtype.kind not in "iuf" or not np.isfinite(array):
         raise BadInput(f"{name} = {shown(value)}: must be a finite number")

@@ -164,6 +164,7 @@ def _listed_column(
 ) -> PointColumn:
     """One column of a file or a list, checked; location: file and line of a point."""
     key = f"points.values.{checks.identifier('points', name)}"
+    tables.check_written(key, values)
     try:
         column = np.asarray(values, np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -30,6 +30,8 @@ Table: TypeAlias = (
     "Mapping[str, Values] | Sequence[Mapping[str, float]] | xr.Dataset | pd.DataFrame | str | Path"
 )
 FORMATS = (".csv", ".nc")
+# Type -> what NetCDF reads where no number was written.
+_UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8": -(2**63) + 2}
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 
@@ -60,8 +62,9 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    if hasattr(source, "columns") and hasattr(source, "__getitem__"):
-        values: dict[str, Any] = {str(name): np.asarray(source[name]) for name in source.columns}
+    # Lazy tables of polars have no length; `columns` of tables of pyarrow are no names.
+    if hasattr(source, "columns") and hasattr(source, "__len__") and not hasattr(source, "column_names"):
+        values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
             return values
         if labels.nlevels > 1:
@@ -184,6 +187,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
     """A number, a 1-D array or a DataArray as a DataArray of float64, a dask array as a lazy one; else BadInput."""
     import xarray as xr
 
+    check_written(name, values)
     try:
         array = values if hasattr(values, "__dask_graph__") else np.asarray(values)
         kind = array.dtype.kind
@@ -198,6 +202,22 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
         dimensions = f"{array.ndim} dimensions; give a DataArray, whose dimensions have names"
         raise BadInput(f"{name}: an array of {dimensions} (its shape: {array.shape})")
     return xr.DataArray(array, dims=["point"][: array.ndim])
+
+
+def check_written(name: str, values: Any) -> None:
+    """Raise BadInput for masked values, and for those of a file that were never written, unless they are lazy."""
+    if getattr(values, "chunks", None) is not None:
+        return
+    if isinstance(values, Sequence):
+        mask = np.array([value is np.ma.masked for value in values])
+    else:
+        array = np.ma.asarray(values)
+        mask = np.ma.getmaskarray(array)
+        if (number := _UNWRITTEN.get(array.dtype.str[1:])) is not None:
+            mask = mask | (array.data == number)
+    if mask.any():
+        place = f"point {np.flatnonzero(mask)[0]} (counted from 0): " if mask.ndim else ""
+        raise BadInput(f"{place}{name} is masked or was never written; must be a finite number")
 
 
 def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:

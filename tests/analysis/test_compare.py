@@ -182,6 +182,30 @@ def test_the_boundary_is_near_within_a_fiftieth_of_the_axis_range():
     assert not compare.near_boundary(np.array([1, 2]), ()).any()  # a list
 
 
+def test_other_orders_and_forms_of_an_atlas_get_the_same_comparison(scene_text, tmp_path):
+    """Also lazy ones, of which xarray 2026.9 cannot choose single points, and stacked ones with angles in degrees."""
+    text = scene_text(
+        {"axes.theta0.display_units": "deg", "axes.theta0.count": 9, "integration.duration": 20.0}
+    )
+    ds = atlas.run(load_scene(text), tmp_path / "a.nc", progress=False).load()
+    whole = ds.atlas.compare()
+    assert " deg: theory drifting, measured permanent_rotation, unsteadiness" in whole
+    transposed = ds.transpose("theta0", "sigma")
+    transposed.to_netcdf(tmp_path / "transposed.nc")
+    for opened in (
+        atlas.open_atlas(tmp_path / "transposed.nc"),
+        atlas.open_atlas(tmp_path / "a.nc").transpose(),
+    ):
+        with opened:
+            assert opened.atlas.compare() == whole
+    stacked = ds.stack(p=("sigma", "theta0"))
+    places = [re.findall(r"theta0 = \S+ deg", text) for text in (whole, stacked.atlas.compare())]
+    assert places[0] == places[1] != []
+    assert len(stacked.atlas.map().axes[0].collections) > 0
+    frame = stacked.atlas.to_dataframe(degrees=True)
+    np.testing.assert_allclose(frame.theta0, np.degrees(stacked.theta0))
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 10])
 def test_the_summary_reads_the_median_of_some_labels_to_a_quarter_of_a_decade(count):
     values = 10.0 ** np.random.default_rng(count).uniform(-9, 0, count)

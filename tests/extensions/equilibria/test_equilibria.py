@@ -118,6 +118,13 @@ def test_lazy_equilibria_have_the_bits_of_eager_ones():
     assert atlas.equilibria("satellite", BODY, max_equilibria=30)["index"].shape == (30,)
 
 
+@pytest.mark.parametrize("function", [atlas.equilibria, atlas.label_points])
+def test_masked_bodies_are_refused(function):
+    masked = np.ma.array([0.1, 0.2, 0.3], mask=[0, 0, 1])
+    sentence = "point 2 (counted from 0): k1 is masked or was never written; must be a finite number"
+    assert_refused(lambda: function("satellite", BODY | {"k1": masked}), sentence)
+
+
 @pytest.mark.parametrize("has_coordinate", [True, False])
 def test_a_coordinate_of_the_bodies_is_kept(has_coordinate):
     """A dimension without one takes the values of the only parameter along it."""

@@ -58,7 +58,8 @@ REPLACED = {
         analysis.metadata.MAX_POINTS analysis.select.MAX_CELLS analysis.tracer.? analysis.tracer.WORTH_KEEPING
         extensions.amer2013.fast_spin.CHUNK extensions.amer2013.fast_spin.MAX_EVALUATIONS kernel.blocks.CHUNK
         kernel.integrate.QUEUE label.pipeline.POINTS_PER_HALF_STEP runs.refine.MAX_BOX_POINTS runs.refine.MAX_PREDICTED
-        scene.points.MAX_FILE_BYTES scene.tables.MAX_TABLE store.dataset.MAX_EAGER_VALUES store.tile.TILES_PER_FOLDER
+        scene.points.MAX_FILE_BYTES scene.tables.MAX_TABLE store.dataset.MAX_EAGER_VALUES store.netcdf.MAX_ROW_VALUES
+        store.tile.TILES_PER_FOLDER
         test_docs.py:?.example
         store.tiling.Tiling.indices systems.base._CHUNK systems.gyrostat.fundamental.LANES
     """,

@@ -159,7 +159,7 @@ def trajectory_of_point(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         warnings=system.warnings(points),
     )  # fmt: skip
-    return ds
+    return dataset.without_fill_values(ds)
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:

@@ -57,7 +57,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
         elif name not in scene.axes and (has_default or name in scene.fixed or name in scene.ties):
             axes, values = _parameter_along_axes(scene, name, chunks)
             coordinates[name] = [dimensions[i] for i in axes], values, attributes
-    return xr.Dataset(variables, coordinates)
+    return without_fill_values(xr.Dataset(variables, coordinates))
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
@@ -104,7 +104,7 @@ def with_parameters(
                 ds = ds.assign_coords(
                     {dim: (dim, array.values, array.attrs | {"long_name": str(array.name)})}
                 )
-    return ds
+    return without_fill_values(ds)
 
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
@@ -135,6 +135,21 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
+
+
+def without_fill_values(ds: xr.Dataset) -> xr.Dataset:
+    """The dataset itself, whose coordinates `to_netcdf` writes without _FillValue, as CF demands."""
+    for name in ds.coords:
+        ds.variables[name].encoding["_FillValue"] = None
+    return ds
+
+
+def classic(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Attributes with integers as the classic forms of NetCDF and R have them: of 32 bits or, where one is larger, as floats."""
+    values = {name: np.asarray(value) for name, value in attributes.items()}
+    large = {name: value for name, value in values.items() if value.dtype == np.int64}
+    kinds = {name: np.int32 if (abs(v) < 2**31).all() else np.float64 for name, v in large.items()}
+    return {**attributes, **{name: value.astype(kinds[name]) for name, value in large.items()}}
 
 
 def log_warnings(warnings: list[str]) -> None:

@@ -11,7 +11,7 @@ import xarray as xr
 from ..errors import BadInput, shown
 from ..scene.checks import typed
 from ..variables import POINT
-from .dataset import VERSION
+from .dataset import VERSION, without_fill_values
 
 PARTS = "atlas_parts"  # attribute of JSON: {dimension: {name: attributes of this part}}
 COMMON = ("Conventions", "atlas_system", "atlas_system_package", "atlas_system_code", VERSION)
@@ -74,7 +74,7 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
     own = {dim: {name: ds.attrs for name, ds in zip(parts, datasets, strict=True)}}
     joined.attrs = {key: first.attrs[key] for key in COMMON if key in first.attrs}
     joined.attrs[PARTS] = json.dumps(own, default=lambda value: getattr(value, "tolist", value.__str__)())
-    return joined
+    return without_fill_values(joined)
 
 
 def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:

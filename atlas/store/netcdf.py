@@ -1,7 +1,7 @@
 """The finished atlas as a NetCDF file, with one hash of all that it holds.
 
 Any program that reads the file compares the Fletcher checksums of its chunks and headers; the index tables of chunks, and scalars,
-have none. The attribute HASH, written last, is a hash of dimensions, attributes and values as they read back, for `verify`.
+have none. The attribute HASH, written last, is a hash of dimensions, attributes and values, in C order, as they read back, for `verify`.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from xarray.core import indexing
 from .. import files, hdf5
 from ..errors import BadInput, one_line
 from ..files import atomic_write, check_claim, disk_error
-from .dataset import HASH
+from .dataset import HASH, classic, without_fill_values
 from .finished import Content, Format, suffixes
 from .tiling import Tiling
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
 ROW_VALUES = 1 << 16  # values read at a time from a variable without chunks
+MAX_ROW_VALUES = 1 << 23  # values of a row of chunks that is read at once
 # The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
 NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
@@ -42,7 +43,9 @@ def write(ds: xr.Dataset, path: Path) -> None:
         for name, variable in ds.variables.items()
     }
     with _file_with_hash(path) as temporary:
-        ds.to_netcdf(temporary, engine="netcdf4", format="NETCDF4", encoding=encoding)
+        ds.assign_attrs(classic(ds.attrs)).to_netcdf(
+            temporary, engine="netcdf4", format="NETCDF4", encoding=encoding
+        )
 
 
 @contextmanager
@@ -63,8 +66,8 @@ def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
         variable.set_var_chunk_cache(size=16 * math.prod(chunks))
 
 
-def _hash(file: netCDF4.Dataset) -> str:
-    """Hash of the dimensions, attributes (HASH apart) and variables of a file, which is read chunk by chunk."""
+def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
+    """Hash of the dimensions, attributes (HASH apart) and variables of a file, values in C order or chunk by chunk."""
     digest = hashlib.sha256()
 
     def add(*facts: Any) -> None:
@@ -78,7 +81,14 @@ def _hash(file: netCDF4.Dataset) -> str:
         add(name, variable.dimensions, str(variable.dtype), _attributes(variable))
         blocks = Tiling.of(shape, ROW_VALUES)
         if isinstance(chunks, list):
-            blocks = Tiling(shape, tuple(max(min(pair), 1) for pair in zip(chunks, shape, strict=True)))
+            lengths = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
+            if not by_chunks:  # the chunks side by side are one range of the C order
+                first = next((i for i, length in enumerate(lengths) if length > 1), len(shape) - 1)
+                lengths[first + 1 :] = (max(n, 1) for n in shape[first + 1 :])
+            if by_chunks or math.prod(lengths) <= MAX_ROW_VALUES:
+                blocks = Tiling(shape, tuple(lengths))
+            else:  # each chunk is read once for every MAX_ROW_VALUES of its row
+                blocks = Tiling.of(shape, MAX_ROW_VALUES)
         _limit_cache(variable)
         for box in blocks:
             values = np.asarray(variable[box or ...])
@@ -147,7 +157,7 @@ class NetCDF(Format):
             for box, values in content.blocks:
                 for name, part in values.items():
                     file[name][box] = part
-            file.setncatts(content.attributes())
+            file.setncatts(classic(content.attributes()))
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
         """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
@@ -167,19 +177,21 @@ class NetCDF(Format):
             raise hdf5.unreadable(path, error) from None
         ds.encoding["source"] = str(path)
         ds.attrs.pop(HASH, None)
-        return ds
+        return without_fill_values(ds)
 
     def verify(self, path: Path | str) -> None:
         try:
             hdf5.check_contained(path)
             with NETCDF_LOCK, netCDF4.Dataset(path) as file:
-                expected, actual = file.__dict__.get(HASH), _hash(file)
+                expected = file.__dict__.get(HASH)
+                # Earlier versions hashed values in the order of the chunks.
+                is_sound = expected is None or expected in (_hash(file, by_chunks=c) for c in (False, True))
         except Exception as error:  # reading a damaged file may raise any error
             raise hdf5.unreadable(path, error, "damaged") from None
         if expected is None:
             raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")
-        if expected != actual:
-            raise BadInput(f"{path}: damaged: its hash differs")
+        if not is_sound:
+            raise BadInput(f"{path}: changed or damaged: its hash differs")
 
     def has_hash(self, path: Path | str) -> bool:
         with (

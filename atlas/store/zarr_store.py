@@ -32,7 +32,7 @@ from .._version import __version__
 from ..errors import BadInput, one_line
 from ..files import MAX_RATIO, MIN_CLAIM, TEMPORARY, atomic_folder, check_claim, hash_of
 from ..hdf5 import MAX_CHUNK_BYTES, MAX_NAMES
-from .dataset import EARLIER_HASHES, HASH, VERSION
+from .dataset import EARLIER_HASHES, HASH, VERSION, without_fill_values
 from .finished import METADATA, STORE, Content, Format, is_store, suffixes
 from .place import Folder, Place, place_at
 
@@ -67,11 +67,13 @@ class PlaceStore(WrapperStore[Any]):
         is_whole: bool = False,
         packed: Mapping[str, tuple[str, int, int]] | None = None,
         has_checksums: bool = False,
+        stamp: object = None,
     ):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
         self.is_whole, self.has_checksums = is_whole, has_checksums  # of every object
+        self.stamp = stamp  # of the metadata of a whole store
         # Array -> codec that packs its objects, and the least and most bytes that one may unpack to.
         self.packed = {} if packed is None else packed
         self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
@@ -85,10 +87,13 @@ class PlaceStore(WrapperStore[Any]):
             content = await asyncio.to_thread(self.place.read, key, MAX_OBJECT_BYTES)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
             if self.is_whole and "/c" in key:
+                self.check_stamp()
                 raise BadInput(f"{damaged} is lost") from None
             return None
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
+        if self.is_whole and "/c" in key:
+            await asyncio.to_thread(self.check_stamp)
         if "/c" in key:
             # Checked here, because errors of codecs would not name the object, and come after all of it is unpacked.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
@@ -104,6 +109,11 @@ class PlaceStore(WrapperStore[Any]):
             case SuffixByteRequest():
                 content = content[-byte_range.suffix :]
         return prototype.buffer.from_bytes(content)
+
+    def check_stamp(self) -> None:
+        """Raise BadInput if another store has replaced this one; new objects come after new metadata, so this follows a read."""
+        if self.stamp != self.place.stamp(METADATA):
+            raise BadInput(f"{self.place}: was replaced or removed after it was opened; open it again")
 
     async def set(self, key: str, value: Buffer) -> None:
         content = value.to_bytes()
@@ -245,7 +255,7 @@ class Zarr(Format):
         """Open a store of any program lazily; BadInput if it is none, unfinished, damaged, or claims more than its objects can hold."""
         place = place_at(path)
         try:
-            metadata = json.loads(place.read(METADATA))
+            stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))
             attributes = metadata["attributes"]
             is_own = HASH in attributes
             if is_own and attributes[HASH].partition("-")[0] != _root_hash(metadata):
@@ -259,7 +269,7 @@ class Zarr(Format):
             if len(metadata.get("consolidated_metadata", {}).get("metadata", {})) > MAX_NAMES:
                 raise ValueError(f"it has more than {MAX_NAMES} arrays")
             packed = dict[str, tuple[str, int, int]]()
-            store = PlaceStore(place, is_whole=is_whole, packed=packed, has_checksums=is_own)
+            store = PlaceStore(place, is_whole=is_whole, packed=packed, has_checksums=is_own, stamp=stamp)
             group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
             claimed = 0
             for name, array in group.arrays():
@@ -292,7 +302,7 @@ class Zarr(Format):
                 variable.attrs["flag_values"] = np.array(variable.attrs["flag_values"], variable.dtype)
         ds.encoding[HASH] = ds.attrs.pop(HASH, None)
         ds.attrs = {name: value for name, value in ds.attrs.items() if name not in EARLIER_HASHES}
-        return ds
+        return without_fill_values(ds)
 
     def verify(self, path: Path | str) -> None:
         with self.open_dataset(path) as ds:  # compares its metadata
@@ -311,7 +321,7 @@ class Zarr(Format):
         except (FileNotFoundError, ValueError) as error:
             raise BadInput(f"{path}: damaged: {one_line(error)}") from None
         if expected.partition("-")[2] != actual:
-            raise BadInput(f"{path}: damaged: its objects are not those that were written")
+            raise BadInput(f"{path}: changed or damaged: its objects are not those that were written")
 
     def has_hash(self, path: Path | str) -> bool:
         return HASH in _attributes_of(place_at(path))

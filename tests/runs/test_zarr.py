@@ -299,3 +299,23 @@ def test_the_command_join_writes_stores(run, tmp_path, capsys):
         assert sorted(tmp_path.rglob("*")) == before
         (tmp_path / place / "thesis.txt").unlink()
     assert Folder(out).walk()
+
+
+@pytest.mark.parametrize("address", ["", f"{ADDRESS}/replaced.zarr"])
+def test_a_store_that_is_replaced_below_its_reader_never_mixes(run, tmp_path, address):
+    """Also where the new one is that of the same scene, and in a process that got the dataset."""
+    path = address or tmp_path / "a.zarr"
+    run[0].join(path)
+    readers = [atlas.open_atlas(path)]
+    if not address:
+        readers.append(pickle.loads(pickle.dumps(readers[0])))
+    for ds in readers:
+        assert ds.theta_max[0, 0].item() == run[1].theta_max[0, 0].item()
+    atlas.run(run[0].scene, path, force=True, progress=False).close()
+    for ds in readers:
+        with pytest.raises(
+            BadInput, match=r"\.zarr: was replaced or removed after it was opened; open it again$"
+        ):
+            ds.theta_max.load()
+    with atlas.open_atlas(path) as again:
+        np.testing.assert_array_equal(again.theta_max, run[1].theta_max)

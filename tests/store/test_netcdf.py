@@ -137,7 +137,82 @@ def test_a_changed_file_is_refused_when_it_is_verified(small_file, tmp_path, cha
     assert main(["status", str(small_file), "--verify"]) == 0
     assert main(["status", str(path), "--verify"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert ("has no hash" if change is lose_the_hash else "damaged: its hash differs") in line
+    assert ("has no hash" if change is lose_the_hash else "changed or damaged: its hash differs") in line
+
+
+def rechunked(path, other, lengths):
+    """A copy as other programs make it: the same data in chunks of at most these lengths, without compression."""
+    with netCDF4.Dataset(path) as file, netCDF4.Dataset(other, "w") as copy:
+        copy.setncatts({name: file.getncattr(name) for name in file.ncattrs()})
+        for name, dimension in file.dimensions.items():
+            copy.createDimension(name, len(dimension))
+        for name, variable in file.variables.items():
+            variable.set_auto_maskandscale(False)
+            attributes = {key: variable.getncattr(key) for key in variable.ncattrs()}
+            options = {"fill_value": attributes.pop("_FillValue", False)}
+            if variable.shape and variable.dtype is not str:
+                shorter = [min(pair) for pair in zip(variable.shape, lengths, strict=False)]
+                options["chunksizes"] = shorter + [1] * (variable.ndim - len(shorter))
+            new = copy.createVariable(name, variable.dtype, variable.dimensions, **options)
+            new.set_auto_maskandscale(False)
+            new.setncatts(attributes)
+            new[...] = variable[...]
+
+
+@pytest.mark.parametrize("lengths", [(1, 1), (2, 3), (5, 2), (9, 1), (9, 7), (4, 7)])
+@pytest.mark.parametrize("most", [1, 20, 1 << 23])
+def test_copies_with_other_chunks_are_sound(small_file, tmp_path, monkeypatch, lengths, most):
+    """However much of a row of chunks is read at once; a changed value in such a copy is found."""
+    rechunked(small_file, tmp_path / "copy.nc", lengths)
+    monkeypatch.setattr(netcdf, "MAX_ROW_VALUES", most)
+    netcdf.verify(tmp_path / "copy.nc")
+    with netCDF4.Dataset(tmp_path / "copy.nc", "r+") as file:
+        change_number(file)
+    with pytest.raises(BadInput, match=r"changed or damaged: its hash differs$"):
+        netcdf.verify(tmp_path / "copy.nc")
+
+
+def test_a_file_hashed_in_the_order_of_its_chunks_is_sound(small_file, tmp_path):
+    """As earlier versions wrote it, with chunks that are no ranges of the C order."""
+    rechunked(small_file, tmp_path / "a.nc", (2, 3))
+    with netCDF4.Dataset(tmp_path / "a.nc", "r+") as file:
+        earlier = netcdf._hash(file, by_chunks=True)
+        assert earlier != netcdf._hash(file)
+        file.setncattr(dataset.HASH, earlier)
+    netcdf.verify(tmp_path / "a.nc")
+
+
+def test_a_file_can_be_copied_into_a_classic_one(small_file, tmp_path, small_scene):
+    """Integers of attributes have 32 bits or, where that is too few, are floats, which hold them exactly."""
+    ds = atlas.label_points("satellite", {"m": [0.5, 0.6]}, duration=1.0)
+    netcdf.write(ds.assign_attrs(many=10**10, few=7, some=[1, 2]), tmp_path / "points.nc")
+    for path in (small_file, tmp_path / "points.nc"):
+        with netCDF4.Dataset(path) as file:
+            for owner in (file, *file.variables.values()):
+                for name in owner.ncattrs():
+                    assert np.asarray(owner.getncattr(name)).dtype not in (np.int64, np.uint64), name
+    with atlas.open_atlas(tmp_path / "points.nc") as read:
+        assert [read.many, read.few, read.some.tolist()] == [10**10, 7, [1, 2]]
+
+
+def test_coordinates_that_users_write_have_no_fill_value(small_file, tmp_path, small_scene):
+    """CF demands that of coordinate variables (section 2.5.1)."""
+    points = atlas.label_points("satellite", {"m": [0.5, 0.6], "theta0": 0.2}, duration=1.0)
+    with atlas.open_atlas(small_file) as opened:
+        datasets = {
+            "opened": opened,
+            "part": opened.isel(sigma=slice(2)),
+            "in memory": atlas.run(small_scene, progress=False),
+            "joined": atlas.concat({"a": opened, "b": opened}, "kind"),
+            "points": points,
+            "nearest": opened.atlas.nearest(sigma=1.0),
+            "motion": opened.atlas.trajectory(sigma=1.0, theta0=0.5, samples=3),
+        }
+        for name, ds in datasets.items():
+            ds.to_netcdf(tmp_path / f"{name}.nc")
+            with netCDF4.Dataset(tmp_path / f"{name}.nc") as file:
+                filled = [each for each in ds.coords if "_FillValue" in file[each].ncattrs()]
+            assert not filled, (name, filled)
 
 
 def test_a_flipped_bit_is_found_when_the_file_is_verified(small_scene, tmp_path):

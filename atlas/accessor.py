@@ -311,7 +311,7 @@ class Atlas(Questions):
         from .analysis.select import plane_of
 
         system_of(self._ds)
-        if (scene := scene_of(self._ds)) is None:
+        if (scene := scene_of(self._ds, needed=True)) is None:
             raise BadInput("families: these points come from no scene, so that there are no axes")
         plane, dims, panel_dims = plane_of(self._ds, x, y, select or {})
         for dim in panel_dims:

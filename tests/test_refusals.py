@@ -6,8 +6,10 @@ In a sentence "..." stands for any text. Rows of extensions stand in their own t
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
@@ -29,6 +31,15 @@ SCENES = [
     ("count = 9\n", "", "axes.sigma.count is missing: an axis needs from, to and count, or values", "[axes.sigma]"),
     ("A = 1.0", "A = = 1.0", "not valid TOML: Invalid value"),
     ("A = 1.0", "A = 1,0", "not valid TOML: Expected newline or end of document after a statement; the decimal sign is a point"),
+    *(
+        ()
+        if sys.version_info >= (3, 15)  # its parser reads them
+        else (
+            ("A = 1.0", "x = {A = 1.0, }", "not valid TOML: ...; no comma follows the last key of a table in braces"),
+            ("A = 1.0", "x = {\n  A = 1.0}", "not valid TOML: ...; a table in braces stands in one line", "x = {"),
+            ("A = 1.0", "x = {A = 1.0,\n  B = 1.0}", "not valid TOML: ...; a table in braces stands in one line", "x = {"),
+        )
+    ),
     ("A = 1.0", "A = True", "not valid TOML: Invalid value; true and false have small letters"),
     ("A = 1.0", "A = 2 * m", 'not valid TOML: Expected newline or end of document after a statement; texts and arithmetic are quoted, such as "sigma * A"'),
     ("A = 1.0", 'A = "m"', "fixed.A = 'm': m has no value here; put what follows from other names into [ties]"),
@@ -197,6 +208,7 @@ TABLES = [
     ("a.csv", "C,m\n1,2\n1\n", "a.csv, line 3: 1 fields, but the first line names 2 columns"),
     ("a.csv", "C,m\n# 1\n1,2,3\n", "a.csv, line 3: 3 fields, but the first line names 2 columns"),
     ("a.csv", "C,m\n1,2\n\n1,two\n", "a.csv, line 4: m = 'two': must be a number"),
+    ("a.csv", "C,m\n1,1_0\n", "a.csv, line 2: m = '1_0': must be a number"),
     ("a.csv", "C;m\n1;0,5\n", "a.csv, line 2: m = '0,5': must be a number with a decimal point, not a comma"),
     ("a.csv", "C\n" + 1_000_001 * "1", "a.csv, line 2: more than 1000000 characters"),
     ("a.csv", "C,C\n1,2\n", "a.csv: its first line names 'C' twice: C,C"),
@@ -335,6 +347,31 @@ ON_X = xr.DataArray([1.0, 2.0], dims="x", coords={"x": [0, 1]})
 NO_NUMBER = "must be a number or an array of numbers"
 NO_SCENE = "must be the path of a scene file, the text of one, a dictionary of its keys, or a Scene of atlas.load_scene"
 SEVERAL_PLACES = "arrays of different points: cannot ..."
+NOT_WRITTEN = "is masked or was never written; must be a finite number"
+SCENE_LOST = "the scene of this atlas is lost: another program emptied its attribute atlas_scene"
+MASKED = np.ma.array([0.8, 1.2, 1.4], mask=[0, 1, 0])
+
+
+class LazyTable:
+    """A table as the lazy ones of polars, which have no length and warn when they are asked for names of columns."""
+
+    @property
+    def columns(self):
+        warnings.warn("expensive", stacklevel=2)
+        return ["C"]
+
+    def __getitem__(self, name):
+        raise TypeError("not subscriptable")
+
+
+class ArrowTable(LazyTable):
+    """A table as those of pyarrow, whose columns are arrays."""
+
+    columns, column_names = (np.ones(2),), ("C",)
+
+    def __len__(self):
+        return 2
+
 
 # A call, and the sentence. `ds` is the atlas of the small scene, `points` that of two points of `label_points`.
 CALLS = [
@@ -413,6 +450,13 @@ CALLS = [
             ([{"C": 1.0}, {"m": 1.0}], "points: number 1 and number 0 differ in C, m"),
             ([], "points: there are none"),
             (3.0, "points: float cannot be read; allowed: ..."),
+            (LazyTable(), "points: LazyTable cannot be read; allowed: ..."),
+            (ArrowTable(), "points: ArrowTable cannot be read; allowed: ..."),
+            ({"C": MASKED, "m": 0.5}, f"point 1 (counted from 0): C {NOT_WRITTEN}"),
+            ({"C": 0.9, "psi0": MASKED}, f"point 1 (counted from 0): psi0 {NOT_WRITTEN}"),
+            ({"C": np.ma.masked}, f"C {NOT_WRITTEN}"),
+            ([{"C": 0.8}, {"C": np.ma.masked}], f"point 1 (counted from 0): C {NOT_WRITTEN}"),
+            (Path("unwritten.nc"), f"point 1 (counted from 0): C {NOT_WRITTEN}"),
             (Path("none.csv"), "none.csv: there is no such file"),
             (Path("folder.csv"), "folder.csv: this is a folder"),
             (Path("plane.nc"), "plane.nc: ...x, y..."),
@@ -428,6 +472,19 @@ CALLS = [
             ({"colour": 1}, "colour: unknown option of label_points; allowed: duration, step, ..."),
         )
     ),
+    (lambda ds, points: atlas.label_points("satellite", xr.open_dataset("unwritten.nc")), f"point 1 (counted from 0): C {NOT_WRITTEN}"),
+    (lambda ds, points: atlas.label_points("satellite", xr.open_dataset("unwritten.nc")[["m"]]), f"point 2 (counted from 0): m {NOT_WRITTEN}"),
+    (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, duration=MASKED), f"point 1 (counted from 0): duration {NOT_WRITTEN}"),
+    (lambda ds, points: atlas.trajectory("satellite", {"theta0": MASKED[1]}), f"theta0 {NOT_WRITTEN}"),
+    (lambda ds, points: load_scene({"schema": 1, "system": "satellite", "axes": {"C": {"values": MASKED}}}), f"...point 1 (counted from 0): axes.C.values {NOT_WRITTEN}"),
+    (lambda ds, points: load_scene({"schema": 1, "system": "satellite", "points": {"values": {"C": MASKED}}}), f"...point 1 (counted from 0): points.values.C {NOT_WRITTEN}"),
+    (lambda ds, points: load_scene(Path("unwritten.toml")), f"...point 1 (counted from 0): points.values.C {NOT_WRITTEN}"),
+    (lambda ds, points: ds.atlas.nearest(sigma=np.ma.masked), f"sigma {NOT_WRITTEN}"),
+    (lambda ds, points: ds.assign_attrs(atlas_scene="").atlas.trajectory(sigma=1.0, theta0=0.3), SCENE_LOST),
+    (lambda ds, points: ds.assign_attrs(atlas_scene="").atlas.families(), SCENE_LOST),
+    (lambda ds, points: ds.assign_attrs(atlas_scene="").atlas.boundary(), SCENE_LOST),
+    (lambda ds, points: ds.assign_attrs(atlas_scene="").isel(sigma=0).rename(theta0="point").atlas.trajectory(sigma=1.0), SCENE_LOST),
+    (lambda ds, points: atlas.open_atlas("format2.zarr"), "...format2.zarr: a Zarr store of format 2; atlases have format 3"),
     (lambda ds, points: atlas.label_points("satellite", {"C": 1.2}, tolerence=1e-5), "tolerence: unknown option of label_points; did you mean 'tolerance'? allowed: duration, step, ..."),
     (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, tolerance=np.float64(-1.0)), "tolerance = -1.0: must be a finite number above 0"),
     (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, duration=np.array([-1.0])), "duration = -1: must be a finite number above 0"),
@@ -457,6 +514,13 @@ def folder(tmp_path_factory):
     (path / "folder.csv").mkdir()
     xr.Dataset({"m": ("point", [0.5])}).to_netcdf(path / "points.nc")
     xr.Dataset({"C": (("x", "y"), np.ones((2, 2)))}).to_netcdf(path / "plane.nc")
+    with netCDF4.Dataset(path / "unwritten.nc", "w") as file:
+        file.createDimension("point", 3)
+        file.createVariable("C", "f4", "point")[[0, 2]] = 0.8, 1.2
+        file.createVariable("m", "i4", "point")[:2] = 1, 2
+    (path / "unwritten.toml").write_text('schema = 1\nsystem = "satellite"\npoints.file = "unwritten.nc"\n')
+    (path / "format2.zarr").mkdir()
+    (path / "format2.zarr" / ".zgroup").write_text('{"zarr_format": 2}')
     for name in ("old.nc", "old.png", "figure.png", "satellite.png"):
         (path / name).write_text("kept")
     atlas.run(load_scene(SMALL), path / "atlas.nc", progress=False).close()

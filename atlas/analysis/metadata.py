@@ -57,8 +57,8 @@ def number_attribute(ds: xr.Dataset, name: str) -> float:
         raise BadInput(f"damaged: the attribute {name} is no number") from None
 
 
-def scene_of(ds: xr.Dataset) -> Scene | None:
-    """The scene of an atlas, None for points that come from no scene."""
+def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
+    """The scene of an atlas, None for points that come from no scene; BadInput if it is needed and lost."""
     if "atlas_parts" in ds.attrs:
         from ..store.joined import part_of
 
@@ -66,6 +66,8 @@ def scene_of(ds: xr.Dataset) -> Scene | None:
     text = ds.attrs.get("atlas_scene", "")
     if not isinstance(text, str):
         raise BadInput("not an atlas: the attribute atlas_scene is no text")
+    if needed and not text and {"atlas_scene", "atlas_result"} <= ds.attrs.keys():
+        raise BadInput("the scene of this atlas is lost: another program emptied its attribute atlas_scene")
     return parse_scene(text, of_atlas=True) if text else None
 
 
@@ -83,7 +85,7 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     BadInput unless the coordinates of evenly chosen points, in a lazy part its corners and middles, equal to rounding what the
     scene gives. An axis has some of the scene's values or, where atlases of scenes that agree otherwise were joined, all and more.
     """
-    system, scene = system_of(ds), scene_of(ds)
+    system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
     units = {name: parameter.unit for name, parameter in system.parameters.items()}
     units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}

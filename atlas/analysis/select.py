@@ -98,7 +98,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
-            scene_of(ds)  # BadInput of joined atlases
+            scene_of(ds, needed=True)  # BadInput of joined atlases
             raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values * factor(ds[name].attrs, degrees), _number(name, value)
         finite = column[np.isfinite(column)]
@@ -144,7 +144,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
         ds = ds.isel({name: int(np.lexsort((axis, np.abs(axis - value)))[0])})
     ds = ds.copy() if sound else ds
     for each in sound:
-        del ds[each].attrs["cell_methods"]
+        ds[each].attrs.pop("cell_methods")
     return ds
 
 

@@ -95,6 +95,8 @@ class RunFolder:
             except FileNotFoundError:  # a store of version 0.1.0 had its run in a group
                 manifest = files.parsed(place.read(f"atlas/{MANIFEST}"), is_sealed=True)
         except FileNotFoundError:
+            if ".zgroup" in place.names():
+                raise BadInput(f"{path}: a Zarr store of format 2; atlases have format 3") from None
             raise BadInput(f"{path}: not a run folder: there is no {MANIFEST} in it") from None
         except NotADirectoryError:
             raise BadInput(f"{path}: not a run folder but a file") from None

@@ -62,8 +62,8 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    # Lazy tables of polars have no length; `columns` of tables of pyarrow are no names.
-    if hasattr(source, "columns") and hasattr(source, "__len__") and not hasattr(source, "column_names"):
+    # Lazy tables of polars have no length, and warn when asked for columns; those of pyarrow are no names.
+    if hasattr(source, "__len__") and hasattr(source, "columns") and not hasattr(source, "column_names"):
         values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
             return values
@@ -333,10 +333,7 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
         header = _header(source, next(rows([first]), []))
         columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
 
-        def number_in(field: str) -> float:
-            return float(field.strip() or "nan")
-
-        cells = [(name, columns[name].append, number_in if name in numeric else str.strip) for name in header]
+        cells = [(name, columns[name].append, _number if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
         for row in rows(content):
             if len(row) != len(header):
@@ -373,6 +370,13 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
     )
 
 
+def _number(field: str) -> float:
+    """The number in a field, nan if it is empty; ValueError for other texts, also for those that are numbers in Python alone."""
+    if "_" in field:
+        raise ValueError
+    return float(field.strip() or "nan")
+
+
 def _header(source: str, fields: list[str]) -> list[str]:
     """Names of the columns, all different."""
     header = [name.strip() for name in fields]
@@ -394,6 +398,6 @@ def _numbers_if_possible(texts: list[str]) -> np.ndarray:
     if all(text.isdecimal() and len(text) < 19 for text in texts):
         return np.array([int(text) for text in texts])
     try:
-        return np.array([float(text) if text else math.nan for text in texts])
+        return np.array([_number(text) for text in texts])
     except ValueError:
         return np.array(texts)

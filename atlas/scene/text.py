@@ -22,6 +22,8 @@ _TOML_HINTS = {
     r"^[^\"]*[^\x00-\x7f][^\"]*$": "names are ASCII letters, digits and _",
     r"=\s*(True|False)\b": "true and false have small letters",
     r"=\s*[-+]?\d+,\d": "the decimal sign is a point",
+    r"\{[^{}]*,\s*\}": "no comma follows the last key of a table in braces",
+    r"\{[^{}]*$": "a table in braces stands in one line",
     r"=\s*[^\s\"'=\[{]*\s*[A-Za-z*/(^]": 'texts and arithmetic are quoted, such as "sigma * A"',
 }
 _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")

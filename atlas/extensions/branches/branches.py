@@ -15,6 +15,7 @@ from ...scene import grid
 from ...scene.checks import typed
 from ...scene.model import SCHEMA, Duration, Scene
 from ...scene.read import scene_from
+from ...scene.tables import check_written
 from ...store import dataset
 from ...systems.base import Array, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
@@ -89,6 +90,8 @@ def scene_of(
     ties: Mapping[str, str] | None,
 ) -> Scene:
     """The scene of bodies over axes with these values."""
+    for name, values in axes.items():
+        check_written(f"axes.{name}.values", values)
     table = {
         "schema": SCHEMA, "title": title, "system": system, "fixed": dict(body), "ties": dict(ties or {}),
         "axes": {name: {"values": np.asarray(values).tolist()} for name, values in axes.items()},

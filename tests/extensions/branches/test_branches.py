@@ -248,6 +248,11 @@ def test_values_without_a_possible_body_cut_branches():
             {"k1": [0.0]},
             "branches: needs an axis on which two values or more have a body that is possible",
         ),
+        (
+            {},
+            {"k1": np.ma.array([0.0, 1.0], mask=[0, 1])},
+            "point 1 (counted from 0): axes.k1.values is masked or was never written; must be a finite number",
+        ),
         ({}, {"k1": [0.0, 1.0], "k2": [0.0, 1.0]}, "branches: needs one axis, found k1, k2"),
         (
             {},

@@ -417,7 +417,7 @@ CALLS = [
     (lambda ds, points: ds.atlas.compare(ds.assign_coords(theta0=ds.theta0 + 1e-9)), "these atlases are not on the same grid: theta0 has other values"),
     (lambda ds, points: ds.atlas.compare(ds.assign_attrs(atlas_system="fixed_point")), "these atlases are not on the same grid: the systems are satellite and fixed_point"),
     (lambda ds, points: points.atlas.compare(points.assign_coords(theta0=("point", [0.4, 0.8]))), "these atlases are not on the same grid: point has other values"),
-    (lambda ds, points: ds.atlas.compare(ds.assign(label=ds.label + np.int8(5))), "label: damaged: not the flags of an atlas, 0 to 4..."),
+    (lambda ds, points: ds.atlas.compare(ds.assign(label=(ds.label + np.int8(5)).assign_attrs(ds.label.attrs))), "label: damaged: not the flags of an atlas, 0 to 4..."),
     (lambda ds, points: atlas.run(SMALL, stop_after=1.0), "shard, scheduler, workers and stop_after need an out that ends in /, .zarr or .nc"),
     (lambda ds, points: atlas.trajectory("satellite", {"C": 3.0}), "A + B = 2 is less than C = 3: no rigid body has these moments of inertia"),
     *(

@@ -265,8 +265,9 @@ class Zarr(Format):
                     f"{path}: unfinished: the command that wrote it was ended; the same command finishes it"
                 )
             is_whole = is_own or "atlas_seal" in attributes
-            is_consolidated = "consolidated_metadata" in metadata
-            if len(metadata.get("consolidated_metadata", {}).get("metadata", {})) > MAX_NAMES:
+            consolidated = (metadata.get("consolidated_metadata") or {}).get("metadata") or {}  # may be empty
+            is_consolidated = bool(consolidated)
+            if len(consolidated) > MAX_NAMES:
                 raise ValueError(f"it has more than {MAX_NAMES} arrays")
             packed = dict[str, tuple[str, int, int]]()
             store = PlaceStore(place, is_whole=is_whole, packed=packed, has_checksums=is_own, stamp=stamp)

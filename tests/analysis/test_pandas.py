@@ -80,4 +80,4 @@ def test_wrong_tables_are_one_line(points):
     with pytest.raises(BadInput, match=r"^degrees = 1: must be true or false"):
         points.atlas.to_dataframe(degrees=1)
     with pytest.raises(BadInput, match=r"^label: damaged: not the flags of an atlas"):
-        points.assign(label=points.label + 90).atlas.to_dataframe()
+        points.assign(label=(points.label + 90).assign_attrs(points.label.attrs)).atlas.to_dataframe()

@@ -21,8 +21,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from . import hdf5
 from .errors import BadInput, one_line, option
+from .hdf5 import SIGNATURES, check_path, is_own, locked_text
 from .process import PROCESS_NAME, is_running, process_name
 
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
@@ -316,11 +316,11 @@ def writable(
     check_not_input(path, inputs)
     check_folder(path)
     remove_leftovers(path.parent)
+    if path.suffix.lower() == ".nc":
+        check_path(path)
+    check_replaceable(path)
     if path.exists() and not force:
         raise BadInput(exists_message(path))
-    if path.suffix.lower() == ".nc":
-        hdf5.check_path(path)
-    check_replaceable(path)
     return path
 
 
@@ -329,8 +329,8 @@ def check_replaceable(path: Path) -> None:
     if not path.is_file():
         return
     with path.open("rb") as file:
-        if path.suffix.lower() in (".nc", ".zarr") or file.read(8).startswith(hdf5.SIGNATURES):
-            if text := hdf5.locked_text(path):
+        if path.suffix.lower() in (".nc", ".zarr") or file.read(8).startswith(SIGNATURES):
+            if text := locked_text(path):
                 raise BadInput(f"{path}: {text}; it is not replaced")
-            if not hdf5.is_own(path):
+            if not is_own(path):
                 raise BadInput(foreign_message(path))

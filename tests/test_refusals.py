@@ -521,7 +521,8 @@ def folder(tmp_path_factory):
     (path / "unwritten.toml").write_text('schema = 1\nsystem = "satellite"\npoints.file = "unwritten.nc"\n')
     (path / "format2.zarr").mkdir()
     (path / "format2.zarr" / ".zgroup").write_text('{"zarr_format": 2}')
-    for name in ("old.nc", "old.png", "figure.png", "satellite.png"):
+    (path / "old.nc").write_text("a damaged atlas, by its atlas_version")
+    for name in ("old.png", "figure.png", "satellite.png"):
         (path / name).write_text("kept")
     atlas.run(load_scene(SMALL), path / "atlas.nc", progress=False).close()
     content = (path / "atlas.nc").read_bytes()

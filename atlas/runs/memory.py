@@ -21,7 +21,6 @@ import xarray as xr
 from .. import interruption
 from ..kernel import blocks
 from ..kernel.compiling import Stopwatch, announced, say
-from ..kernel.machine_code import check_compiler
 from ..label import half_step
 from ..label.pipeline import evaluate
 from ..label.plan import Plan
@@ -66,6 +65,8 @@ class Execution:
         cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
     ) -> Execution:
         """The execution of a scene, by the paths of earlier atlases and the options of `run`."""
+        from ..kernel.machine_code import check_compiler  # here, because reading a run needs no compiler
+
         check_compiler()
         plan, paths = ScenePlan.of(scene), [reuse] if isinstance(reuse, str | Path) else reuse
         earlier = []

@@ -257,10 +257,10 @@ def test_a_damaged_tile(run, names, scene, whole, tmp_path, evaluated, caplog, c
         assert main(["status", run.out, "--verify"]) == 0
         counts = (8, 0, 1) if lost else (9 - len(changes), len(changes), 0)
         assert "done {}, damaged {}, missing {}".format(*counts) in capsys.readouterr().out, name
-        joined.write_text("an older atlas")
+        joined.write_text("an older atlas_version")
         with pytest.raises(BadInput):
             run.folder.join(joined)
-        assert joined.read_text() == "an older atlas", name
+        assert joined.read_text() == "an older atlas_version", name
         for tile in changes:
             tiles.place.remove(tiles.name(tile))
             tiles.place.write(tiles.name(tile), contents[tile])

@@ -156,10 +156,15 @@ def test_run_takes_the_path_of_a_scene(small_atlas, small_scene, tmp_path):
 
 def test_an_existing_file_is_kept_without_force(small_scene, tmp_path):
     scene, path = load_scene(small_scene), tmp_path / "kept.nc"
-    path.write_text("mine")
-    with pytest.raises(BadInput, match="force"):
-        atlas.run(scene, path, progress=False)
-    assert path.read_text() == "mine"
+    for content, force, message in (
+        ("mine", False, "holds something else"),
+        ("mine", True, "holds something else"),
+        ("a damaged atlas, by its atlas_version", False, "force"),
+    ):
+        path.write_text(content)
+        with pytest.raises(BadInput, match=message):
+            atlas.run(scene, path, progress=False, force=force)
+        assert path.read_text() == content
     atlas.run(scene, path, progress=False, force=True)
     assert atlas.open_atlas(path).sizes == {"sigma": 9, "theta0": 7}
     xr.Dataset({"temperature": 290.0}).to_netcdf(tmp_path / "air.nc")

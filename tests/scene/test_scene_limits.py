@@ -14,7 +14,7 @@ import tomli_w
 import xarray as xr
 
 import atlas
-from atlas import BadInput, files, load_scene
+from atlas import BadInput, files, hdf5, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
 from atlas.scene import checks, expressions, grid, model, points, read, tables
@@ -194,6 +194,7 @@ def test_the_page_lists_the_limits_of_what_atlases_claim():
     limits = {
         files.MAX_RATIO,
         3000,
+        hdf5.MAX_NAMES,
         files.MIN_CLAIM,
         files.MAX_JSON_BYTES,
         tiles.MAX_TILES,

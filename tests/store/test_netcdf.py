@@ -165,11 +165,11 @@ def test_copies_with_other_chunks_are_sound(small_file, tmp_path, monkeypatch, l
     """However much of a row of chunks is read at once; a changed value in such a copy is found."""
     rechunked(small_file, tmp_path / "copy.nc", lengths)
     monkeypatch.setattr(netcdf, "MAX_ROW_VALUES", most)
-    netcdf.verify(tmp_path / "copy.nc")
+    netcdf.FORMAT.verify(tmp_path / "copy.nc")
     with netCDF4.Dataset(tmp_path / "copy.nc", "r+") as file:
         change_number(file)
     with pytest.raises(BadInput, match=r"changed or damaged: its hash differs$"):
-        netcdf.verify(tmp_path / "copy.nc")
+        netcdf.FORMAT.verify(tmp_path / "copy.nc")
 
 
 def test_a_file_hashed_in_the_order_of_its_chunks_is_sound(small_file, tmp_path):
@@ -179,7 +179,7 @@ def test_a_file_hashed_in_the_order_of_its_chunks_is_sound(small_file, tmp_path)
         earlier = netcdf._hash(file, by_chunks=True)
         assert earlier != netcdf._hash(file)
         file.setncattr(dataset.HASH, earlier)
-    netcdf.verify(tmp_path / "a.nc")
+    netcdf.FORMAT.verify(tmp_path / "a.nc")
 
 
 def test_a_file_can_be_copied_into_a_classic_one(small_file, tmp_path, small_scene):

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 from .errors import BadInput, one_line, option
-from .hdf5 import SIGNATURES, check_path, is_own, locked_text
 from .process import PROCESS_NAME, is_running, process_name
 
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
@@ -316,8 +315,6 @@ def writable(
     check_not_input(path, inputs)
     check_folder(path)
     remove_leftovers(path.parent)
-    if path.suffix.lower() == ".nc":
-        check_path(path)
     check_replaceable(path)
     if path.exists() and not force:
         raise BadInput(exists_message(path))
@@ -325,7 +322,11 @@ def writable(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise BadInput if a file of numbers stands at `path` that is not certainly an atlas of this package."""
+    """Raise BadInput if a file of numbers stands at `path` that is not certainly an atlas of this package, or none can."""
+    from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # here, because few processes write
+
+    if path.suffix.lower() == ".nc":
+        check_path(path)
     if not path.is_file():
         return
     with path.open("rb") as file:

@@ -10,7 +10,6 @@ import numpy as np
 import tomli_w
 
 from ..errors import BadInput, shown
-from .tables import check_written
 
 
 def text_of(table: Mapping[str, Any]) -> str:
@@ -29,6 +28,8 @@ def _plain(value: Any, key: str = "") -> Any:
                 raise BadInput(f"{key or 'scene'}: the key {shown(name)} must be a text")
         return {name: _plain(value[name], f"{key}.{name}" if key else name) for name in value}
     if isinstance(value, np.ndarray | np.generic):
+        from .tables import check_written  # here, because few dictionaries have arrays
+
         check_written(key, value)
         value = value.tolist()
     if isinstance(value, list | tuple):

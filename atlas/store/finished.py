@@ -29,15 +29,13 @@ METADATA = "zarr.json"  # of a Zarr store
 class Content:
     """An atlas to write, which may be larger than memory."""
 
-    ds: (
-        xr.Dataset
-    )  # without attributes, with zeros for the variables `names`; large parameters are dask arrays
+    # Without attributes, with zeros for the variables `names`; large parameters are dask arrays.
+    ds: xr.Dataset
     names: Collection[str]
     chunk: Mapping[str, int]  # lengths of a block along each dimension
     blocks: Iterator[Block]  # boxes that cover the grid, one by one, with the values of the variables `names`
-    attributes: Callable[
-        [], Mapping[str, Any]
-    ]  # to be called after the last block, for they sum over the blocks
+    # To be called after the last block, for they sum over the blocks.
+    attributes: Callable[[], Mapping[str, Any]]
 
 
 class Format(Protocol):

@@ -194,11 +194,8 @@ class NetCDF(Format):
             raise BadInput(f"{path}: changed or damaged: its hash differs")
 
     def has_hash(self, path: Path | str) -> bool:
-        with (
-            suppress(Exception),
-            NETCDF_LOCK,
-            netCDF4.Dataset(Path(path)) as file,
-        ):  # one damaged name raises any error
+        # One damaged name raises any error.
+        with suppress(Exception), NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
             return HASH in file.ncattrs()
         return False
 

@@ -92,9 +92,9 @@ class PlaceStore(WrapperStore[Any]):
             return None
         except ValueError as error:
             raise BadInput(f"{self.place}/{key}: {error}") from None
-        if self.is_whole and "/c" in key:
-            await asyncio.to_thread(self.check_stamp)
         if "/c" in key:
+            if self.is_whole:
+                await asyncio.to_thread(self.check_stamp)
             # Checked here, because errors of codecs would not name the object, and come after all of it is unpacked.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)

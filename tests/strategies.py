@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from atlas.kernel.specialization import Specialization
 from atlas.label import pipeline
 from atlas.label.plan import Plan
-from atlas.scene.grid import Grid
+from atlas.scene.grid import Grid, at_points
 from atlas.systems import SYSTEMS
 from atlas.systems.fixed_point.families import FAMILIES as FIXED_POINT_FAMILIES
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
@@ -36,15 +36,18 @@ def default_points(system: str, count: int | None = None, **given) -> Points:
     }
 
 
+def in_units(points: Points, time: float, mass: float = 1.0) -> Points:
+    """The points in units of time and mass that are smaller by these factors; powers of 4 keep the bits."""
+    powers = dict.fromkeys(("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), (-1, 0)) | {"N": (-2, 0)}
+    powers |= dict.fromkeys("ABC", (0, 1)) | dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), (-2, 1))
+    powers |= dict.fromkeys(("k1", "k2", "k3", "l1", "l2", "l3", "damping"), (-1, 1))
+    factors = {name: time**of_time * mass**of_mass for name, (of_time, of_mass) in powers.items()}
+    return {name: values * factors.get(name, 1.0) for name, values in points.items()}
+
+
 def in_other_units(points: Points) -> tuple[Points, float]:
-    """The points in other units of time and mass, and the new unit of time; powers of 4 keep the bits."""
-    time, mass = 0.25, 16.0
-    units = dict.fromkeys("ABC", mass) | dict.fromkeys(
-        ("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), 1 / time
-    )
-    units |= dict.fromkeys(("k1", "k2", "k3", "l1", "l2", "l3", "damping"), mass / time) | {"N": time**-2}
-    units |= dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), mass / time**2)
-    return {name: values * units.get(name, 1.0) for name, values in points.items()}, time
+    """The points in other units of time and mass, and the new unit of time."""
+    return in_units(points, 0.25, 16.0), 0.25
 
 
 def select(points: Points, index) -> Points:
@@ -160,14 +163,15 @@ def satellite_on_family(name: str, rng: np.random.Generator, slower: float = 1.0
     return point
 
 
-def tile_of(base, points, duration):
+def tile_of(system, base, points, duration, settings):
     """Points that start at `points`, and would start at `base` without a nudge."""
-    return Grid(base, points, np.zeros(len(duration), np.int8), duration)
+    rate_tolerance = at_points(system, settings.rate_tolerance, base)
+    return Grid(base, points, np.zeros(len(duration), np.int8), duration, rate_tolerance)
 
 
 def evaluate(system, base, points, duration, settings, *, halved=False, threads=None, **plan):
     """The variables of a `tile_of` these; plan: further fields of a Plan."""
-    tile = tile_of(base, points, duration)
+    tile = tile_of(system, base, points, duration, settings)
     return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=threads)
 
 

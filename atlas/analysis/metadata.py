@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
 from ..measure.instrument import Variable
-from ..scene import grid
+from ..scene import checks, grid
 from ..scene.model import Axis, Duration, Scene, Settings
 from ..scene.read import parse_scene
 from ..store.tiling import Tiling
@@ -156,10 +156,17 @@ def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
 def settings_of(ds: xr.Dataset) -> Settings:
     """Settings of points that come from no scene, from the attributes of their dataset."""
     method, step = attribute_text(ds.attrs, "atlas_method"), number_attribute(ds, "atlas_step")
-    settings = Settings(method=method, rate_tolerance=number_attribute(ds, "atlas_rate_tolerance"))
+    settings = Settings(method=method, rate_tolerance=rate_tolerance_of(ds))
     if math.isfinite(step):
         return replace(settings, step=step)
     return replace(settings, tolerance=number_attribute(ds, "atlas_tolerance"))
+
+
+def rate_tolerance_of(ds: xr.Dataset) -> float | str:
+    """The rate tolerance of a dataset: a number, or arithmetic of its points."""
+    if isinstance(value := ds.attrs.get("atlas_rate_tolerance"), str):
+        return checks.positive_at_points("atlas_rate_tolerance", value)
+    return number_attribute(ds, "atlas_rate_tolerance")
 
 
 def axes_of(scene: Scene) -> dict[str, Axis]:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import BadInput, allowed_text, option, shown
+from ..scene.model import Duration
 from ..scene.tables import check_written
 from .degrees import factor, in_degrees
 from .metadata import (
@@ -246,4 +247,4 @@ def nearest_trajectory(
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     given = {name: value for name, value in start.items() if not math.isnan(value)}
-    return trajectory_of_point(system, given, float(point["end_time"]), samples, settings_of(ds))
+    return trajectory_of_point(system, given, Duration(float(point["end_time"])), samples, settings_of(ds))

@@ -52,14 +52,14 @@ if TYPE_CHECKING:
     ),
     *out_options("FILE", ".nc, or .csv", required=True),
     option_with_default(
-        "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns"'
+        "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns", "60 / Omega"'
     ),
     option_with_default("--method", "NAME", DEFAULTS.method, "rk4 or rk8"),
     [
         option_with_default("--tolerance", "E", DEFAULTS.tolerance, "as in a scene"),
         argument("--step", type=float, metavar="H", help="time units"),
     ],
-    option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit"),
+    option_with_default("--rate-tolerance", "R", DEFAULTS.rate_tolerance, "rad per time unit, or arithmetic"),
     argument(
         "--keep", default=[], metavar="NAME",
         belongs=lambda word: word not in (STANDARD_INPUT, *systems.names()) and not word.lower().endswith(FILES),

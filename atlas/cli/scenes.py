@@ -180,6 +180,7 @@ def check_scene(options: argparse.Namespace) -> None:
     say(
         printable(scene.title, MAX_TEXT),
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
+        *grid.settings_lines(scene, plan.sample),
         *plan.method_lines(),
         *plan.statistics_lines(),
     )

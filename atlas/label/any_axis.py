@@ -101,7 +101,7 @@ def _circle(
 
 
 def near_circle(
-    system: System, points: Points, duration: Array, rate_tolerance: float, frame_rate: Array
+    system: System, points: Points, duration: Array, rate_tolerance: Array | float, frame_rate: Array
 ) -> Mask:
     """Whether the angular velocity of a start may stay on a circle in the body, as it does along steady motions about any axes.
 

@@ -14,7 +14,7 @@ from ..kernel.ensemble import Ensemble
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..kernel.tableaux import METHODS
 from ..measure.circle import ANY_AXIS_THEORY
-from ..measure.instrument import Run
+from ..measure.instrument import Run, RunSettings
 from ..measure.observables import whole_periods
 from ..scene.grid import Grid, status_of
 from ..systems.base import Array, Flags, Mask, SharedValues, derived_values
@@ -76,7 +76,7 @@ def evaluate(
     runs = _prepare(plan, tile, halved, threads, progress)
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
-    for name, values in plan.proofs(tile.points).items():
+    for name, values in plan.proofs(tile).items():
         columns[name] = np.where(values != 0, values, columns[name]) if name in columns else values
     added = dict[str, np.ndarray]()
     if "predicted" in columns:
@@ -87,7 +87,7 @@ def evaluate(
         from .any_axis import predict_any_axis
 
         added |= predict_any_axis(
-            plan.system, tile.base, tile.points, columns, plan.settings.tolerances,
+            plan.system, tile.base, tile.points, columns, run.settings.tolerances,
             nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,
         )  # fmt: skip
         if "agreement_any_axis" in plan.names:
@@ -125,6 +125,7 @@ class _Runs:
 
     plan: Plan
     tile: Grid
+    settings: RunSettings
     ensemble: Ensemble
     step_sizes: StepSizes
     settled: Mask  # whether the frequency bound holds for the whole run
@@ -139,7 +140,7 @@ class _Runs:
 
     def integrate(self) -> Run:
         """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
-        step_sizes, settings = self.step_sizes.without_unresolved(), self.plan.settings
+        step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.steps.sum()), 1)
         points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
         stop_rate = None
@@ -183,7 +184,7 @@ def _prepare(
     plan: Plan, tile: Grid, halved: Mask | bool, threads: int | None, progress: Callable[[float], None]
 ) -> _Runs:
     """The ensemble, its step sizes and its theory. Points whose parameters overflow are unresolved."""
-    system, settings, main = plan.system, plan.settings, plan.main
+    system, settings, main = plan.system, plan.settings.at(tile.rate_tolerance), plan.main
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
     periods, duration = whole_periods(system, ensemble.constants, tile.duration)
@@ -206,7 +207,7 @@ def _prepare(
             tangent = TangentRuns.of(
                 system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes
             )
-    return _Runs(plan, tile, ensemble, step_sizes, settled, theory, tangent, threads, progress)
+    return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, threads, progress)
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:

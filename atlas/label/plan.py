@@ -18,8 +18,9 @@ from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
+from ..scene.grid import Grid
 from ..scene.model import MAX_STEPS, Scene, Settings, zero_and_equal
-from ..systems.base import Array, Points, System, derived_variables
+from ..systems.base import Array, System, derived_variables
 from ..variables import default_variables, instruments, main_instrument
 
 
@@ -77,9 +78,10 @@ class Plan:
     def plugs(self) -> tuple[Instrument, ...]:
         return tuple(each for each in self.instruments if each.sums)
 
-    def proofs(self, points: Points) -> dict[str, NDArray[Any]]:
+    def proofs(self, tile: Grid) -> dict[str, NDArray[Any]]:
         """What the instruments say of points without a run, see `Instrument.proofs`."""
-        each = (i.proofs(self.system, points, self.settings.tolerances) for i in self.instruments)
+        tolerances = self.settings.at(tile.rate_tolerance).tolerances
+        each = (i.proofs(self.system, tile.points, tolerances) for i in self.instruments)
         return {name: values for proofs in each for name, values in proofs.items()}
 
     @property
@@ -100,16 +102,15 @@ class Plan:
         plan = replace(self, outputs=[name for name in names if name not in statistics])
         return plan if plan.may_stop_early and not self.may_stop_early else None
 
-    def relative_costs(self, bound: Array, duration: Array) -> dict[str, float]:
+    def relative_costs(self, bound: Array, points: Grid) -> dict[str, float]:
         """Processor time expected of each other method over that of the plan's method; none for a given step: errors would differ."""
         if self.settings.step is not None:
             return {}
         costs = dict[str, float]()
         for name, method in METHODS.items():
             with np.errstate(all="ignore"):
-                sizes = StepSizes.of(
-                    replace(self.settings, method=name, max_steps=MAX_STEPS), bound, duration
-                )
+                settings = replace(self.settings, method=name, max_steps=MAX_STEPS)
+                sizes = StepSizes.of(settings.at(points.rate_tolerance), bound, points.duration)
             costs[name] = method.step_cost * float(sizes.steps.mean())
         own = costs.pop(self.settings.method)
         return {name: cost / own for name, cost in costs.items()}

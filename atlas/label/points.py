@@ -20,7 +20,7 @@ from ..kernel.tableaux import METHODS
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
 from ..scene.model import DEFAULTS, Duration, Settings
-from ..scene.read import check_std_tolerance, check_unit, parse_duration
+from ..scene.read import check_at_points, check_std_tolerance, check_unit, parse_duration
 from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
@@ -46,7 +46,7 @@ def label_points(
     step: float | None = None,
     tolerance: float = DEFAULTS.tolerance,
     method: str = DEFAULTS.method,
-    rate_tolerance: float = DEFAULTS.rate_tolerance,
+    rate_tolerance: float | str = DEFAULTS.rate_tolerance,
     variables: Sequence[str] | None = None,
     threads: int | None = None,
     progress: bool = False,
@@ -65,15 +65,16 @@ def label_points(
         and so do the variables of a Dataset of one dimension that is no parameter. The index of a DataFrame is the coordinate
         of "point" in the result, or a parameter if it has its name. A path names a .csv or .nc file.
     duration : float, array_like, DataArray or str
-        In time units, or a text as in a scene, such as "20 orbits" or "50 turns".
+        In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
+        rate of each point.
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
         Phase error of the fastest frequency at the end of the run, rad.
     method : str
         "rk4" or "rk8".
-    rate_tolerance : float
-        Variation of a rate that counts as none, rad per time unit.
+    rate_tolerance : float or str
+        Variation of a rate that counts as none, rad per time unit: a number, or arithmetic as in `duration`.
     variables : sequence of str, optional
         Names of the variables wanted; default: every one that is measured or predicted.
     threads : int, optional
@@ -100,9 +101,10 @@ def label_points(
 
     Notes
     -----
-    Points with moments of inertia that no body can have, and points at rest where the duration is a
-    number of turns, are not computed: their label is not_computed, and the status of the former impossible_body. A
-    logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point is computed.
+    Points with moments of inertia that no body can have, points at rest where the duration is a number of turns, and points
+    where arithmetic has no value above 0 are not computed: their label is not_computed, and the status of the first
+    impossible_body. A logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point
+    is computed.
 
     If an array is one of dask, the result is lazy, computed chunk by chunk with the bits of a call in memory. Values out of
     range are then errors of the computation, and there are no warnings and no attributes that depend on values.
@@ -128,7 +130,8 @@ def label_points(
                 raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
         outputs = [name for name in registry if name in variables]
     source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
-    text = parse_duration(duration) if isinstance(duration, str) else None
+    text = parse_duration(duration, names=description.parameters) if isinstance(duration, str) else None
+    check_at_points("rate_tolerance", settings.rate_tolerance, description.parameters)
     if text is not None:
         check_unit(description, text)
     names, (*arrays, lengths), name_columns = parameter_arrays(
@@ -194,10 +197,11 @@ class _Labels:
         elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
             raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
         reason = grid.reasons(system, points)
-        reason[(reason == grid.Reason.NONE) & np.isnan(durations)] = grid.Reason.NO_TURN
-        tile = grid.Grid(points, points, reason, durations)
+        rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, points)
+        grid.without_settings(reason, durations, rate_tolerance)
+        tile = grid.Grid(points, points, reason, durations, rate_tolerance)
         if self.warnings is not None:
-            self.warnings.extend(_warnings(system, tile, self.duration or Duration()))
+            self.warnings.extend(_warnings(system, self.outputs, tile, self.duration or Duration()))
             log_warnings(self.warnings)
         plan = Plan.of_points(system, self.settings, self.variables, self.names)
         if self.warnings is not None:
@@ -207,16 +211,18 @@ class _Labels:
         return results if len(results) > 1 else results[0]
 
 
-def _warnings(system: System, points: grid.Grid, duration: Duration) -> list[str]:
+def _warnings(system: System, outputs: Sequence[str], points: grid.Grid, duration: Duration) -> list[str]:
     """Warnings about points; BadInput if none can be computed."""
     check_possible(system, points.base)
     if not points.exists.any():
-        raise BadInput(
-            f"{grid.sentence(grid.Reason.NO_TURN, system, None, duration)}; give a number of time units"
-        )
+        reason = grid.Reason(points.reason[points.reason >= grid.Reason.NO_DURATION].min())
+        remedy = "; give a number of time units" if reason == grid.Reason.NO_DURATION else ""
+        raise BadInput(f"{grid.sentence(reason, system, None, duration)}{remedy}")
     counts = np.bincount(points.reason, minlength=len(grid.Reason))
     warnings = grid.count_lines(counts, system, None, duration)
-    warnings += grid.system_warnings(system, points.subset(points.exists).base)
+    computed = points.subset(points.exists)
+    warnings += grid.system_warnings(system, computed.base)
+    warnings += grid.unit_warnings(system, outputs, computed)
     try:
         system.check(points.base)
     except BadInput as error:  # incomplete points
@@ -233,9 +239,10 @@ def _advise(plan: Plan, points: grid.Grid) -> None:
     some = points.subset(exists[:: exists.size // MANY_POINTS])
     with np.errstate(all="ignore"):
         bound = numeric_bound.before_run(plan.system, some.points, some.duration)
-        steps = StepSizes.of(plan.settings, bound, some.duration).steps.mean() * exists.size
+        settings = plan.settings.at(some.rate_tolerance)
+        steps = StepSizes.of(settings, bound, some.duration).steps.mean() * exists.size
     if steps * METHODS[plan.settings.method].step_cost > MANY_STEPS:
-        costs = {name: cost for name, cost in plan.relative_costs(bound, some.duration).items() if cost < 1}
+        costs = {name: cost for name, cost in plan.relative_costs(bound, some).items() if cost < 1}
         log_warnings(method_lines(plan.settings.method, costs))
         _advised = True
 

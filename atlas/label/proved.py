@@ -18,7 +18,7 @@ from .theory import predict_runs
 
 def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
     """Where all labels of a plan that can be proved are, and what its instruments say without a run, (points,)."""
-    columns = plan.proofs(tile.points)
+    columns = plan.proofs(tile)
     proofs = [
         proof for label, proof in proofs_of_labels().items() if label in plan.names and proof in columns
     ]

@@ -89,7 +89,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     """
     system, duration, base = plan.system, tile.duration, SharedValues(tile.base)
     points = SharedValues(tile.points)
-    tolerances, nudged = plan.settings.tolerances, plan.nudged
+    tolerances, nudged = plan.settings.at(tile.rate_tolerance).tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = condition_residual(system, points)
         motion = steady_motions_of(system, base, duration, tolerances)
@@ -125,7 +125,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             is_exact = motion.answer == Existence.EXACT
             near = np.flatnonzero(is_exact & (start_residual > ROUNDING_RESIDUAL) & (growth > 0))
             bound = system.frequency_bound(subset(points, near))
-            near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances)]
+            near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances.subset(near))]
             motion.answer[near] = Existence.NEAR
             for name in predicted_frames(system, base):
                 variables[name][near] = Label.NOT_COMPUTED
@@ -263,7 +263,7 @@ def predict(
         label = rates.rule(tolerances, frame_rate).label(measured)
         label[others] = Label.DRIFTING
         if motion is not None and others.size:
-            rule = rates.rule(tolerances, frame_rate[others])
+            rule = rates.rule(tolerances.subset(others), frame_rate[others])
             uncertain = could_change(rule, sampled, error)
             label[others] = np.where(uncertain, Label.NOT_COMPUTED, rule.label(sampled))
         result[name] = np.where(exact, after_nudge(label, stable, nudged), otherwise)
@@ -344,7 +344,7 @@ def _take_away(
     names = predicted_frames(system, points)
     steady = np.any([theory[name] != Label.DRIFTING for name in names], axis=0)
     where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & within_range(system, points))
-    part = subset(points, where)
+    part, tolerances = subset(points, where), tolerances.subset(where)
     (u, vertical), (before, _) = frame_motion(system, part), frame_motion(system, subset(base, where))
     moved = departure(system, part, duration[where], (tolerances.rate, tolerances.angle))
     sine = np.hypot(*vertical[:2])

@@ -19,6 +19,7 @@ from ..kernel.stepsize import StepSizes, steps_between_instants
 from ..kernel.tableaux import METHODS, Method
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
+from ..scene.read import check_at_points, check_unit, parse_duration
 from ..scene.tables import point_columns
 from ..store import dataset
 from ..systems.base import Array, Points, System, check_possible
@@ -53,12 +54,12 @@ def trajectory(
     system: str,
     point: Mapping[str, Any],
     *,
-    duration: float = Duration.amount,
+    duration: float | str = Duration.amount,
     samples: int = 1001,
     step: float | None = None,
     method: str = DEFAULTS.method,
     tolerance: float = DEFAULTS.tolerance,
-    rate_tolerance: float = DEFAULTS.rate_tolerance,
+    rate_tolerance: float | str = DEFAULTS.rate_tolerance,
 ) -> xr.Dataset:
     """Motion of one point.
 
@@ -68,8 +69,8 @@ def trajectory(
         Name of a system, such as "satellite" or "fixed_point".
     point : mapping of str to float, or Series
         Parameters; omitted ones take their defaults. A row of the DataFrame that `label_points` takes is one.
-    duration : float
-        In time units.
+    duration : float or str
+        In time units, or a text as in `label_points`.
     samples : int
         Instants from 0 to `duration`, evenly spaced, at least 2.
     step : float, optional
@@ -78,8 +79,8 @@ def trajectory(
         "rk4" or "rk8".
     tolerance : float
         Phase error of the fastest frequency at the end of the run, rad.
-    rate_tolerance : float
-        Variation of a rate that counts as none, rad per time unit.
+    rate_tolerance : float or str
+        Variation of a rate that counts as none, rad per time unit, or arithmetic as in `label_points`.
 
     Returns
     -------
@@ -105,39 +106,47 @@ def trajectory(
     where it passes exactly through it, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
-    return trajectory_of_point(systems.get(system), point, duration, samples, settings)
+    description = systems.get(system)
+    length = parse_duration(duration, names=description.parameters)
+    return trajectory_of_point(description, point, length, samples, settings)
 
 
 def trajectory_of_point(
     system: System,
     point: Mapping[str, Any],
-    duration: float,
+    duration: Duration,
     samples: int,
     settings: Settings,
     title: str = "",
 ) -> xr.Dataset:
     """Motion of one point with these settings, see `trajectory`."""
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
-    duration = checks.positive("duration", duration)
     points, size = point_columns(system, point)
     if size != 1:
         raise BadInput(f"point: {size} points given; a trajectory is that of one")
     check_possible(system, points)
+    check_unit(system, duration)
+    check_at_points("rate_tolerance", settings.rate_tolerance, points)
+    durations = grid.durations(system, duration, points)
+    rate_tolerance = grid.at_points(system, settings.rate_tolerance, points)
+    for value, reason in ((durations, grid.Reason.NO_DURATION), (rate_tolerance, grid.Reason.NO_TOLERANCE)):
+        if np.isnan(value[0]):
+            raise BadInput(f"no motion: {grid.sentence(reason, system, None, duration)}")
+    settings = settings.with_number(float(rate_tolerance[0]))
     ensemble = Ensemble.of(system, points)
     plan = Plan(system, settings)
-    durations = np.array([duration])
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound, _ = numeric_bound.along_runs(
             system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
         )
-        whole = StepSizes.of(settings, bound, durations).steps
-    steps = int(steps_between_instants(settings, whole, durations, samples - 1)[0])
+        whole = StepSizes.of(settings.at(rate_tolerance), bound, durations).steps
+    steps = int(steps_between_instants(settings.at(rate_tolerance), whole, durations, samples - 1)[0])
     has_angles = main_instrument(system).has_theory
     parts = max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1))) if has_angles else 1
     # The last part before a sample may be shorter than the others.
     ends = np.append(np.arange(-(-steps // parts), steps, -(-steps // parts)), steps)
     parts, steps_of_parts = ends.size, np.tile(np.diff(ends, prepend=0), samples - 1)
-    step_size = np.array([duration / (steps * (samples - 1))])
+    step_size = durations / (steps * (samples - 1))
     states, lost = _states(plan.kernel, ensemble, steps_of_parts, step_size)
     path = {}
     if has_angles:
@@ -147,14 +156,14 @@ def trajectory_of_point(
             path = _path(system, points, motion, states, steps_of_parts)
     at_samples = slice(None, None, parts)
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
-    ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, duration, samples))
+    ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, durations[0], samples))
     # Variables, because xarray prints scalar coordinates over every plot.
     ds["step"] = ((), float(step_size[0]), {"long_name": "integration step", "units": "s"})
     for name, parameter in system.parameters.items():
-        value = float(points[name][0])
-        if not np.isnan(value):
+        start = float(points[name][0])
+        if not np.isnan(start):
             attributes = {"long_name": parameter.meaning, "units": parameter.unit}
-            ds[f"{name}_start" if name in ds else name] = ((), value, attributes)
+            ds[f"{name}_start" if name in ds else name] = ((), start, attributes)
     ds.attrs = dataset.provenance(
         system, settings, plan.kernel_hash, title=title or f"trajectory of the {system.title}",
         warnings=system.warnings(points),
@@ -177,9 +186,9 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
     title = f"{scene.title}: trajectory at {place}"
-    return trajectory_of_point(
-        scene.system, point, float(located.duration[0]), samples, scene.settings, title
-    )
+    duration, settings = Duration(float(located.duration[0])), scene.settings
+    settings = settings.with_number(float(located.rate_tolerance[0]))
+    return trajectory_of_point(scene.system, point, duration, samples, settings, title)
 
 
 def _states(

@@ -11,14 +11,14 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..kernel.ensemble import Ensemble, Integration
 from ..kernel.statistics import Row
-from ..kernel.stepsize import StepSettings, StepSizes
+from ..kernel.stepsize import StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
 # Least turn of a body in a run, rad: the frequency bound, a divisor, is never 0.
@@ -67,23 +67,39 @@ class Tolerances:
 
     # Largest root mean square of theta' and standard deviation of psi' and phi', and largest mean rate that counts as zero, rad
     # per time unit
-    rate: float
+    rate: Array | float  # of each point, or one of all
     angle: float  # radius of the cylinder: where sin(theta) is below it, the third axis counts as vertical
 
+    def subset(self, where: Any) -> Tolerances:
+        """The tolerances of some of the points, by a mask, their indices or a slice."""
+        return self if isinstance(self.rate, float) else replace(self, rate=self.rate[where])
 
-class RunSettings(StepSettings, Protocol):
-    """What runs and their measurements depend on."""
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What runs of some points and their measurements depend on: see `scene.model.Settings`."""
+
+    method: str
+    tolerance: float
+    step: float | None
+    max_steps: int
+    tolerances: Tolerances
+    drift_tolerance: float
+    std_tolerance: Mapping[str, float] | None
+    check_half_step: str
 
     @property
-    def cylinder(self) -> float: ...
+    def rate_tolerance(self) -> Array | float:
+        return self.tolerances.rate
+
     @property
-    def tolerances(self) -> Tolerances: ...
-    @property
-    def drift_tolerance(self) -> float: ...
-    @property
-    def std_tolerance(self) -> Mapping[str, float] | None: ...
-    @property
-    def check_half_step(self) -> str: ...
+    def cylinder(self) -> float:
+        """Radius in rad of the cap about the vertical."""
+        return self.tolerances.angle
+
+    def subset(self, where: Any) -> RunSettings:
+        """The settings of some of the points."""
+        return replace(self, tolerances=self.tolerances.subset(where))
 
 
 @dataclass(frozen=True)
@@ -195,6 +211,7 @@ class Run:
     def subset(self, where: NDArray[np.int64]) -> Run:
         return replace(
             self,
+            settings=self.settings.subset(where),
             ensemble=self.ensemble.subset(where),
             step_sizes=self.step_sizes.subset(where),
             frame_rates=subset(self.frame_rates, where),
@@ -287,7 +304,7 @@ class MainInstrument(Instrument):
         """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
         raise NotImplementedError
 
-    def steady_below(self, settings: RunSettings) -> float:
+    def steady_below(self, settings: RunSettings) -> Array | float:
         """The least unsteadiness of a drifting point."""
         return 1.0
 

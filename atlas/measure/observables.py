@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from ..systems.base import Array, Flags, Mask, Observable, System
 from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Variable
 from .rates import END_TIME, INTEGRAL_DRIFT, STATUS, rounding_error, step_variables
 
+_T = TypeVar("_T")
 # Suffix of a statistic in the atlas -> its meaning, with the name of the observable in place of {}.
 STATISTICS = {
     "mean": "mean of the {}",
@@ -75,7 +77,7 @@ class Observables(MainInstrument):
         )
 
     def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
-        limits = std_tolerances(system, settings)
+        limits = std_tolerances(system, settings.std_tolerance, settings.rate_tolerance)
         shares = [measured[f"{name}_std"] / limit for name, limit in limits.items()]
         return np.asarray(np.fmax.reduce(shares))
 
@@ -139,7 +141,7 @@ class Observables(MainInstrument):
         return result
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        limits = std_tolerances(run.system, run.settings)
+        limits = std_tolerances(run.system, run.settings.std_tolerance, run.settings.rate_tolerance)
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
@@ -205,14 +207,17 @@ def whole_periods(
         return periods, periods * period
 
 
-def std_tolerances(system: System, settings: RunSettings) -> dict[str, float]:
-    """Largest standard deviation of each observable that counts as constant, in its unit."""
-    own, default = settings.std_tolerance or {}, settings.rate_tolerance
-    limits = {o.name: default if o.tolerance is None else o.tolerance for o in system.observables}
-    return {name: float(own.get(name, limit)) for name, limit in limits.items()}
+def std_tolerances(
+    system: System, settings: Mapping[str, float] | None, rate_tolerance: _T
+) -> dict[str, float | _T]:
+    """Largest standard deviation of each observable that counts as constant, in its unit: of the settings, else its own."""
+    limits = {
+        o.name: rate_tolerance if o.tolerance is None else float(o.tolerance) for o in system.observables
+    }
+    return limits | {name: limit for name, limit in (settings or {}).items() if name in limits}
 
 
-def label(measured: Measured, limits: Mapping[str, float]) -> Flags:
+def label(measured: Measured, limits: Mapping[str, Array | float]) -> Flags:
     """Label of each point, values of `flags.Steadiness`, whatever its status; limits: see `std_tolerances`."""
     varies = [measured[f"{name}_std"] > limit for name, limit in limits.items()]
     return np.where(np.any(varies, axis=0), Steadiness.DRIFTING, Steadiness.STEADY).astype(np.int8)

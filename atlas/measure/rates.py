@@ -96,9 +96,9 @@ class Rates(MainInstrument):
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
-    def steady_below(self, settings: RunSettings) -> float:
+    def steady_below(self, settings: RunSettings) -> Array | float:
         """The largest rate that counts as none."""
-        return float(settings.rate_tolerance)
+        return settings.rate_tolerance
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
         """Largest error of a rate over the frequency bound."""
@@ -260,7 +260,7 @@ def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
 
 
 def steady_label(
-    n: Array, m: Array, cylinder: Mask, tolerance: float, drifting: Mask | bool = False
+    n: Array, m: Array, cylinder: Mask, tolerance: Array | float, drifting: Mask | bool = False
 ) -> Flags:
     """Label of a motion with the mean rates n = psi' and m = phi', steady but where `drifting`; rates up to the tolerance are zero."""
     zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)

@@ -24,9 +24,18 @@ from matplotlib.mathtext import MathTextParser
 from matplotlib.textpath import text_to_path
 
 from ..analysis.degrees import DEGREE
-from ..analysis.metadata import axes_of, common_values, number_attribute, scene_of, scene_problem, system_of
+from ..analysis.metadata import (
+    axes_of,
+    common_values,
+    number_attribute,
+    rate_tolerance_of,
+    scene_of,
+    scene_problem,
+    system_of,
+)
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import FIGURES, atomic_write, writable
+from ..scene.model import rate_text
 from ..systems.base import families_of
 from .options import Width, width_mm
 
@@ -348,7 +357,7 @@ def caption(ds: xr.Dataset) -> str:
     tolerances = (
         ""
         if not system.frame
-        else f"; rates count as constant within {number_attribute(ds, 'atlas_rate_tolerance'):g} rad per time unit, the third axis"
+        else f"; rates count as constant within {rate_text(rate_tolerance_of(ds))} rad per time unit, the third axis"
         f" as vertical within {number_attribute(ds, 'atlas_cylinder_tolerance'):g} rad"
     )
     sentences += [

@@ -72,7 +72,8 @@ class ScenePlan:
     def step_sizes_by(self, settings: Settings) -> StepSizes:
         """Step sizes of the sample by these settings, with their expected errors."""
         with np.errstate(all="ignore"):
-            return StepSizes.of(settings, self._bound, self.sample.duration)
+            settings_at_points = settings.at(self.sample.rate_tolerance)
+            return StepSizes.of(settings_at_points, self._bound, self.sample.duration)
 
     @cached_property
     def step_sizes(self) -> StepSizes:
@@ -178,7 +179,7 @@ class ScenePlan:
     def relative_costs(self) -> dict[str, float]:
         """Processor time expected of each other method over that of the scene's method; see `label.plan`."""
         exists = self.sample.exists
-        return self.points.relative_costs(self._bound[exists], self.sample.duration[exists])
+        return self.points.relative_costs(self._bound[exists], self.sample.subset(exists))
 
     def method_lines(self) -> list[str]:
         """A sentence on the cost of each other method; none for a given step."""

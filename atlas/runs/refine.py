@@ -80,13 +80,6 @@ class FineGrid:
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
             column.fill(np.nan)
-        # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A start survives if
-        # the unstable component of its nudge is a smaller share than rate_tolerance / nudge * exp(-growth), which is also the
-        # share of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
-        nudge, self.growth_needed = max(map(abs, scene.nudge.values()), default=0.0), -math.inf
-        if nudge > 0:
-            missed_without_growth = scene.settings.rate_tolerance / nudge * scene.size
-            self.growth_needed = math.log(missed_without_growth / EXPECTED_MISSES)
         self.n_existing, self.n_integrated, self.finest = 0, 0, (slice(None, None, 1),) * len(scene.shape)
         for (chunk,) in Tiling.of((scene.size,), grid.MAX_POINTS_PER_TILE):
             self._predict(chunk)
@@ -105,12 +98,18 @@ class FineGrid:
         if existing.size:
             # Without labels about any axes, because the growth of motions about other axes does not matter here.
             plan = replace(self.plan, outputs=())
-            prediction = theory.predict_runs(plan, points.subset(points.exists))
+            prediction = theory.predict_runs(plan, (part := points.subset(points.exists)))
             for name in self.numbers.keys() & {"growth_rate"}:
                 self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
-            slow = prediction.log_growth < self.growth_needed
+            # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A start survives
+            # if the unstable component of its nudge is a smaller share than rate_tolerance / nudge * exp(-growth), which is also the
+            # share of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
+            nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
+            with np.errstate(divide="ignore"):
+                needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)
+            slow = prediction.log_growth < (needed if nudge > 0 else -np.inf)
             slow &= prediction.variables["stable"] == Stability.UNSTABLE
             self.slowly_unstable.reshape(-1)[existing] = slow
 

@@ -117,15 +117,15 @@ def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
     if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
         raise BadInput(
             f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
-            " equal values of all parameters"
+            " rate tolerance and equal values of all parameters"
         )
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """All that the bits of a point depend on, apart from its parameters and its duration."""
+    """All that the bits of a point depend on, apart from its parameters, its duration and its rate tolerance."""
     return {
         "system": plan.system.name,
-        **{f.name: getattr(plan.settings, f.name) for f in fields(Settings)},
+        **{f.name: getattr(plan.settings, f.name) for f in fields(Settings) if f.name != "rate_tolerance"},
         "cylinder_tolerance": plan.settings.cylinder,
         "kernel": plan.kernel_hash,
         "measured": ", ".join(map(str, plan.instruments)),
@@ -154,7 +154,9 @@ def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Gr
     candidates = np.flatnonzero(inside)
     if candidates.size:
         ours, theirs = points.subset(candidates), grid.points_at_indices(other, result[candidates])
-        columns, others = ([g.duration, *g.base.values(), *g.points.values()] for g in (ours, theirs))
+        columns, others = (
+            [g.duration, g.rate_tolerance, *g.base.values(), *g.points.values()] for g in (ours, theirs)
+        )
         same = ours.reason == theirs.reason
         for a, b in zip(columns, others, strict=True):
             same &= a.view(np.int64) == b.view(np.int64)

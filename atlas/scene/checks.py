@@ -78,6 +78,15 @@ def positive(key: str, value: object) -> float:
     return result
 
 
+@accepts(type=["number", "string"], exclusiveMinimum=0)
+def positive_at_points(key: str, value: object) -> float | str:
+    """The value as a float above 0, or the text of arithmetic in names that has a value at each point."""
+    if not isinstance(value, str):
+        return positive(key, value)
+    expression = Expression(key, value)
+    return expression.text if expression.names else positive(key, float(expression.value({})))
+
+
 @accepts(type="object", additionalProperties=positive.schema)
 def positive_numbers(key: str, value: object) -> dict[str, float]:
     """The value as floats by name, if it is a table of finite numbers above 0."""

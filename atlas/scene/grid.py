@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 
 from ..errors import BadInput, shown
-from ..flags import Status
+from ..flags import LABELS, Status
 from ..systems.base import (
     MAX_MAGNITUDE,
+    NATURAL_RATE,
     NO_RIGID_BODY,
     Array,
     Flags,
@@ -30,6 +31,7 @@ from ..systems.base import (
 )
 from ..systems.steady import lacks_theory
 from .checks import check_range
+from .expressions import Expression
 from .family import ON_FAMILY, check_solution, solution
 from .model import Duration, Scene
 
@@ -41,6 +43,8 @@ MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
 MAX_COUNTED = 2**19
 # Points at which the formulas of a family are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
+# Natural rates in a rate tolerance from which on a warning follows.
+COARSE = 1e-2
 
 
 def max_points_per_tile() -> int:
@@ -61,7 +65,10 @@ class Reason(IntEnum):
     IMPOSSIBLE_BODY = 2  # see systems.base.possible_body
     IMPOSSIBLE_START = 3  # see System.possible_start
     NO_MOTION = 4  # the scene's family does not exist
-    NO_TURN = 5  # the duration is a number of turns or orbits, and nothing turns
+    NO_DURATION = (
+        5  # nothing turns, but the duration is in turns or orbits; or it is arithmetic without a value
+    )
+    NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a value
 
 
 @dataclass(frozen=True)
@@ -71,7 +78,8 @@ class Grid:
     base: dict[str, Array]  # parameter -> values before the nudge, for theory; float64 of shape (points,)
     points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
     reason: Flags  # int8 of shape (points,), values of `Reason`: why a point is not computed
-    duration: Array  # length of the run in time units; float64 of shape (points,), nan where nothing turns
+    duration: Array  # length of the run in time units; float64 of shape (points,), nan where it has no value
+    rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where it has no value
     step: Array | None = None  # length of a step in time units, in place of `settings.step`
 
     @property
@@ -83,7 +91,7 @@ class Grid:
         """Some of the points, by their indices, a mask or a slice."""
         base, points = subset(self.base, where), subset(self.points, where)
         step = None if self.step is None else self.step[where]
-        return Grid(base, points, self.reason[where], self.duration[where], step)
+        return Grid(base, points, self.reason[where], self.duration[where], self.rate_tolerance[where], step)
 
 
 def status_of(reason: Flags) -> Flags:
@@ -115,16 +123,16 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     """Points at flat C-order indices: ties, family, offsets and nudge; BadInput for ties out of range and incomplete starts."""
-    base, reason, duration = _before_nudge(scene, indices)
+    base, reason, duration, rate_tolerance = _before_nudge(scene, indices)
     base = {name: np.ascontiguousarray(values) for name, values in base.items()}
     with np.errstate(all="ignore"):
         start = scene.system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
-    return Grid(base, points, reason, duration)
+    return Grid(base, points, reason, duration, rate_tolerance)
 
 
-def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], Flags, Array]:
-    """Points before the nudge, why they are not computed, and their durations, as in `Grid`."""
+def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], Flags, Array, Array]:
+    """Points before the nudge, why they are not computed, their durations and their rate tolerances, as in `Grid`."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -146,11 +154,19 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
                     base[axis.name] = base[axis.name] + axis.values[index]
             no_motion = ~exists
         reason = reasons(system, base, no_value, no_motion)
-        duration = durations(system, scene.duration, base, "integration.duration")
-        reason[(reason == Reason.NONE) & np.isnan(duration)] = Reason.NO_TURN
+        names, rate = values | base, scene.settings.rate_tolerance
+        duration = durations(system, scene.duration, base, names, "integration.duration")
+        rate_tolerance = at_points(system, rate, base, names)
+        without_settings(reason, duration, rate_tolerance)
         has_values = reason != Reason.NO_VALUE
         system.check(base if has_values.all() else subset(base, has_values))
-    return base, reason, duration
+    return base, reason, duration, rate_tolerance
+
+
+def without_settings(reason: Flags, duration: Array, rate_tolerance: Array) -> None:
+    """Set the reason of points that are computed but for a duration or a tolerance without a value."""
+    for value, no_value in ((duration, Reason.NO_DURATION), (rate_tolerance, Reason.NO_TOLERANCE)):
+        reason[(reason == Reason.NONE) & np.isnan(value)] = no_value
 
 
 def reasons(
@@ -177,10 +193,26 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
-def durations(system: System, duration: Duration, points: Points, key: str = "duration") -> Array:
-    """Lengths of runs, in time units; nan for turns where nothing turns. BadInput where they overflow."""
-    if not duration.unit:
-        return np.full(shape_of(points), duration.amount)
+def at_points(system: System, amount: float | str, points: Points, names: Points | None = None) -> Array:
+    """A number, or the values of arithmetic, at points, (points,); nan where they are not finite and above 0.
+
+    names: values of every name in the arithmetic, by default of the parameters.
+    """
+    if not isinstance(amount, str):
+        return np.full(shape_of(points), amount)
+    expression, names = Expression("", amount), dict(points if names is None else names)
+    if NATURAL_RATE in expression.names:
+        names[NATURAL_RATE] = system.natural_rate(points)
+    values = np.broadcast_to(expression.value(names), shape_of(points))
+    return np.where(np.isfinite(values) & (values > 0), values, np.nan)
+
+
+def durations(
+    system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration"
+) -> Array:
+    """Lengths of runs, in time units; nan where they have no value, see `at_points`. BadInput where turns overflow."""
+    if isinstance(duration.amount, str) or not duration.unit:
+        return at_points(system, duration.amount, points, names)
     with np.errstate(all="ignore"):
         if duration.unit == "orbits":
             assert system.frame_rate is not None
@@ -220,7 +252,7 @@ def check(scene: Scene) -> Grid:
             )
         check_possible(scene.system, subset(grid.base, defined))
         if scene.family is not None:
-            exists = (grid.reason == Reason.NONE) | (grid.reason == Reason.NO_TURN)
+            exists = np.isin(grid.reason, (Reason.NONE, Reason.NO_DURATION, Reason.NO_TOLERANCE))
             candidates = indices[exists if exists.any() else grid.reason == Reason.NO_MOTION]
             chosen = candidates[_even_indices(candidates.size, MAX_CHECKED_FORMULAS)]
             values = parameter_values(scene, chosen)
@@ -231,6 +263,8 @@ def check(scene: Scene) -> Grid:
             raise BadInput(
                 f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"
                 " give a number of time units"
+                if (grid.reason == Reason.NO_DURATION).any()
+                else f"labels.rate_tolerance = {shown(str(scene.settings.rate_tolerance))}: at every point {_NO_NUMBER}"
             )
         on_grid = grid.subset(grid.exists)
         for name, derived in derived_variables(scene.system).items():
@@ -244,7 +278,12 @@ def check(scene: Scene) -> Grid:
         raise error if scene.source is None else scene.source.located(error) from None
 
 
-_NOTHING_TURNS = {"turns": "n and m are 0, and nothing turns", "orbits": "the frame does not turn"}
+_NO_NUMBER = "it is no finite number above 0"
+_NOTHING_TURNS = {
+    "": _NO_NUMBER,
+    "turns": "n and m are 0, and nothing turns",
+    "orbits": "the frame does not turn",
+}
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
@@ -281,13 +320,62 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
         Reason.IMPOSSIBLE_BODY: NO_RIGID_BODY,
         Reason.IMPOSSIBLE_START: system.start_condition,
         Reason.NO_MOTION: f"the family {family} has no motion here",
-        Reason.NO_TURN: f"duration = {shown(str(duration))}, but {_NOTHING_TURNS.get(duration.unit)}",
+        Reason.NO_DURATION: f"duration = {shown(str(duration))}, but {_NOTHING_TURNS[duration.unit]}",
+        Reason.NO_TOLERANCE: "rate_tolerance is no finite number above 0",
     }[reason]
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
-    """Warnings about a scene: points that are `not_computed`, and `system_warnings` of the others."""
-    return not_computed(scene, sample) + system_warnings(scene.system, sample.subset(sample.exists).base)
+    """Warnings about a scene: points that are `not_computed`, and `system_warnings` and `unit_warnings` of the others."""
+    points = sample.subset(sample.exists)
+    return [
+        *not_computed(scene, sample),
+        *system_warnings(scene.system, points.base),
+        *unit_warnings(scene.system, scene.outputs, points, whole=sample.reason.size == scene.size),
+    ]
+
+
+def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, whole: bool = True) -> list[str]:
+    """Warnings about measured labels with a rate tolerance or a duration that does not fit the natural rates of points.
+
+    whole: whether these are all points that are computed, else a sample.
+    """
+    if type(system).natural_rate is System.natural_rate or set(LABELS).isdisjoint(outputs):
+        return []
+    with np.errstate(all="ignore"):
+        rate, messages = system.natural_rate(points.base), list[str]()
+        coarse = points.rate_tolerance > COARSE * rate
+        short = points.duration * rate < 2 * np.pi
+    for where, text in (
+        (coarse, f"rate_tolerance is above {COARSE:g} * natural_rate, and slow motions count as none"),
+        (short, "the duration is shorter than a period of natural_rate, and what is slower looks steady"),
+    ):
+        if where.any():
+            share = f"{where.sum()} of {where.size}" if whole else f"about {100 * where.mean():.3g} % of the"
+            low, high = rate[where].min(), rate[where].max()
+            messages.append(
+                f"{share} points: {text}; natural_rate is {_interval(low, high)} rad per time unit there"
+            )
+    return messages
+
+
+def settings_lines(scene: Scene, sample: Grid) -> list[str]:
+    """A sentence on what a duration and a rate tolerance that are arithmetic are in numbers."""
+    settings = (
+        ("duration", scene.duration.amount, sample.duration, "time units"),
+        ("rate_tolerance", scene.settings.rate_tolerance, sample.rate_tolerance, "rad per time unit"),
+    )
+    texts = [
+        f'{name} = "{amount}" is {_interval(values[sample.exists].min(), values[sample.exists].max())} {unit}'
+        for name, amount, values, unit in settings
+        if isinstance(amount, str)
+    ]
+    return ["; ".join(texts)] if texts else []
+
+
+def _interval(low: float, high: float) -> str:
+    """A number, or two."""
+    return f"{low:.4g}" if f"{low:.4g}" == f"{high:.4g}" else f"{low:.4g} to {high:.4g}"
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from typing import Any
 
@@ -14,8 +14,8 @@ import tomli_w
 from .. import extension
 from ..errors import MAX_TEXT, printable
 from ..kernel.tableaux import METHODS
-from ..measure.instrument import Tolerances
-from ..systems.base import Array, System
+from ..measure.instrument import RunSettings, Tolerances
+from ..systems.base import NATURAL_RATE, Array, System
 from . import checks
 from .checks import checked
 from .expressions import PointColumn, Tie
@@ -25,6 +25,7 @@ SCHEMA = 1
 # Largest `max_steps`: more than any run takes in practice; sums of such numbers fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
+DEFAULT_ANGLE = 1e-5  # rad, the cylinder tolerance where the rate tolerance is no number
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
 # Most axes, parameters or ties in the short text of a scene.
@@ -48,13 +49,15 @@ class Settings:
     max_steps: int = checked(
         checks.whole(1, MAX_STEPS), 100_000_000, "integration", "largest number of steps of a run"
     )
-    rate_tolerance: float = checked(
-        checks.positive, 1e-5, "labels", "variation of a rate that counts as none (rad per time unit)"
-    )
+    rate_tolerance: float | str = checked(
+        checks.positive_at_points, f"1e-5 * {NATURAL_RATE}", "labels",
+        "variation of a rate that counts as none (rad per time unit): a number, or arithmetic in parameters, axes and"
+        " natural_rate, the rate of each point",
+    )  # fmt: skip
     cylinder_tolerance: float | None = checked(
         checks.positive, None, "labels",
         "radius of the cap about the vertical in which the third axis counts as vertical (rad; default: the number of"
-        " rate_tolerance)",
+        f" rate_tolerance, or {DEFAULT_ANGLE:g} where that is arithmetic)",
     )  # fmt: skip
     drift_tolerance: float = checked(
         checks.positive, 1e-5, "labels", "largest relative change of a first integral"
@@ -80,15 +83,28 @@ class Settings:
     @property
     def cylinder(self) -> float:
         """Radius in rad of the cylinder, the cap about the vertical in which the third axis counts as vertical."""
-        return self.rate_tolerance if self.cylinder_tolerance is None else self.cylinder_tolerance
+        if self.cylinder_tolerance is not None:
+            return self.cylinder_tolerance
+        return DEFAULT_ANGLE if isinstance(self.rate_tolerance, str) else self.rate_tolerance
 
-    @property
-    def tolerances(self) -> Tolerances:
-        """The tolerances of a label."""
-        return Tolerances(self.rate_tolerance, self.cylinder)
+    def with_number(self, rate_tolerance: float) -> Settings:
+        """The settings with a number in place of arithmetic, and the same cylinder."""
+        return replace(self, rate_tolerance=rate_tolerance, cylinder_tolerance=self.cylinder)
+
+    def at(self, rate_tolerance: Array | float) -> RunSettings:
+        """The settings of points with these rate tolerances, (points,) or one of all, rad per time unit."""
+        return RunSettings(
+            self.method, self.tolerance, self.step, self.max_steps, Tolerances(rate_tolerance, self.cylinder),
+            self.drift_tolerance, self.std_tolerance, self.check_half_step,
+        )  # fmt: skip
 
 
 DEFAULTS = Settings()
+
+
+def rate_text(rate_tolerance: float | str) -> str:
+    """A rate tolerance for readers."""
+    return rate_tolerance if isinstance(rate_tolerance, str) else f"{rate_tolerance:g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,12 +142,18 @@ class Axis:
 class Duration:
     """Length of the runs."""
 
-    amount: float = 60.0  # how many units
+    amount: float | str = f"60 / {NATURAL_RATE}"  # how many units: a number, or arithmetic of time units
     unit: str = ""  # "" for time units, "orbits", or "turns" of the slower of n and m
+
+    @property
+    def toml(self) -> float | str:
+        """The entry of a scene."""
+        return str(self) if self.unit else self.amount
 
     def __str__(self) -> str:
         unit = self.unit.removesuffix("s") if self.amount == 1 else self.unit
-        return f"{repr(self.amount).removesuffix('.0')} {unit}".strip()
+        amount = self.amount if isinstance(self.amount, str) else repr(self.amount).removesuffix(".0")
+        return f"{amount} {unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -264,7 +286,7 @@ class Scene:
 
     def toml(self) -> str:
         """The scene with every default written out; `load_scene` of this text gives the same scene."""
-        settings, duration = self.settings, self.duration
+        settings = self.settings
         table: dict[str, Any] = {
             "extensions": self.extensions,
             "seed": self.seed,
@@ -282,7 +304,7 @@ class Scene:
             "fixed": dict(self.fixed),
             "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, PointColumn)},
             **{name: value for name, value in table.items() if value},
-            "integration": {"duration": str(duration) if duration.unit else duration.amount},
+            "integration": {"duration": self.duration.toml},
             "labels": {},
         }
         for f in fields(settings):
@@ -318,7 +340,9 @@ class Scene:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
         lines.append(f"duration {self.duration}, {settings.method}, {accuracy}")
-        lines.append(f"rate tolerance {settings.rate_tolerance:g}, cylinder tolerance {settings.cylinder:g}")
+        lines.append(
+            f"rate tolerance {rate_text(settings.rate_tolerance)}, cylinder tolerance {settings.cylinder:g}"
+        )
         return "\n  ".join(lines)
 
     def _repr_html_(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
 from ..flags import reserved_families
-from ..systems.base import Array, System, families_of
+from ..systems.base import NATURAL_RATE, Array, System, families_of
 from ..variables import POINT, data_variables, default_variables, proofs_of_labels, variables
 from . import checks
 from .checks import checked
@@ -204,7 +204,9 @@ def scene_from(
         "points": columns,
     }
     _check_names(system, names, axes, ties)
-    duration, settings = _integration(system, section["integration"], section["labels"])
+    duration, settings = _integration(
+        system, section["integration"], section["labels"], {*system.parameters, *fixed, *axes, *ties}
+    )
     outputs, map_variable = _outputs(system, section["outputs"], of_atlas)
     if settings.prove and not of_atlas:
         outputs = _with_proofs(system, outputs, is_refined=refine is not None)
@@ -485,9 +487,9 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
 
 
 def _integration(
-    system: System, integration: Mapping[str, Any], labels: Mapping[str, Any]
+    system: System, integration: Mapping[str, Any], labels: Mapping[str, Any], names: Collection[str]
 ) -> tuple[Duration, Settings]:
-    """Duration and settings from the tables [integration] and [labels]."""
+    """Duration and settings from the tables [integration] and [labels]; `names` have a value at each point."""
     values = checks.from_table(
         checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
     )
@@ -495,13 +497,15 @@ def _integration(
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
     duration = (
-        parse_duration(integration["duration"], "integration.duration")
+        parse_duration(integration["duration"], "integration.duration", names)
         if "duration" in integration
         else Duration()
     )
     check_unit(system, duration, "integration.duration")
     check_std_tolerance(system, values.get("std_tolerance"), "labels.std_tolerance")
-    return duration, Settings(**values)
+    settings = Settings(**values)
+    check_at_points("labels.rate_tolerance", settings.rate_tolerance, names)
+    return duration, settings
 
 
 def check_std_tolerance(
@@ -516,15 +520,24 @@ def check_std_tolerance(
             )
 
 
-def parse_duration(value: object, key: str = "duration") -> Duration:
-    """Length of runs, from time units or a text such as "60", "20 orbits" or "50 turns"; else BadInput."""
+def parse_duration(value: object, key: str = "duration", names: Collection[str] = ()) -> Duration:
+    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
-    match = re.fullmatch(r"(\S*\d\.?)\s*([A-Za-z]*)", value.strip())
+    match = re.fullmatch(r"([-+]?[0-9.][-+0-9.eE]*)\s*([A-Za-z]+)", value.strip())
     unit = match[2].lower() if match else ""
     unit = unit + "s" if f"{unit}s" in DURATION_UNITS else unit
-    if match is None or unit not in ("", *DURATION_UNITS):
-        raise BadInput(f'{key} = {shown(value)}: allowed: a number of time units, "20 orbits" or "50 turns"')
+    if match is None or unit not in DURATION_UNITS:
+        try:
+            Expression(key, value)
+        except BadInput:
+            raise BadInput(
+                f'{key} = {shown(value)}: allowed: a number of time units, "20 orbits" or "50 turns", or arithmetic such as'
+                f' "60 / {NATURAL_RATE}"'
+            ) from None
+        amount = checks.positive_at_points(key, value)
+        check_at_points(key, amount, names)
+        return Duration(amount)
     try:
         amount = float(match[1])
     except ValueError:
@@ -532,6 +545,16 @@ def parse_duration(value: object, key: str = "duration") -> Duration:
     if not (math.isfinite(amount) and amount > 0):
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
     return Duration(amount, unit)
+
+
+def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:
+    """Raise BadInput for arithmetic with other names than these and the natural rate."""
+    known = {*names, NATURAL_RATE}
+    for name in sorted(Expression(key, amount).names - known if isinstance(amount, str) else ()):
+        raise BadInput(
+            f"{key} = {shown(amount)}: {shown(name)} has no value at the points;"
+            f" {allowed_text(name, sorted(known))}"
+        )
 
 
 def check_unit(system: System, duration: Duration, key: str = "duration") -> None:

@@ -11,12 +11,11 @@ from ..systems.base import System, families_of
 from ..variables import variables
 from . import checks, points, read
 from .expressions import RESERVED
-from .model import SCHEMA, About, Refine, Settings
+from .model import SCHEMA, About, Duration, Refine, Settings
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
+DURATION = r"^\s*[+]?[0-9.][0-9.eE+-]*\s*([Oo]rbits?|[Tt]urns?)?\s*$|[-*/(]|^\s*[A-Za-z_]\w*\s*$"
 NAME = f"^(?!({'|'.join(sorted(RESERVED))})$)[A-Za-z_][A-Za-z0-9_]*$"
-DURATION = r"^\s*[+]?[0-9.][0-9.eE+-]*\s*([Oo]rbits?|[Tt]urns?)?\s*$"
-
 TIES = (
     "names computed from other names: + - * / **, sqrt, sin, cos, tan, asin, acos, atan, exp, log, abs, pi;"
     " random numbers normal(draw), uniform(draw)"
@@ -32,8 +31,9 @@ def scene_schema() -> Schema:
     integration = checks.table_schema(checks.keys_of(Settings, "integration"))
     integration["properties"]["duration"] = {
         "anyOf": [checks.positive.schema, {"type": "string", "pattern": DURATION}],
-        "default": 60.0,
-        "description": 'time units, or "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower)',
+        "default": Duration().toml,
+        "description": 'time units, "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower), or arithmetic in'
+        " parameters, axes and natural_rate, the rate of each point",
     }
     about = checks.table_schema(checks.keys_of(About))
     about["properties"]["licence"] = about["properties"]["license"]

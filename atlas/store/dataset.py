@@ -212,8 +212,8 @@ def provenance(
         attributes |= {"atlas_system_package": package, "atlas_system_code": origin.code}
     if system.has_numeric_bound:
         attributes["atlas_frequency_bound"] = "numeric"
-    if limits := std_tolerances(system, settings):
-        attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit!r}" for name, limit in limits.items())
+    if limits := std_tolerances(system, settings.std_tolerance, settings.rate_tolerance):
+        attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit}" for name, limit in limits.items())
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)
     return attributes

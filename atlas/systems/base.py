@@ -30,6 +30,8 @@ MAX_MAGNITUDE = 1e60
 # A start whose condition residuals are at most this belongs to the family; sin theta of at most this is on the
 # vertical.
 FAMILY_TOLERANCE = 1e-10
+# Name of `System.natural_rate` in arithmetic of scenes and in datasets.
+NATURAL_RATE = "natural_rate"
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -74,7 +76,7 @@ class Geometry(NamedTuple):
     # (measured variables, where the axis stayed on the vertical, largest rate and angle that count as zero) -> whether a motion
     # has this geometry; the first that holds counts. With axis_in_frame, axis_1 and axis_2 are means over the run of the third
     # axis' components along the first two axes of the frame.
-    holds: Callable[[Mapping[str, Array], Mask, float, float], Mask]
+    holds: Callable[[Mapping[str, Array], Mask, Array | float, float], Mask]
 
 
 @dataclass(frozen=True)
@@ -319,6 +321,16 @@ class System(ABC):
         the engine raises along each motion.
         """
         return frequency(self.equations, self.initial_state(points), self.constants(points))
+
+    def natural_rate(self, points: Points) -> Array:
+        """The body's own rate, in which default durations and tolerances are measured.
+
+        Returns
+        -------
+        array (points,)
+            Above 0, rad per time unit. The default is 1.
+        """
+        return np.ones(shape_of(points))
 
     @property
     def has_numeric_bound(self) -> bool:
@@ -637,7 +649,12 @@ def _magnitude(condition: Condition, points: Points) -> Array:
 @cache
 def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
     """Quantities from theory that a scene may list, by name: of the system, then of extensions; BadInput for a name given twice."""
-    variables = dict(system.derived)
+    rate = DerivedVariable(
+        NATURAL_RATE, "rad s-1", "the body's own rate",
+        lambda points, duration, pause: system.natural_rate(points),
+        comment="default durations and rate tolerances are measured in it",
+    )  # fmt: skip
+    variables = {NATURAL_RATE: rate, **system.derived}
     for of_system in extension.every("variables"):
         for name, variable in of_system(system).items():
             if name in variables:

@@ -280,26 +280,29 @@ def steady_motions(
     system: System,
     points: Points,
     duration: Array | float,
-    rate_tolerance: float,
-    angle_tolerance: float | None = None,
+    rate_tolerance: Array | float,
+    angle_tolerance: float,
 ) -> SteadyMotion:
     """Whether each start is a steady motion about any axes, or drifts about the third axis and the vertical; see Existence.
 
-    Of a system of a `polynomial_degree`. Inside a cone of angle_tolerance about the vertical, rad (default: the same number as
-    rate_tolerance), only the tilt and the rate about the vertical count.
+    Of a system of a `polynomial_degree`. Inside a cone of angle_tolerance about the vertical, rad, only the tilt and the rate about
+    the vertical count.
     """
     degree, times = polynomial_degree(system), np.broadcast_to(duration, shape_of(points))
     assert isinstance(degree, int)
-    tolerances = rate_tolerance, rate_tolerance if angle_tolerance is None else angle_tolerance
+    rates = np.broadcast_to(rate_tolerance, times.shape)
     with np.errstate(all="ignore"):
         chunks = [slice(first, first + _CHUNK) for first in range(0, times.size, _CHUNK)]
-        parts = [_of_chunk(system, subset(points, each), times[each], tolerances, degree) for each in chunks]
+        parts = [
+            _of_chunk(system, subset(points, each), times[each], (rates[each], angle_tolerance), degree)
+            for each in chunks
+        ]
     *axes, answer = (np.concatenate(column, -1) for column in zip(*parts, strict=True))
     return SteadyMotion(TwoAxes(*axes), answer)
 
 
 def _of_chunk(
-    system: System, points: Points, duration: Array, tolerances: tuple[float, float], degree: int
+    system: System, points: Points, duration: Array, tolerances: tuple[Array, float], degree: int
 ) -> tuple[NDArray[Any], ...]:
     """The fields of TwoAxes, and the answer."""
     start = _Starts.of(system, points)
@@ -321,7 +324,8 @@ def _of_chunk(
                 values[..., members] = new[..., steady]
             answer[members] = Existence.EXACT
     others = np.flatnonzero(answer != Existence.EXACT)
-    departs = _departure(start.subset(others), axes.subset(others), duration[others], tolerances)
+    rate, angle = tolerances
+    departs = _departure(start.subset(others), axes.subset(others), duration[others], (rate[others], angle))
     answer[others[departs > FAR]] = Existence.FAR
     return *axes, answer
 
@@ -367,13 +371,17 @@ def _candidates(start: _Starts) -> Iterator[TwoAxes]:
         yield fitting(TwoAxes(spin_axis, m, unit(rest, g), n))
 
 
-def departure(system: System, points: Points, duration: Array, tolerances: tuple[float, float]) -> Array:
+def departure(
+    system: System, points: Points, duration: Array, tolerances: tuple[Array | float, float]
+) -> Array:
     """How far each start is from a steady motion about the third axis and the vertical, in tolerances of labels; see _departure."""
     start = _Starts.of(system, points)
     return _departure(start, _about_third(system, points, start), duration, tolerances)
 
 
-def _departure(start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple[float, float]) -> Array:
+def _departure(
+    start: _Starts, axes: TwoAxes, duration: Array, tolerances: tuple[Array | float, float]
+) -> Array:
     """Change of theta', psi' and phi' to first order, in tolerances; inside the cone that of the tilt and the rate about the vertical.
 
     A change x of the start begins as x' = A x + f, and an oscillation at most as fast as the bound changes rates by |f| / bound or

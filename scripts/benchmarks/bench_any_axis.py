@@ -38,7 +38,7 @@ def random_points(system: System, count: int) -> Points:
 
 def measure(system: System, method: str, count: int, rounds: int) -> None:
     """Print the ratios of a system and a method."""
-    points, settings = random_points(system, count), Settings(method=method)
+    points, settings = random_points(system, count), Settings(method=method).at(1e-5)
     choices = (0, 1) if system.frame_rate is None else (0, 1, 2)
     ensembles = [Ensemble.of(system, points, CIRCLES[:frames]) for frames in choices]
     kernels = [kernel(system, method, plugs=CIRCLES[:frames]) for frames in choices]

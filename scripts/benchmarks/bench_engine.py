@@ -100,7 +100,7 @@ class Case:
         }
         self.ensemble = Ensemble.of(system, points)
         # The step size and the sampling of a typical point at the default tolerance.
-        settings = Settings(method=method, rate_tolerance=1e30)
+        settings = Settings(method=method).at(1e30)
         typical = StepSizes.of(settings, np.full(count, 3.0), np.full(count, 60.0))
         self.step_sizes = replace(typical, steps=np.full(count, steps))
         per_sample = int(typical.steps_per_sample[0])

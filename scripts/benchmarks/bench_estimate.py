@@ -94,7 +94,7 @@ def errors_over_tolerance(plan: Plan, points: Grid, method: str, tolerance: floa
     ensemble, states = Ensemble.of(plan.system, points.points), []
     settings = replace(plan.settings, method=method, tolerance=tolerance, step=None)
     for each in (settings, replace(settings, method="rk8", tolerance=1e-13)):
-        sizes = StepSizes.of(replace(each, rate_tolerance=1e30), ensemble.frequency_bound, points.duration)
+        sizes = StepSizes.of(each.at(1e30), ensemble.frequency_bound, points.duration)
         states.append(ensemble.final_states(kernel(plan.system, each.method), sizes.steps, sizes.step_size))
     error = state_distance(plan.system, *states, ensemble.frequency_bound)
     estimate = evaluate(replace(plan, settings=settings), points)["error_estimate"]

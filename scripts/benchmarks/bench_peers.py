@@ -109,7 +109,7 @@ def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], stati
 
     def run(state, constants, duration, tolerance):
         part = ensemble.subset(np.arange(state.shape[1]))
-        settings = Settings(method=method, tolerance=tolerance, rate_tolerance=1e30)
+        settings = Settings(method=method, tolerance=tolerance).at(1e30)
         step_sizes = StepSizes.of(settings, part.frequency_bound, np.full(part.size, duration))
         if not statistics:
             step_sizes = replace(step_sizes, steps_per_sample=step_sizes.steps)
@@ -373,7 +373,7 @@ def regular_points(study: Study, count: int) -> dict[str, np.ndarray]:
     points = study.points(DRAWN)
     if study.regular:
         ensemble = Ensemble.of(study.system, points)
-        settings = Settings(method="rk8", tolerance=1e-8, rate_tolerance=1e30)
+        settings = Settings(method="rk8", tolerance=1e-8).at(1e30)
         sizes = StepSizes.of(settings, ensemble.frequency_bound, np.full(ensemble.size, study.duration))
         module = kernel(study.system, "rk8", study.undamped)
         change = 1e-9 * np.random.default_rng(0).normal(size=ensemble.state.shape) / 3

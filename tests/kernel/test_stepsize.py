@@ -76,7 +76,7 @@ def test_steps_are_counts_whatever_the_numbers():
     assert ((sizes.steps > 0) & (sizes.steps <= 128) & (sizes.steps_per_sample > 0)).all()
     assert sizes.step_ratio[0] == 0
     assert np.isinf(sizes.step_ratio[2])
-    unbounded = StepSizes.of(Settings(tolerance=1e-12), np.array([np.nan, np.inf]), np.ones(2))
+    unbounded = StepSizes.of(Settings(tolerance=1e-12).at(1e-5), np.array([np.nan, np.inf]), np.ones(2))
     assert unbounded.steps.tolist() == [16, 16]
 
 
@@ -168,7 +168,7 @@ def test_nodes_are_as_far_apart_as_their_interpolation_allows(method, limit):
     bound, duration = (
         each.ravel() for each in np.meshgrid(np.geomspace(1e-2, 1e2, 60), np.geomspace(0.1, 1e3, 60))
     )
-    sizes = StepSizes.of(Settings(method=method, **limit), bound, duration)
+    sizes = StepSizes.of(Settings(method=method, **limit).at(1e-5), bound, duration)
     spacing, y = sizes.steps_per_sample, bound * sizes.step_size
 
     def allowed(spacing, slack):
@@ -187,7 +187,7 @@ def test_nodes_are_as_far_apart_as_their_interpolation_allows(method, limit):
 @pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
 def test_incommensurate_step_sizes_share_no_node(method):
     duration = np.geomspace(0.1, 1e4, 200)
-    sizes = StepSizes.of(Settings(method=method.name, tolerance=1e-4), np.full(200, 20.0), duration)
+    sizes = StepSizes.of(Settings(method=method.name, tolerance=1e-4).at(1e-5), np.full(200, 20.0), duration)
     other = sizes.incommensurate(method)
     np.testing.assert_allclose(other.step_size * other.steps, duration)
     assert (other.steps % other.steps_per_sample == 0).all()

@@ -399,7 +399,7 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
     settings = Settings(rate_tolerance=1e-3, tolerance=1e-6)
     plan, tile = (
         Plan(system, settings, ["label_any_axis"], nudged=True),
-        tile_of(base, nudged, np.full(2, 300.0)),
+        tile_of(system, base, nudged, np.full(2, 300.0), settings),
     )
     prediction = theory.predict_runs(plan, tile)
     variables = dict(prediction.variables)

@@ -82,7 +82,7 @@ def test_halved_step_sizes(method, limit):
     """Twice the steps, whatever limits the step; the expected errors fall with the order of the method."""
     points = default_points("satellite", theta0=[0.3, 0.9, 1.2], m=[0.5, 2.0, 9.0])
     bound, duration = SYSTEMS["satellite"].frequency_bound(points), np.array([30.0, 40.0, 50.0])
-    settings = Settings(method=method.name, **limit)
+    settings = Settings(method=method.name, **limit).at(1e-5)
     full = StepSizes.of(settings, bound, duration)
     half = full.halved(method)
     np.testing.assert_array_equal(half.steps, 2 * full.steps)

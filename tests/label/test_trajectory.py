@@ -135,7 +135,7 @@ def test_the_parameters_and_the_attributes_repeat_the_motion(system, tmp_path):
     )  # fmt: skip
     xr.testing.assert_equal(repeated, tr)
     assert 0 < float(read.step) <= 0.2
-    atlas_attributes = atlas.label_points(system, POINTS[system], duration=2.0, progress=False).attrs
+    atlas_attributes = atlas.label_points(system, POINTS[system], duration=20.0, progress=False).attrs
     assert set(atlas_attributes) - set(attributes) <= {"atlas_seconds", "atlas_points_per_second"}
     assert atlas_attributes["atlas_points_per_second"] * atlas_attributes["atlas_seconds"] == pytest.approx(1)
     assert SYSTEMS[system].title in attributes["title"]

@@ -147,7 +147,7 @@ def test_of_a_refined_atlas_only_integrated_points_are_taken(scene_text, tmp_pat
     ("changes", "named"),
     [
         ({"integration.tolerance": 1e-6}, r"differs in tolerance \(1e-05 in .*old.nc, 1e-06 in the scene\)"),
-        ({"labels.rate_tolerance": 1e-4}, "differs in rate_tolerance"),
+        ({"labels.rate_tolerance": 1e-4}, "differs in cylinder_tolerance"),
         ({"nudge": None}, r"nudge \(some in .*, none in the scene\)"),
         ({"integration.duration": 60.0}, "none of 63 points .* with the same duration"),
         ({"fixed.m": 0.6}, "none of 63 points"),

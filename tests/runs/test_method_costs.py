@@ -99,7 +99,7 @@ def test_long_calls_of_label_points_are_told_of_a_faster_method_once(monkeypatch
     rows = {"theta0": np.linspace(0.3, 1.0, 120), "m": 1.0}
     for count, messages in ((99, 0), (120, 1), (120, 1)):
         some = {name: np.broadcast_to(values, 120)[:count] for name, values in rows.items()}
-        atlas.label_points("satellite", some, duration=2.0)
+        atlas.label_points("satellite", some, duration=7.0)
         assert len(caplog.messages) == messages
     assert re.fullmatch(
         r'method: rk4; method = "rk8" would integrate in about 0\.\d+ of the time at the same tolerance',

@@ -71,8 +71,9 @@ def test_resolved_duration_keeps_every_digit(small_scene, duration):
 
 
 def test_tolerance_of_the_angle_is_by_default_the_number_of_the_rate():
-    assert Settings(rate_tolerance=1e-3).tolerances == Tolerances(rate=1e-3, angle=1e-3)
-    assert Settings(cylinder_tolerance=1e-2).tolerances == Tolerances(rate=1e-5, angle=1e-2)
+    assert Settings(rate_tolerance=1e-3).at(1e-3).tolerances == Tolerances(rate=1e-3, angle=1e-3)
+    assert Settings(cylinder_tolerance=1e-2).at(1e-5).tolerances == Tolerances(rate=1e-5, angle=1e-2)
+    assert Settings().at(1e-3).tolerances == Tolerances(rate=1e-3, angle=1e-5)
 
 
 def test_scene_prints_as_a_few_lines(small_scene):

@@ -192,7 +192,7 @@ def test_turning_points_of_cubics_and_the_interpolation_between_nodes(pendulum):
 def test_the_interpreter_and_the_compiler_agree(pendulum):
     points = {name: values[:3] for name, values in random_points(3).items()}
     ensemble = Ensemble.of(pendulum, points)
-    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-4), np.full(3, 3.0), np.full(3, 8.0))
+    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-4).at(1e-5), np.full(3, 3.0), np.full(3, 8.0))
     plain = plain_module(pendulum.equations, METHOD, of=observe)
     runs = [
         Run(pendulum, None, (), ensemble, sizes, {}, np.zeros(3), ensemble.integrate(module, sizes))
@@ -293,7 +293,7 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
     from atlas.kernel import blocks
 
     points = random_points(5)
-    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-6), np.full(5, 3.0), np.full(5, 40.0))
+    sizes = StepSizes.of(Settings(method=METHOD, tolerance=1e-6).at(1e-5), np.full(5, 3.0), np.full(5, 40.0))
     ensemble = Ensemble.of(pendulum, points)
     whole = ensemble.integrate(kernel(pendulum, METHOD), sizes)
     monkeypatch.setattr(blocks, "CHUNK", 500)

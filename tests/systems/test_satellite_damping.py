@@ -175,7 +175,7 @@ def test_damping_leaves_no_motion_that_turns_in_the_orbital_frame(name):
         assert SATELLITE.identify_family(damped)[0] == 0
         assert SATELLITE.identify_family(damped)[1] > 1e-4
         assert condition_residual(SATELLITE, damped) > 1e-4
-        motion = steady_motions(SATELLITE, damped, 1e3, 1e-5)
+        motion = steady_motions(SATELLITE, damped, 1e3, 1e-5, 1e-5)
         assert motion.answer == Existence.FAR
         count += 1
     assert count >= 5

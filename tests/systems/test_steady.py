@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from family_starts import STARTS
 from plugins import registry
-from strategies import random_fixed_points, random_satellites
+from strategies import in_units, random_fixed_points, random_satellites
 from truth import cases, fixed_point_cases
 
 import atlas
@@ -18,17 +18,6 @@ from atlas.systems.steady import Existence, polynomial_degree, steady_motions
 from atlas.systems.vectors import cross, length
 
 KINDS = [(system, kind) for system, kinds in STARTS.items() for kind in kinds]
-TIMES = dict.fromkeys(("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), -1) | {"N": -2}
-TORQUES = dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), -2) | dict.fromkeys(
-    ("k1", "k2", "k3", "l1", "l2", "l3", "damping"), -1
-)
-
-
-def in_units(points, time, mass):
-    """The points in units of time and mass that are smaller by these factors."""
-    factors = {name: time**power for name, power in TIMES.items()} | dict.fromkeys("ABC", mass)
-    factors |= {name: mass * time**power for name, power in TORQUES.items()}
-    return {name: values * factors.get(name, 1.0) for name, values in points.items()}
 
 
 def family_rates(system, points):
@@ -85,14 +74,14 @@ def test_growth_of_periodic_motions_has_no_unit(kind):
 )
 def test_random_starts_are_far(name, draw):
     points = draw(np.random.default_rng(3), 500)
-    motion = steady_motions(systems.get(name), points, 30.0, 1e-5)
+    motion = steady_motions(systems.get(name), points, 30.0, 1e-5, 1e-5)
     assert (motion.answer == Existence.FAR).all()
 
 
 def test_published_cases_are_decided():
     """Cases 38 and 58, a rotor 1 % from the steady one and a tilt of 1e-4, are far by 6.5 and 7 tolerances."""
     durations = np.array([case["T"] for case in cases("fixed_point")])
-    motion = steady_motions(systems.get("fixed_point"), fixed_point_cases(), durations, 1e-5)
+    motion = steady_motions(systems.get("fixed_point"), fixed_point_cases(), durations, 1e-5, 1e-5)
     # A free precession about an axis that is not the vertical is steady, and drifts about the vertical.
     drifting = np.array([case["label"] == "drifting" and case["id"] != 109 for case in cases("fixed_point")])
     np.testing.assert_array_equal(motion.answer, np.where(drifting, Existence.FAR, Existence.EXACT))
@@ -222,7 +211,7 @@ def test_motions_of_another_system_that_are_known(top):
         points = {key: v * {"J": 1, "v": 1, "r": size**2}.get(key[0], size) for key, v in points.items()}
         motion = steady_motions(top, points, 30.0 / size, 1e-5 * size, 1e-5)
         assert (motion.answer == Existence.EXACT).all()
-    motion = steady_motions(top, tops(np.random.default_rng(6), 60), 30.0, 1e-5)
+    motion = steady_motions(top, tops(np.random.default_rng(6), 60), 30.0, 1e-5, 1e-5)
     assert (motion.answer == Existence.FAR).all()
     moved = points | {"z0": points["z0"] * 1.01, "c": points["c"] + 0.01 * size}
     assert (steady_motions(top, moved, 30.0 / size, 1e-5 * size, 1e-5).answer != Existence.EXACT)[2::3].all()
@@ -266,7 +255,7 @@ def test_a_motion_that_is_steady_at_a_resonance_alone():
     points |= {"x0": n * sine, "y0": np.zeros(4), "z0": n * cosine + m}
     points |= {"v1": np.full(4, cosine), "v2": np.zeros(4), "v3": np.full(4, -sine)}
     with registry():
-        motion = steady_motions(systems.register(Resonant()), points, 30.0, 1e-5)
+        motion = steady_motions(systems.register(Resonant()), points, 30.0, 1e-5, 1e-5)
     assert (motion.answer == Existence.EXACT).tolist() == [True, False, False, False]
 
 

@@ -115,7 +115,7 @@ def test_reference_by_dop853_measures_at_the_same_instants(forced):
 
     given, _ = points()
     given = {name: values[:2] for name, values in given.items()}
-    settings = Settings(tolerance=1e-9)
+    settings = Settings(tolerance=1e-9).at(1e-5)
     exact = reference(forced, given, np.full(2, 12.0), settings)
     ds = atlas.label_points("forced", given, duration=12.0, tolerance=1e-9)
     for name, values in exact.statistics.items():

@@ -31,15 +31,15 @@ def proved(system: Gyrostat, points: Points, tolerances: Tolerances) -> dict[str
             columns[column] = np.zeros(size, np.int8)
     with np.errstate(all="ignore"):
         for first in range(0, size, _CHUNK):
-            part = subset(points, slice(first, first + _CHUNK))
-            for kind, members, bounds in _bounds(system, part, tolerances):
+            chunk = slice(first, first + _CHUNK)
+            for kind, members, bounds in _bounds(system, subset(points, chunk), tolerances.subset(chunk)):
                 where = first + members
                 for name, frame_rate in frames.items():
                     kinds, labels = (
                         columns[PROOFS.proofs_of[name]],
                         columns[name.replace("label", "predicted")],
                     )
-                    flags, deviation = label(bounds, tolerances, frame_rate[where])
+                    flags, deviation = label(bounds, tolerances.subset(where), frame_rate[where])
                     new = (flags > 0) & (kinds[where] == Proof.NONE)
                     labels[where[new]], kinds[where[new]] = flags[new], kind
                 columns[BOUND][where] = np.fmin(columns[BOUND][where], deviation)

@@ -85,11 +85,12 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             else:
                 raise BadInput(f"{name}: this parameter of the points is not in the dataset")
         duration, settings = column("end_time"), settings_of(ds)
+        rate_tolerance = grid.at_points(system, settings.rate_tolerance, parameters)
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
         located = grid.points_at(scene, {axis.name: column(dim) for dim, axis in axes_of(scene).items()})
         parameters, duration, settings = located.points, located.duration, scene.settings
-        reason = located.reason
+        reason, rate_tolerance = located.reason, located.rate_tolerance
         family, unit = scene.family, scene.duration
     sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]
     ensemble = Ensemble.of(system, parameters)
@@ -98,7 +99,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(duration), duration, 0.0)
-        count = StepSizes.of(settings, ensemble.frequency_bound, finite).steps
+        count = StepSizes.of(settings.at(rate_tolerance), ensemble.frequency_bound, finite).steps
         if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
             if "step" not in ds:
                 raise BadInput(
@@ -108,7 +109,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             recorded = np.rint(duration / column("step"))
             valid = np.isfinite(recorded) & (recorded >= 1)
             count = np.where(valid, recorded, count).astype(np.int64)
-    steps = steps_between_instants(settings, count, finite, SAMPLES - 1)
+    steps = steps_between_instants(settings.at(rate_tolerance), count, finite, SAMPLES - 1)
 
     def shaped(values: np.ndarray) -> np.ndarray:
         """An array whose last axis, the points, is split into their dimensions."""

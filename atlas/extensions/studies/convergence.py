@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -88,11 +89,17 @@ def convergence(
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
     """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
     if name == "duration":
-        return replace(scene, duration=replace(scene.duration, amount=factor * scene.duration.amount))
+        return replace(scene, duration=replace(scene.duration, amount=_times(factor, scene.duration.amount)))
     settings = scene.settings
     if name == "tolerance" and settings.step is not None:
         name = "step"
-    return replace(scene, settings=replace(settings, **{name: factor * getattr(settings, name)}))
+    changed: dict[str, Any] = {name: _times(factor, getattr(settings, name))}
+    return replace(scene, settings=replace(settings, **changed))
+
+
+def _times(factor: float, amount: float | str) -> float | str:
+    """A number, or arithmetic, times a factor."""
+    return f"{factor!r} * ({amount})" if isinstance(amount, str) else factor * amount
 
 
 def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:

@@ -14,8 +14,8 @@ from ...kernel.quadratures import euler_rates
 from ...kernel.specialization import slope_kernel
 from ...kernel.statistics import NEEDS_PSI, RATES, Row, finish
 from ...measure import observables, rates
+from ...measure.instrument import RunSettings
 from ...measure.rates import state_distance
-from ...scene.model import Settings
 from ...systems.base import Array, Flags, Mask, Points, System, families_of, subset
 from ...systems.steady import condition_residual
 from ...variables import main_instrument
@@ -68,7 +68,7 @@ class ReferenceFailure(BadInput):
 
 
 def reference(
-    system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
+    system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> Reference:
     """Final states and statistics: the closed form where a start is exactly on a family, else DOP853; ReferenceFailure.
 
@@ -100,7 +100,8 @@ def reference(
             inside = rates.in_cylinder(run, settings.cylinder)  # psi' and phi' have no meaning there
             run |= {name: np.where(inside, np.nan, run[name]) for name in NEEDS_PSI}
         else:
-            labels.append(observables.label(run, observables.std_tolerances(system, settings))[None])
+            limits = observables.std_tolerances(system, settings.std_tolerance, settings.rate_tolerance)
+            labels.append(observables.label(run, limits)[None])
     label, other_label = labels
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
@@ -119,13 +120,14 @@ def reference(
 
 
 def reference_where_possible(
-    system: System, points: Points, duration: Array, settings: Settings, advance: Advance = no_progress
+    system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
     """The reference at the points where it can be computed, None without any, and their indices."""
     indices = np.arange(duration.size)
     while indices.size:
         try:
-            solution = reference(system, subset(points, indices), duration[indices], settings, advance)
+            part = subset(points, indices), duration[indices], settings.subset(indices)
+            solution = reference(system, *part, advance)
         except ReferenceFailure as failure:
             indices = np.delete(indices, failure.indices)
         else:

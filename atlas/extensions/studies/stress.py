@@ -19,10 +19,10 @@ from ...kernel.stepsize import StepSizes
 from ...kernel.tableaux import METHODS, Method
 from ...label.pipeline import evaluate
 from ...label.plan import Plan
-from ...measure.instrument import Variable
+from ...measure.instrument import RunSettings, Variable
 from ...scene import model
-from ...scene.grid import Grid
-from ...scene.model import Settings
+from ...scene.grid import Grid, at_points
+from ...scene.model import DEFAULTS, Settings
 from ...scene.tables import point_columns
 from ...systems.base import Array, Mask, Points, StressCase, System, stress_cases_of, subset
 from ...variables import main_instrument, variables
@@ -69,11 +69,13 @@ def stress(
     plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
     if plain:
         points, duration = _joined(system, plain)
-        truths.append(true_labels(system, replace(plain[0], points=points, duration=duration), Settings()))
-    truths += [true_labels(system, part, Settings()) for part in parts[len(plain) :]]
+        every = replace(plain[0], points=points, duration=duration)
+        truths.append(true_labels(system, every, _settings(system, points)))
+    truths += [true_labels(system, part, _settings(system, part.points)) for part in parts[len(plain) :]]
     if cases is None and not own_cases:
         generic = [case_points(system, case) for case in generic_cases(system)]
-        truth, known = generic_true_labels(system, *_joined(system, generic), Settings())
+        points, duration = _joined(system, generic)
+        truth, known = generic_true_labels(system, points, duration, _settings(system, points))
         truths.append(truth.subset(known))
         ends = np.cumsum([part.duration.size for part in generic])
         shares = zip(generic, np.split(known, ends[:-1]), strict=True)
@@ -83,6 +85,11 @@ def stress(
     points, duration = _joined(system, parts)
     results = _run_levels(system, points, duration, threads)
     return _dataset(system, parts, points, TrueLabels.join(truths), results)
+
+
+def _settings(system: System, points: Points) -> RunSettings:
+    """Default settings at points."""
+    return DEFAULTS.at(at_points(system, DEFAULTS.rate_tolerance, points))
 
 
 def _joined(system: System, parts: Sequence[CasePoints]) -> tuple[dict[str, Array], Array]:
@@ -103,7 +110,8 @@ def _run_levels(
         kernel(system, name)  # loaded before the threads
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
-    grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration)
+    rate_tolerance = np.asarray(_settings(system, points).rate_tolerance)
+    grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, rate_tolerance)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
         """Run the points of a method and a level with at most MAX_STEPS steps, and with positive steps if they are fixed."""
@@ -111,17 +119,17 @@ def _run_levels(
         tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):
             radians = bound[where] * tile.duration
-            unlimited = StepSizes.of(
-                replace(settings, max_steps=model.MAX_STEPS), bound[where], tile.duration, tile.step
-            )
+            most = replace(settings, max_steps=model.MAX_STEPS).at(tile.rate_tolerance)
+            unlimited = StepSizes.of(most, bound[where], tile.duration, tile.step)
         # A few steps show an overflow, which would take any number of steps.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
         for max_steps, mask in runs.items():
             if mask.any():
                 plan = Plan(system, replace(settings, max_steps=max_steps))
-                values = evaluate(plan, tile.subset(mask), threads=1)
-                values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, settings)
+                part = tile.subset(mask)
+                values, run_settings = evaluate(plan, part, threads=1), settings.at(part.rate_tolerance)
+                values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, run_settings)
                 values = dict.fromkeys(EXACT_STATISTICS, np.full(mask.sum(), np.nan)) | values
                 for name, column in results.items():
                     column[(*cell, where[mask])] = values[name]
@@ -161,7 +169,9 @@ def _dataset(
     )
     with np.errstate(invalid="ignore"):
         error = np.abs(results["unsteadiness"] - truth.unsteadiness)
-        error /= np.maximum(truth.unsteadiness, main_instrument(system).steady_below(Settings()))
+        error /= np.maximum(
+            truth.unsteadiness, main_instrument(system).steady_below(_settings(system, points))
+        )
         errors = np.abs(np.stack([results[name] for name in EXACT_STATISTICS], axis=2) - truth.statistics)
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
@@ -366,7 +376,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 
 
 def generic_true_labels(
-    system: System, points: Points, duration: Array, settings: Settings
+    system: System, points: Points, duration: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
     """Labels by the reference integrator, and a mask of the points with a label, all of finite starts."""
     size = duration.size
@@ -375,13 +385,16 @@ def generic_true_labels(
     with np.errstate(all="ignore"):
         start, frequency = system.initial_state(points), system.frequency_bound(points)
     usable = np.flatnonzero(np.isfinite(start).all(0) & np.isfinite(frequency))
-    solution, computed = reference_where_possible(system, subset(points, usable), duration[usable], settings)
+    part = subset(points, usable), duration[usable], settings.subset(usable)
+    solution, computed = reference_where_possible(system, *part)
     known[usable] = False
     computed = usable[computed]
     if solution is not None:
         label[computed], source[computed] = solution.label, "reference"
         known[computed] = solution.label_certain
-        largest[computed] = main_instrument(system).unsteadiness(system, solution.statistics, settings)
+        largest[computed] = main_instrument(system).unsteadiness(
+            system, solution.statistics, settings.subset(computed)
+        )
     return TrueLabels(label, largest, source, no_statistics(size)), known
 
 

@@ -11,9 +11,8 @@ from scipy.integrate import solve_ivp
 
 from ...flags import Label
 from ...label.theory import predict, rounding_limit
-from ...measure.instrument import could_change
+from ...measure.instrument import RunSettings, could_change
 from ...measure.rates import LABEL_STATISTICS, rule
-from ...scene.model import Settings
 from ...scene.tables import point_columns
 from ...systems.base import Array, Flags, Mask, Points, StressCase, System, families_of, subset
 from ...systems.gyrostat import Gyrostat
@@ -101,7 +100,7 @@ def case_points(system: System, case: StressCase) -> CasePoints:
     )
 
 
-def true_labels(system: System, part: CasePoints, settings: Settings) -> TrueLabels:
+def true_labels(system: System, part: CasePoints, settings: RunSettings) -> TrueLabels:
     """True label of each point, by the sources in docs/stress.md, and its unsteadiness; ValueError where no source decides."""
     points, duration, truth = part.points, part.duration, part.truth
     if truth == "departure":
@@ -137,9 +136,8 @@ def true_labels(system: System, part: CasePoints, settings: Settings) -> TrueLab
     label[overflow], unsteadiness[overflow], source[overflow] = Label.UNRESOLVED, np.nan, "overflow"
     others = np.flatnonzero(~is_exact & ~overflow)
     if others.size:
-        solved, undecided = _labels_by_reference(
-            system, subset(despun, others), excess[others], duration[others], radians[others], settings
-        )
+        despun_part = subset(despun, others), excess[others], duration[others], radians[others]
+        solved, undecided = _labels_by_reference(system, *despun_part, settings.subset(others))
         if undecided.any():
             raise ValueError(f"the reference cannot decide the labels of points {others[undecided]}")
         label[others], unsteadiness[others] = solved.label, solved.unsteadiness
@@ -155,7 +153,7 @@ def no_statistics(size: int) -> Array:
 def _labels_of_runs(
     system: System,
     runs: Sequence[Mapping[str, float]],
-    settings: Settings,
+    settings: RunSettings,
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
@@ -241,7 +239,7 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 
 
 def _labels_by_reference(
-    system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: Settings
+    system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
     """Labels by the reference for despun points, whose phi' is larger by `excess`, and a mask of undecided points.
 

@@ -145,7 +145,8 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
     system, method, left_out = scene.system, METHODS[scene.settings.method], ""
     part = grid.points_at_indices(scene, indices)
     part = replace(part, duration=whole_periods(system, system.constants(part.points), part.duration)[1])
-    solution, where = reference_where_possible(system, part.points, part.duration, scene.settings, advance)
+    settings = scene.settings.at(part.rate_tolerance)
+    solution, where = reference_where_possible(system, part.points, part.duration, settings, advance)
     if where.size < indices.size:
         failed = np.delete(indices, where)
         left_out = (
@@ -170,7 +171,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     main = main_instrument(sample.scene.system)
     ensemble = Ensemble.of(sample.scene.system, part.points)
     periods, _ = whole_periods(sample.scene.system, ensemble.constants, part.duration)
-    step_sizes = [main.step_sizes(s, sample.bound, part.duration) for s in at_levels]
+    step_sizes = [main.step_sizes(s.at(part.rate_tolerance), sample.bound, part.duration) for s in at_levels]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
     # Among levels with equal steps the scene's own, or else the finest, unless it takes too long.

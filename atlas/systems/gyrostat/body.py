@@ -16,6 +16,8 @@ from ..base import Array, Mask
 
 # Share of moments, momenta and torques up to which they are rounding; its root is below the growth rates that count.
 ROUNDING = 1e-13
+# Share of the rates of a free body and its rotor up to which a frame or a field counts as none for its natural rate.
+SLOW = 1e-4
 _DOUBLE = 8 * np.finfo(float).eps  # relative difference up to which two roots are equal but for rounding
 
 
@@ -62,6 +64,17 @@ class Body(NamedTuple):
         ]
         rate = np.abs(self.turn) + length(w) + np.sqrt(squares[0]) + np.sqrt(squares[1])
         return np.where(rate == 0, 1.0, rate)
+
+    def natural_rate(self, w: Array) -> Array:
+        """|Omega|, without it the frequency of the fields; where that is at most SLOW of the free body's, its own, else 1."""
+        moment = self.inertia.max(-1)
+        squares = sum(
+            length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
+            for d in (self.alpha, self.gamma)
+        )
+        free = length(w) + length(self.rotor) / moment
+        rates = [np.where(self.turn == 0, np.sqrt(squares), np.abs(self.turn)), free]
+        return np.select([np.isfinite(rate) & (rate > SLOW * free) for rate in rates], rates, 1.0)
 
     def spherical(self) -> Mask:
         """Where all moments are equal but for rounding."""

@@ -46,6 +46,11 @@ class Gyrostat(System):
         w, alpha, gamma = self.start(points)
         return self.body(points).frequency_bound(w, alpha, gamma)
 
+    def natural_rate(self, points: Points) -> Array:
+        """Of the frame, else of the fields, else of the start and the rotor, see Body.natural_rate."""
+        with np.errstate(all="ignore"):
+            return self.body(points).natural_rate(self.start(points)[0])
+
     def start(self, points: Points) -> tuple[Array, Array, Array]:
         """w, alpha and gamma at the start, each (points, 3) in body axes."""
         return self.vectors(self.initial_state(points))

@@ -12,7 +12,7 @@ from ..gyrostat import Gyrostat
 from . import any_axis, equations, families, initial
 
 
-def _rests(measured: Mapping[str, Array], rate: float) -> Mask:
+def _rests(measured: Mapping[str, Array], rate: Array | float) -> Mask:
     """Where the third axis does not precess."""
     return ~(np.abs(measured["psi_dot_mean"]) > rate)
 

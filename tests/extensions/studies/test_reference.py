@@ -30,7 +30,9 @@ def test_reference_on_a_family(scene_text):
     """Two runs of DOP853 against the closed form of a family, and the statistics of a steady motion."""
     scene = load_scene(scene_text({"nudge": None, "labels": None, "integration": {"duration": 10.0}}))
     part = grid.points_at_indices(scene, np.arange(0, 63, 9))
-    solution = reference.reference(scene.system, part.points, part.duration, scene.settings)
+    solution = reference.reference(
+        scene.system, part.points, part.duration, scene.settings.at(part.rate_tolerance)
+    )
     assert solution.exact.all()
     assert solution.label_certain.all()
     assert solution.state_error.max() < 1e-11 * reference.SAFETY
@@ -47,7 +49,7 @@ def test_reference_of_a_libration():
         "satellite", A=1.0, B=1.2, C=1.1, theta0=np.pi / 2, psi0=np.pi / 2, theta_dot0=0.3
     )
     duration = np.array([7.0])
-    solution = reference.reference(SATELLITE, points, duration, Settings())
+    solution = reference.reference(SATELLITE, points, duration, Settings().at(1e-5))
     loose = reference._integrate_group(SATELLITE, points, duration, 1e-5, 1e-10)
     assert solution.statistics["theta_dot_rms"][0] == pytest.approx(loose["theta_dot_rms"][0], rel=1e-8)
     run = atlas.label_points("satellite", points, duration=7.0, tolerance=1e-11)
@@ -58,7 +60,7 @@ def test_reference_of_a_libration():
 
 def test_extremes_are_those_of_the_trajectory():
     points = default_points("satellite", A=1.0, B=1.2, C=0.8, theta0=0.4, psi0=0.3, n=0.3, m=0.5)
-    solution = reference.reference(SATELLITE, points, np.array([6.0]), Settings())
+    solution = reference.reference(SATELLITE, points, np.array([6.0]), Settings().at(1e-5))
     point = {name: values[0] for name, values in points.items()}
     path = atlas.trajectory("satellite", point, duration=6.0, samples=3001)
     for name, extreme in (("theta_min", path.theta.min()), ("theta_max", path.theta.max())):
@@ -134,7 +136,7 @@ def passages_near_the_vertical(name):
         "phi0": rng.uniform(0, 6, 24),
     }
     duration = np.full(24, 8.0)
-    return points, duration, reference.reference(system, points, duration, PASSAGES).statistics
+    return points, duration, reference.reference(system, points, duration, PASSAGES.at(1e-5)).statistics
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -168,7 +170,7 @@ def passages_at_an_end(at):
         points["theta0"], duration = np.linspace(-0.1, 0.2, count), np.full(count, 4.0)
     else:
         points["theta0"], duration = np.full(count, 0.7), np.linspace(0.5, 0.95, count)
-    return points, duration, reference.reference(SATELLITE, points, duration, PASSAGES).statistics
+    return points, duration, reference.reference(SATELLITE, points, duration, PASSAGES.at(1e-5)).statistics
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -108,8 +108,8 @@ def test_departures_of_large_offsets_agree_with_the_reference():
     part = case_points(system, case)
     points = part.base | {"theta0": part.base["theta0"] + 1e-3}
     part = replace(part, points=points, duration=0.25 * part.duration)
-    departure = stress_truth.true_labels(system, part, Settings())
-    whole = stress_truth.true_labels(system, replace(part, truth=""), Settings())
+    departure = stress_truth.true_labels(system, part, Settings().at(1e-5))
+    whole = stress_truth.true_labels(system, replace(part, truth=""), Settings().at(1e-5))
     np.testing.assert_array_equal(departure.label, whole.label)
     np.testing.assert_allclose(departure.unsteadiness, whole.unsteadiness, rtol=1e-5)
 
@@ -127,7 +127,7 @@ def test_departures_grow_at_the_rate_of_theory():
                 points=part.base | {"theta0": part.base["theta0"] + offset},
                 duration=0.5 * part.duration,
             ),
-            Settings(rate_tolerance=1e-5),
+            Settings().at(1e-5),
         ).unsteadiness
         for offset in (2.0**-30, 2.0**-33)
     ]
@@ -199,7 +199,9 @@ def test_a_case_whose_true_label_is_unknown_is_an_error():
     """A motion that stays steady for the part of the run that the reference integrates proves nothing; one that drifts does."""
     case = StressCase("", "", 1e4, {"theta0": [0.5, 1e-7], "m": 1.5, "C": 1.3})
     with pytest.raises(ValueError, match=r"cannot decide the labels of points \[1\]$"):
-        stress_truth.true_labels(SYSTEMS["satellite"], case_points(SYSTEMS["satellite"], case), Settings())
+        stress_truth.true_labels(
+            SYSTEMS["satellite"], case_points(SYSTEMS["satellite"], case), Settings().at(1e-5)
+        )
 
 
 def test_the_despun_equivalent_moves_its_axis_alike():

@@ -64,7 +64,10 @@ class Status(Flag):
         5,
         "the label changes when the step is halved, or could by as much as the measurements did, or another step changes a statistic more than errors explain",
     )
-    ROUNDOFF_DECIDED = 6, "an exact start on an unstable motion, run until rounding errors decide"
+    ROUNDOFF_DECIDED = (
+        6,
+        "rounding errors decide: the start is exactly on an unstable motion, or what varies may be rounding alone",
+    )
     IMPOSSIBLE_BODY = (
         7,
         "not computed: no rigid body has these moments of inertia, one is larger than the sum of the others",

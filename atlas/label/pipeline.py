@@ -103,18 +103,20 @@ def label_status(
     rounding_growth: Array,
     rounding_limit: Array | float,
     step_sensitive: Mask | bool = False,
+    rounding_decides: Mask | bool = False,
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
     rounding_growth: growth rate times duration where the start is, to rounding, on an unstable motion, else 0; step_sensitive:
-    whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`.
+    whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`; rounding_decides: see `Run`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,
         Status.DRIFT_EXCEEDED: integral_drift > drift_tolerance,
         Status.UNDER_RESOLVED: ~resolved,
         Status.STEP_SENSITIVE: step_sensitive,
-        Status.ROUNDOFF_DECIDED: (rounding_growth > 0) & (rounding_growth > rounding_limit),
+        Status.ROUNDOFF_DECIDED: rounding_decides
+        | ((rounding_growth > 0) & (rounding_growth > rounding_limit)),
     }
     return np.select(list(conditions.values()), list(conditions), Status.OK).astype(np.int8)
 
@@ -176,7 +178,7 @@ class _Runs:
         with np.errstate(all="ignore"):
             return label_status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
-                self.resolved(run), *self.theory.rounding(run), step_sensitive,
+                self.resolved(run), *self.theory.rounding(run), step_sensitive, run.rounding_decides(),
             )  # fmt: skip
 
 

@@ -296,7 +296,7 @@ class Circle(Instrument):
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
         """The label about any axis, given the label about the third axis and the vertical."""
-        own_label = rules[LABELS[self.name]].label(run.measured)
+        own_label = rules[LABELS[self.name]].decide(run.measured)
 
         def label_of(measured: Measured) -> Flags:
             return label(self._statistics(measured), own_label, run.settings.tolerances)
@@ -318,6 +318,14 @@ class Circle(Instrument):
         errors = {key: size + share * circle[key] for key, size in (absolute | {"spin_std": spin}).items()}
         errors |= {"spin": spin, "precession": spin, "sine": spin / circle["precession"]}
         return {f"{self.name}:{key}": error for key, error in errors.items()}
+
+    def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Of angular velocities as large as the bound; rates about the axis of a small circle divide by its radius."""
+        size = run.bound * relative
+        of_circle = size * (1.0 + run.bound / run.measured[f"{self.name}:radius"])
+        sizes = dict.fromkeys(("spread", "height_std"), size)
+        sizes |= dict.fromkeys(("radius_std", "spin_std", "spin", "precession"), of_circle)
+        return {f"{self.name}:{key}": each for key, each in sizes.items()}
 
     def _amplification(self, run: Run) -> Array:
         """Errors of the rates about the axes of a circle over errors of the angular velocity, (points,)."""

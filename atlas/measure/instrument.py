@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..kernel.ensemble import Ensemble, Integration
 from ..kernel.statistics import Row
-from ..kernel.stepsize import StepSizes
+from ..kernel.stepsize import ROUNDING, StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
 # Least turn of a body in a run, rad: the frequency bound, a divisor, is never 0.
@@ -110,6 +110,17 @@ class Rule:
     statistics: tuple[str, ...]  # the measurements that it reads, which have errors
     # Means among them -> a rate: the label depends on the magnitude of their sum
     means: Mapping[str, Array | float] = field(default_factory=dict)
+    # What rounding alone may add to some of the statistics of a steady motion, in their units
+    rounding: Mapping[str, Array] = field(default_factory=dict)
+
+    def decide(self, measured: Measured) -> Flags:
+        """The label by measurements of which those that may be rounding alone count as none."""
+        decisive = dict(measured)
+        for name in self.rounding.keys() & self.statistics:
+            none = -self.means.get(name, 0.0)
+            is_rounding = np.abs(measured[name] - none) <= self.rounding[name]
+            decisive[name] = np.where(is_rounding, none, measured[name])
+        return self.label(decisive)
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
@@ -125,7 +136,7 @@ def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
                 moved[name] = np.copysign(size, mean) - rule.means[name]
             else:
                 moved[name] = measured[name] + (-change if name == "theta_min" else change)
-        labels.append(rule.label(moved))
+        labels.append(rule.decide(moved))
     lower, central, upper = labels
     return np.asarray((lower != central) | (upper != central))
 
@@ -169,8 +180,11 @@ class Run:
     def rules(self) -> dict[str, Rule]:
         """Rules of all labels by the names of their variables."""
         rules: dict[str, Rule] = {}
+        rounding: dict[str, Array] = {}
         for instrument in self.instruments:
-            rules |= instrument.rules(self, rules)
+            rounding |= instrument.rounding(self, 10.0 * ROUNDING * np.sqrt(self.step_sizes.steps))
+            own = instrument.rules(self, rules)
+            rules |= {name: replace(rule, rounding=rounding) for name, rule in own.items()}
         return rules
 
     def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
@@ -186,7 +200,12 @@ class Run:
 
     def labels(self) -> dict[str, Flags]:
         """Every label, whatever the status."""
-        return {name: rule.label(self.measured) for name, rule in self.rules.items()}
+        return {name: rule.decide(self.measured) for name, rule in self.rules.items()}
+
+    def rounding_decides(self) -> Mask:
+        """Whether rounding alone may decide a label of a whole run."""
+        differs = [rule.label(self.measured) != rule.decide(self.measured) for rule in self.rules.values()]
+        return np.logical_or.reduce(differs) & ~self.integration.stopped_early
 
     def unsure(self, error: Measured) -> Mask:
         """Whether a label could change within the errors of its measurements."""
@@ -258,6 +277,10 @@ class Instrument:
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
         """Expected errors of the statistics of its rules; relative: the largest `relative_error` of the instruments up to it."""
+        return {}
+
+    def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
+        """What rounding alone may add to statistics of its rules, in their units; relative: to the sizes of their quantities."""
         return {}
 
     def relative_error(self, run: Run) -> Array:

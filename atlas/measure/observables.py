@@ -162,6 +162,19 @@ class Observables(MainInstrument):
             for name, size in sizes(run.system, measured).items()
         }
 
+    @np.errstate(all="ignore")
+    def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Of observables as large as they are, and what rounding of each state at the start changes, in case terms cancel."""
+        equations, state, constants = run.system.equations, run.ensemble.state, run.ensemble.constants
+        slope = np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
+        shifts = np.eye(len(state))[..., None] * relative * (np.abs(state) + np.abs(slope) / run.bound)
+        rounding = {}
+        for name, size in sizes(run.system, run.measured).items():
+            value = getattr(equations, name, lambda y, _, name=name: y[equations.STATE.index(name)])
+            changes = [np.abs(value(state + s, constants) - value(state, constants)) for s in shifts]
+            rounding[f"{name}_std"] = np.fmax(relative * size, np.sum(changes, axis=0))
+        return rounding
+
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
         return self.errors(run, relative)
 

@@ -118,7 +118,9 @@ class Rates(MainInstrument):
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
         """Rate beyond which no expected error can bring a drifting label back, (points,), rad per time unit."""
-        absolute = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / tolerances.angle
+        # Over 0.1 and less it is no smaller than what `Run.rules` takes for rounding.
+        rounding = bound * ROUNDING * np.sqrt(step_sizes.steps) / np.minimum(tolerances.angle, 0.1)
+        absolute = step_sizes.rate_error + rounding
         return np.asarray(
             (tolerances.rate + absolute) / (1.0 - np.minimum(relative_error(step_sizes, bound), 1.0))
         )
@@ -150,6 +152,14 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
+
+    def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
+        """Of rates as large as the bound; psi' and phi' divide by sin theta, outside the cylinder."""
+        size = run.bound * relative
+        of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
+        names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
+        sizes = {"theta_dot_rms": size, "normal_rate_std": size, "sine_max": relative}
+        return sizes | dict.fromkeys(names, of_angles)
 
     def relative_error(self, run: Run) -> Array:
         """Error of an oscillation at the frequency bound, amplified to 1 at most by the instability."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -84,6 +84,13 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
                     f"the system {system.name}: its {kind} {name} has the name of a variable of the atlas; choose another name"
                 )
     return MappingProxyType(registry)
+
+
+def listed_variables(system: System, names: Collection[str]) -> list[str]:
+    """These variables of a system and those beside them, in the order of the file."""
+    registry = variables(system)
+    beside = {registry[name].beside for name in names if name in registry}
+    return [name for name in registry if name in names or name in beside]
 
 
 def default_variables(system: System) -> list[str]:

@@ -81,7 +81,7 @@ def evaluate(
     added = dict[str, np.ndarray]()
     if "predicted" in columns:
         added["agreement"] = agreement(columns["label"], columns["predicted"])
-    if runs.tangent is not None:
+    if runs.tangent is not None and plan.has_chaos:
         added |= runs.tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         from .any_axis import predict_any_axis
@@ -136,7 +136,7 @@ class _Runs:
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
-    def check(self, point_steps: int = 0) -> None:
+    def check(self, points: float = 0) -> None:
         """Call `progress`, which may end the run, without points done."""
         self.progress(0.0)
 
@@ -172,7 +172,18 @@ class _Runs:
         """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
         with np.errstate(all="ignore"):
             resolved = self.step_sizes.resolved & self.settled & run.main.resolved(run)
-            return resolved if self.tangent is None else resolved & self.tangent.steps.resolved
+            if self.tangent is not None and self.plan.has_chaos:
+                resolved = resolved & self.tangent.steps.resolved
+            return resolved
+
+    def with_growth(self, run: Run, status: Flags) -> Run:
+        """The run with the growth of tangent vectors where instruments need it."""
+        needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
+        if self.tangent is None or not needed:
+            return run
+        # With chaos, the runs for it count as the work.
+        progress = self.check if self.plan.has_chaos else self.progress
+        return replace(run, growth=self.tangent.growth(np.logical_or.reduce(needed), self.threads, progress))
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
         with np.errstate(all="ignore"):
@@ -203,12 +214,13 @@ def _prepare(
         starts = replace(tile, points=points)  # not kept, so that the shared values do not stay in memory
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = None
-        if plan.has_chaos:
+        if plan.has_tangent:
             from ..measure.tangent_runs import TangentRuns
 
             tangent = TangentRuns.of(
-                system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes
-            )
+                system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes,
+                has_chaos=plan.has_chaos,
+            )  # fmt: skip
     return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, threads, progress)
 
 
@@ -296,6 +308,7 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
         if ":" not in name
     }
     columns["status"] = status = runs.status(run, step_sensitive)
+    run = runs.with_growth(run, status)
     with np.errstate(invalid="ignore"):
         for name, label in run.labels().items():
             label[integration.stopped_early] = Label.DRIFTING

@@ -90,6 +90,11 @@ class Plan:
         return Chaos() in self.instruments
 
     @property
+    def has_tangent(self) -> bool:
+        """Whether some points may be integrated with tangent vectors."""
+        return self.has_chaos or any(each.needs_growth for each in self.instruments)
+
+    @property
     def may_stop_early(self) -> bool:
         whole = self.plugs or any(each.needs_whole_run for each in self.instruments)
         return self.outputs is not None and not whole and self.main.may_stop_early(self.outputs)
@@ -128,7 +133,7 @@ class Plan:
         """Hash of the kernel, and of the kernel with tangent vectors if there are any."""
         terms, source = self.specialization, specialization.source
         kernel = source(self.system, self.settings.method, terms, self.plugs)
-        tangents = [source(self.system, tangent.METHOD.name, terms, of=tangent)] if self.has_chaos else []
+        tangents = [source(self.system, tangent.METHOD.name, terms, of=tangent)] if self.has_tangent else []
         return specialization.kernel_hash(kernel, *tangents)
 
 

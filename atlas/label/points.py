@@ -26,7 +26,7 @@ from ..store import dataset
 from ..store.dataset import log_warnings
 from ..store.progress import Progress
 from ..systems.base import Array, System, check_possible
-from ..variables import POINT, default_variables
+from ..variables import POINT, default_variables, listed_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan, method_lines
@@ -128,7 +128,7 @@ def label_points(
         for name in (variables := texts("variables", variables)):
             if name not in registry:
                 raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
-        outputs = [name for name in registry if name in variables]
+        outputs = listed_variables(description, variables)
     source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
     text = parse_duration(duration, names=description.parameters) if isinstance(duration, str) else None
     check_at_points("rate_tolerance", settings.rate_tolerance, description.parameters)

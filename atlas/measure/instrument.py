@@ -42,6 +42,7 @@ class Variable:
     missing: int = 0  # of integers: the value where a point is not computed
     # names of the flags of positions in a list: of -1, which is none and the missing value, and of the members 0, 1, ...
     positions: tuple[str, str] | None = None
+    beside: str = ""  # name of a variable that an atlas with this one always holds
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
@@ -156,6 +157,8 @@ class Run:
     integration: Integration
     points: Points = field(default_factory=dict)  # every parameter of the points
     measured: Measured = field(default_factory=dict)  # by all instruments
+    # Logarithm of the largest growth of a tangent vector in the run; nan where no instrument needs it, (points,)
+    growth: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def main(self) -> MainInstrument:
@@ -248,6 +251,8 @@ class Instrument:
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether no run may end before its duration
+    # Where its variables need `Run.growth`, by the run and the status, (points,); None: nowhere, and without a tangent kernel.
+    needs_growth: Callable[[Run, Flags], Mask] | None = None
     # Label variable -> the variable of flags that is not 0 where the label is proved for every duration.
     proofs_of: Mapping[str, str] = MappingProxyType({})
 

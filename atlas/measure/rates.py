@@ -12,7 +12,7 @@ import numpy as np
 
 from ..flags import Agreement, Label, Stability, Status, reserved_families
 from ..kernel.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
-from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSizes
+from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSettings, StepSizes
 from ..kernel.tableaux import METHODS
 from ..systems.base import Array, Flags, Mask, System
 from ..systems.steady import polynomial_degree
@@ -318,6 +318,12 @@ def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
 def rounding_error(step_sizes: StepSizes) -> Array:
     """Relative error of the states by rounding, (points,)."""
     return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.steps))
+
+
+def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array) -> Array:
+    """Relative error of the states that settings allow: the tolerance, or what is expected where that is more or a step is given."""
+    expected = relative_error(step_sizes, bound) + rounding_error(step_sizes)
+    return expected if settings.step is not None else np.fmax(expected, settings.tolerance)
 
 
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:

@@ -19,6 +19,7 @@ from ..kernel.stepsize import StepSettings, StepSizes, count_ladder, steps_of_le
 from ..kernel.tableaux import METHODS
 from ..kernel.tangent import METHOD
 from ..systems.base import Array, Flags, Mask, Points, System, shape_of
+from .rates import tolerated_error
 
 # Least number of nodes of a run, the instants at which the tangent vector is divided by its norm and the sums grow.
 NODES = 1024
@@ -29,6 +30,9 @@ MAX_STEPS_PER_NODE = 1000
 MAX_RADIANS_PER_STEP = 0.3
 # Largest loss of an amplitude by dissipation during a run: it lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
+# Runs for the growth alone follow the run that they accompany until an error of its size has grown to some per cent: their steps
+# are so many times as long as rk8 needs for that error at the frequency bound, which few motions reach, and at most so long, rad.
+GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
 # Time of a step with a tangent vector over a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
 # A tangent vector grows in chaos, and in one passage of an unstable motion, from nearby and back. A regular motion that returns
@@ -53,11 +57,25 @@ class TangentSteps:
     resolved: Mask  # whether the steps are short enough for the indicators
 
     @classmethod
-    def of(cls, bound: Array, duration: Array, step: float | None, max_steps: int) -> TangentSteps:
-        """Steps for frequency bounds (rad per time unit) and durations; `step`: the largest, if given."""
+    def of(
+        cls, bound: Array, duration: Array, step: float | None, max_steps: int, error: Array | None = None
+    ) -> TangentSteps:
+        """Steps for frequency bounds (rad per time unit) and durations; `step`: the largest, if given.
+
+        error: for the growth alone, the relative error of the runs that they accompany, see GROWTH_STEP.
+        """
         radians = bound * duration
         finite = np.isfinite(radians)
         radians = np.where(finite, radians, 0.0)
+        if error is not None:
+            y = GROWTH_STEP * (error / (METHOD.dispersion * np.maximum(radians, 1e-300))) ** (
+                1 / METHOD.order
+            )
+            steps = count_ladder(
+                np.minimum(radians / np.minimum(y, MAX_RADIANS_FOR_GROWTH), float(max_steps))
+            )
+            short = radians / steps <= MAX_RADIANS_FOR_GROWTH * (1.0 + 1e-9)
+            return cls(steps, duration / steps, finite & short)
         if step is None:
             loss = MAX_DISSIPATION_ERROR / (METHOD.dissipation * np.maximum(radians, 1e-300))
             y = np.minimum(MAX_RADIANS_PER_STEP, loss ** (1 / (METHOD.dissipation_order - 1)))
@@ -184,14 +202,35 @@ class TangentRuns:
         duration: Array,
         settings: StepSettings,
         step_sizes: StepSizes,
+        *,
+        has_chaos: bool,
     ) -> TangentRuns:
-        """The runs of points that are integrated without a tangent vector as well, with step_sizes."""
+        """The runs of points that are integrated without a tangent vector as well, with step_sizes; has_chaos: for the indicators."""
+        bound = ensemble.frequency_bound
         with np.errstate(all="ignore"):
-            steps = TangentSteps.of(ensemble.frequency_bound, duration, settings.step, settings.max_steps)
+            error = None if has_chaos else tolerated_error(settings, step_sizes, bound)
+            steps = TangentSteps.of(bound, duration, settings.step, settings.max_steps, error)
             unit = rate_unit(system, points)
         own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
+
+    def growth(self, where: Mask, threads: int | None, progress: Callable[[float], None]) -> Array:
+        """Logarithm of the largest growth of a tangent vector, infinite where that is not resolved, nan elsewhere; for
+        `progress` see `variables`."""
+        result = np.where(where, np.inf, np.nan)
+        resolved = np.flatnonzero(where & self.steps.resolved)
+        if resolved.size:
+            steps = self.steps.subset(resolved)
+            points = where.size * self.share / float(steps.steps.sum())
+            separation = Separation(
+                self.system, self.kernel, self.ensemble.subset(resolved), steps, self.rate_unit[resolved]
+            )
+            separation.integrate(threads=threads, progress=lambda count: progress(points * count))
+            result[resolved] = np.nan_to_num(separation.sums[tangent.HIGHEST], nan=np.inf)
+        else:
+            progress(where.size * self.share)
+        return result
 
     def variables(
         self,

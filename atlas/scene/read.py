@@ -17,7 +17,14 @@ from .. import extension, systems
 from ..errors import BadInput, allowed_text, shown
 from ..flags import reserved_families
 from ..systems.base import NATURAL_RATE, Array, System, families_of
-from ..variables import POINT, data_variables, default_variables, proofs_of_labels, variables
+from ..variables import (
+    POINT,
+    data_variables,
+    default_variables,
+    listed_variables,
+    proofs_of_labels,
+    variables,
+)
 from . import checks
 from .checks import checked
 from .expressions import Expression, PointColumn, Tie, evaluation_order
@@ -260,7 +267,10 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
         raise BadInput(
             f"outputs.variables: {shown(name)} is unknown; {extension.available_text(name, registry)}"
         )
-    outputs = tuple(name for name in registry if name in listed)
+    # A finished atlas holds what it was written with.
+    outputs = tuple(
+        [name for name in registry if name in listed] if of_atlas else listed_variables(system, listed)
+    )
     allowed = (*outputs, *unknown)
     return outputs, checks.choice("outputs.map", table["map"], allowed) if "map" in table else ""
 

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from ...analysis.metadata import system_of
+from ...flags import SettledBy
 from ...systems.gyrostat.motions import directions
 from ...variables import data_variables
 from ..equilibria.algebra import ANGLES, frames_of
@@ -17,11 +18,18 @@ from .ends import END
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
     """Texts of legends by the flags of ends, of an equilibrium in which all points that end there have the same attitude.
 
-    The first axis is named where the third one does not tell two equilibria apart.
+    The first axis is named where the third one does not tell two equilibria apart. Of points without an end the share of
+    undecided ones in all points stands beside.
     """
+    undecided = float((ds["settled_by"] == SettledBy.UNDECIDED).mean()) if "settled_by" in ds else 0.0
+    without = (
+        {"not_settled": f"not settled, or undecided: {100 * undecided:.2g} % of the points"}
+        if undecided
+        else {}
+    )
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
     if not {END, *names} <= {*ds}:
-        return {}
+        return without
     angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
     directed: dict[int, list[str]] = {}
     # About a fixed point the frame is one direction.
@@ -39,7 +47,7 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
             angle = np.degrees(np.arccos(min(abs(frame[nearest[2], 2]), 1.0)))
             directed[i] = [third + f", {angle:.0f} deg" * bool(angle >= 0.5), first]
     thirds = [third for third, _ in directed.values()]
-    return {
+    return without | {
         f"equilibrium_{i}": f"{i}: third axis {third}" + f", first {first}" * (thirds.count(third) > 1)
         for i, (third, first) in directed.items()
     }

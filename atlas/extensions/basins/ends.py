@@ -11,25 +11,29 @@ from ...flags import SettledBy, Status
 from ...kernel.ensemble import Ensemble
 from ...kernel.integrate import NODES_PER_LEVEL
 from ...measure.instrument import Instrument, Measured, Run, Variable
-from ...systems.base import Array, Mask, Points, System
+from ...measure.rates import tolerated_error
+from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
 ROUNDING = 1e-14  # relative error of the energy
+# Largest error, rad and in units of rates, that a motion may have before it settles: the share of a basin that it may cross.
+LARGEST_ERROR = 0.01
 LEVELS = 6  # minima of a body for which the time of settling is measured, from the lowest potential upwards
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
+START = "ends:start"  # measurement: the energy at the start, with its margin
 _ORDER = (
-    "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled;"
+    "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
     " positions of different bodies cannot be compared"
 )
 _TIME = (
     "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or rad per time unit where that is 0; seen at"
     " every eighth node; nan where this is not reached, and at ends that are no minimum"
 )
-_INDEX = "0 of a minimum of the amended potential; -1 where the motion is not settled"
-_ANGLE = "nan where the motion is not settled, and where the members of a circle of equilibria differ"
+_INDEX = "0 of a minimum of the amended potential; -1 where there is no end"
+_ANGLE = "nan where there is no end, and where the members of a circle of equilibria differ"
 _ROWS = (
     (END, "int16", "1", "position in atlas.equilibria of", _ORDER, NO_END, ("not_settled", "equilibrium")),
     ("end_theta0", "float64", "rad", "angle from the vertical to the third body axis at", _ANGLE, 0, None),
@@ -49,7 +53,9 @@ class Ends(Instrument):
         end = "the equilibrium in which the motion ends"
         return (
             *(
-                Variable(name, dtype, units, f"{text} {end}", None, comment, True, missing, positions)
+                Variable(
+                    name, dtype, units, f"{text} {end}", None, comment, True, missing, positions, "settled_by"
+                )
                 for name, dtype, units, text, comment, missing, positions in _ROWS
             ),
             Variable("settled_by", "int8", "1", "how the end is known", SettledBy.meanings(), optional=True),
@@ -78,6 +84,8 @@ class Ends(Instrument):
             nearest, angle = wells.nearest(frames, row)
             near, damped = finite & (angle <= SETTLED), finite & (run.points["damping"] > 0)
             energy = np.where(damped, wells.energy(frames, rates, row) + MARGIN * error, np.inf)
+            w, alpha, gamma = run.system.vectors(run.ensemble.state)
+            start = wells.energy(frames_of(alpha, gamma), w - wells.body.turn[row, None] * gamma, row)
             well = wells.proved(frames, energy, row, nearest, near)
             known = [well >= 0, near & (length(rates) <= SETTLED * wells.rate[row])]
         place = np.select(known, [well, nearest], NO_END)
@@ -87,17 +95,44 @@ class Ends(Instrument):
             "end_index": wells.index[row, place],
             "settled_by": np.select(known, [SettledBy.PROVED, SettledBy.MEASURED], SettledBy.NOT),
             LEVEL: wells.settled[row, place],
+            START: start + MARGIN * error,
         }
+
+    def needs_growth(self, run: Run, status: Flags) -> Mask:
+        """Where there is an end that the energy at the start may not decide."""
+        from .wells import wells_of
+
+        wells, row = wells_of(run.system, run.points)
+        decided = (run.measured["settled_by"] == SettledBy.PROVED) & (run.measured[START] < wells.least[row])
+        return (status == Status.OK) & (run.measured[END] >= 0) & ~decided
+
+    def undecided(self, run: Run) -> Mask:
+        """Where an error of the size of the tolerance at the start can change the motion before it settles.
+
+        Below the rim of its well from the start a proved end is certain: the motion has never left the well.
+        """
+        from .wells import wells_of
+
+        error = tolerated_error(run.settings, run.step_sizes, run.bound)
+        grown = run.growth + np.log(error) > np.log(LARGEST_ERROR)
+        where = np.flatnonzero(grown & (run.measured["settled_by"] == SettledBy.PROVED))
+        if where.size:
+            wells, row = wells_of(run.system, run.points)
+            wells.find_rims(np.unique(row[where]))
+            own = row[where], run.measured[END][where]
+            grown[where] = ~(run.measured[START][where] < wells.rim[own])
+        return grown
 
     def outcome_differs(self, run: Run, other: Run) -> Mask:
         return run.measured[END] != other.measured[END]
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        settled = (columns["status"] == Status.OK) & (run.measured[END] >= 0)
+        settled, undecided = (columns["status"] == Status.OK) & (run.measured[END] >= 0), self.undecided(run)
         result = {}
         for v in self.every_variable(run.system):
             missing = v.missing if v.dtype.startswith("int") else np.nan
-            result[v.name] = np.where(settled, run.measured[v.name], missing).astype(v.dtype)
+            result[v.name] = np.where(settled & ~undecided, run.measured[v.name], missing).astype(v.dtype)
+        result["settled_by"][undecided] = SettledBy.UNDECIDED
         return result
 
 

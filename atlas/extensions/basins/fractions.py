@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from ...analysis.metadata import flag_variable
+from ...analysis.metadata import flag_names, flag_variable
 from ...analysis.trust import probability
+from ...errors import BadInput
+from ...flags import SettledBy
 from .ends import END, NO_END
 
 
@@ -26,9 +28,27 @@ def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None = None) -> 
     -------
     Dataset
         `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and `end_equilibrium`, whose
-        coordinate is the positions in `atlas.equilibria` and first -1, not settled.
+        coordinate is the positions in `atlas.equilibria` and first -1, not settled or undecided; and `undecided`, the fraction
+        of starts of which an error of the size of the tolerance could change the end, nan in atlases that did not ask this.
+
+    Raises
+    ------
+    BadInput
+        For an atlas without `end_equilibrium` or `settled_by`.
     """
     every = [str(dim) for dim in flag_variable(ds, END).dims]
+    if "settled_by" not in ds:
+        raise BadInput(
+            "settled_by: not in this atlas, so that undecided ends are unknown; run its scene again: it is written with end_equilibrium"
+        )
     result = probability(ds, END, every if over is None else over).rename(probability="fraction")
+    known, dims = (
+        "undecided" in flag_names(ds["settled_by"]),
+        [dim for dim in every if dim not in result.dims],
+    )
+    undecided = (ds["settled_by"] == SettledBy.UNDECIDED).mean(dims).where(known)
+    result["undecided"] = undecided.assign_attrs(
+        long_name="fraction of starts with an undecided end", units="1"
+    )
     positions = np.arange(result.sizes[END]) + NO_END
     return result.assign_coords({END: (END, positions, ds[END].attrs)})

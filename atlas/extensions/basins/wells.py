@@ -51,6 +51,11 @@ class Wells:
     listed: Mask  # whether every equilibrium is known, and its index is certain, (bodies,)
     rim: Array  # energies of the rims of the wells, nan until computed
 
+    @property
+    def least(self) -> Array:
+        """The lowest potential of an equilibrium that is no minimum, (bodies,)."""
+        return np.asarray(np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf))
+
     def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
         """Places of the equilibria nearest to attitudes (points, 3, 3) of these bodies, and the angles to them, rad."""
         place, angle = np.empty(len(row), np.int64), np.empty(len(row))
@@ -115,7 +120,7 @@ class Wells:
 
         place: of the nearest equilibria; settled: whether the attitude is within SETTLED of it.
         """
-        least = np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf)[row]
+        least = self.least[row]
         decided = self.listed[row] & np.isfinite(energy)
         above = decided & (energy >= least)
         self.find_rims(np.unique(row[above]))

@@ -320,9 +320,11 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Of angular velocities as large as the bound; rates about the axis of a small circle divide by its radius."""
-        size = run.bound * relative
-        of_circle = size * (1.0 + run.bound / run.measured[f"{self.name}:radius"])
+        """Of angular velocities as large as the bound; a small circle has that of their components that its axis mixes."""
+        size, measured = run.bound * relative, run.measured
+        s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
+        mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)
+        of_circle = size * (1.0 + mixed * run.bound / measured[f"{self.name}:radius"])
         sizes = dict.fromkeys(("spread", "height_std"), size)
         sizes |= dict.fromkeys(("radius_std", "spin_std", "spin", "precession"), of_circle)
         return {f"{self.name}:{key}": each for key, each in sizes.items()}

@@ -16,11 +16,16 @@ from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of
 
 MAX_NEAREST = 10_000  # drifting points that are compared with families
+# What an error estimate above 1 means, by the largest values of `Tally`.
+_UNKNOWN = {
+    "unstable": "an instability has amplified errors until the final state is unknown",
+    "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",
+}
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
     """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
-    names = [name for name in (*COUNTED, "error_estimate", "integral_drift") if name in ds]
+    names = [name for name in (*COUNTED, "error_estimate", "integral_drift", "stable") if name in ds]
     if tally is None:
         tally = Tally()
         for box in chunks(ds[names[0]].sizes, ds[names[0]].dims) if names else ():
@@ -81,7 +86,7 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
 
 def _error_lines(tally: Tally) -> list[str]:
     """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
-    lines, parts, remark = [], [], ""
+    lines, parts = [], []
     for name in (name for name in GROUPS if name in tally.largest):
         largest = tally.largest[name]
         cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
@@ -89,9 +94,9 @@ def _error_lines(tally: Tally) -> list[str]:
         # Known to a quarter of a decade.
         median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
         parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
-        if largest > 1:
-            remark = "; above 1 an instability has amplified errors until the final state is unknown; the labels have checks of their own"
     if parts:
+        unknown = [words for name, words in _UNKNOWN.items() if tally.largest.get(name, 0.0) > 1]
+        remark = f"; above 1 {' or '.join(unknown)}; the labels have checks of their own" if unknown else ""
         lines.append(f"expected relative error of the motion (error_estimate): {', '.join(parts)}{remark}")
     if "integral_drift" in tally.largest:
         largest = tally.largest["integral_drift"]

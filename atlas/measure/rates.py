@@ -26,14 +26,17 @@ LABEL_STATISTICS = (
 _ERROR_ESTIMATE = (
     "differences of rates over the bound of the fastest frequency, of angles in rad; expected from phase error, dissipation,"
     " rounding and interpolation, the growth of an unstable family, the distance of the third axis from the vertical and the"
-    " change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric); at least 1 where the axis was in the"
-    " cylinder for a part of the run"
+    " change of first integrals, or measured by a second run (check_half_step; always where the bound is numeric); at least 1 where the axis passed"
+    " through the cylinder"
 )
 STATUS = Variable("status", "int8", "1", "how far the label can be trusted", Status.meanings())
 END_TIME = Variable("end_time", "float64", "s", "time at which the integration ended")
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
+# Of a start in the cylinder: the sine of theta from which the samples follow the axis; the turn of its path between two nodes,
+# in rad, beyond which they miss how it leaves.
+LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
     "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run, or half of"
@@ -139,7 +142,7 @@ class Rates(MainInstrument):
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
         # psi' and phi' divide by sin theta: near the vertical rounding counts more.
         near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
-            _least_sine(measured), 1e-300
+            _least_sine(measured), run.settings.cylinder
         )
         angle = (measured["theta_max"] - measured["theta_min"]) * share
         angle += measured["sine_max"] * np.where(bound > 0, step_sizes.rate_error / bound, 0.0)
@@ -291,22 +294,29 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
     """Relative error of states and statistics, from the error of the states.
 
     The interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is
-    as large as they are where the axis was in the cylinder for a part of the run.
+    as large as they are where the axis passed through the cylinder. A run that starts there has samples close to its start: they
+    miss how the axis leaves only if it is slow, so that its path turns much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
+    u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)
+    leaves = np.sin(integration.sums[Row.FIRST_THETA]) < cylinder
     with np.errstate(all="ignore"):
         angle = state_error + _interpolation_error(run.step_sizes, bound)
-        sine = _least_sine(measured)
+        least = _least_sine(measured)
+        sine = np.maximum(np.where(leaves, LEAVING_SINE, least), cylinder)
         spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
-        rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / np.maximum(sine, 1e-300)))
+        rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / sine))
         # Peak of psi' when the axis leaves the cylinder at the frequency bound.
         peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
-        undefined = np.fmax.reduce([np.ones_like(rates), spread, rates, peak])
+        undefined = np.fmax.reduce([np.ones_like(rates), spread, peak])
+        turn = run.step_sizes.sample_spacing * bound**2 / np.hypot(u1, u2)
+        missed = spread * np.minimum((turn / MISSED_TURN) ** 3, 1.0)
+        left = np.fmax(np.fmin(rates + missed, undefined), angle)
     outside = integration.sums[Row.OUTSIDE]
     inside = outside == 0.0  # psi' and phi' are missing
     partly = (outside > 0.0) & (outside < integration.intervals * (1.0 - 1e-10))
-    crossed = ~inside & (partly | (sine < 2.0 * cylinder))
-    return np.asarray(np.select([inside, crossed], [angle, undefined], rates))
+    crossed = ~inside & (partly | (least < 2.0 * cylinder))
+    return np.asarray(np.select([inside, crossed & leaves, crossed], [angle, left, undefined], rates))
 
 
 def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:

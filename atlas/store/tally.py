@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..flags import LABELS, Label
+from ..flags import LABELS, Label, Stability
 
 COUNTED = (*LABELS, "regularity", "status", "agreement", "computed")
 # Groups of points with separate histograms of errors: drifting motions amplify errors, steady ones do not.
@@ -22,7 +22,8 @@ class Tally:
     """Counts of flags and of errors, and largest values."""
 
     def __init__(self) -> None:
-        # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group.
+        # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group,
+        # and errors by whether theory finds the motion unstable.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
@@ -31,6 +32,10 @@ class Tally:
         tally = cls()
         counted = {name: columns[name] for name in COUNTED if name in columns}
         if "error_estimate" in columns and "label" in columns:
+            labelled = np.isin(columns["label"], sum(GROUPS.values(), ()))
+            unstable = columns.get("stable", np.zeros(labelled.shape)) == Stability.UNSTABLE
+            for name, where in {"unstable": labelled & unstable, "others": labelled & ~unstable}.items():
+                tally.largest[name] = float(np.nanmax(columns["error_estimate"][where], initial=0.0))
             for name, labels in GROUPS.items():
                 values = columns["error_estimate"][np.isin(columns["label"], labels)]
                 values = values[~np.isnan(values)]

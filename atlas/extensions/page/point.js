@@ -178,8 +178,12 @@ function verdict(index) {
   }
   const estimate = data.variables.find((each) => each.name === "error_estimate");
   if (estimate && at(estimate.values, index) > 1) {
-    const words = "an instability has amplified errors until the final state is unknown; the label has checks of its own";
-    nodes.push(element("p", { class: "sentence" }, `Error estimate above 1: ${words}.`));
+    const stable = data.variables.find((each) => each.name === "stable");
+    const unstable = stable?.flags?.[at(stable.values, index)]?.name === "unstable";
+    const words = unstable
+      ? "an instability has amplified errors until the final state is unknown"
+      : "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown";
+    nodes.push(element("p", { class: "sentence" }, `Error estimate above 1: ${words}; the label has checks of its own.`));
   }
   const reason = data.motion.reason ? at(data.motion.reason, index) : 0;
   if (reason && data.motion.sentences[reason]) {

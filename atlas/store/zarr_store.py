@@ -8,7 +8,9 @@ objects by their names, for `verify`: other programs read a lost object as fill 
 from __future__ import annotations
 
 import asyncio
+import gzip
 import hashlib
+import io
 import json
 import math
 import os
@@ -51,7 +53,8 @@ except ImportError:
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # values of a coordinate in one object: a store with a long axis opens at once
-PLAIN = {"bytes", "crc32c", "transpose", "vlen-bytes", "vlen-utf8"}  # codecs that do not pack
+# Codecs that do not pack by themselves, shards are of version 0.1.0; and those whose unpacked bytes are known before.
+PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
@@ -98,9 +101,10 @@ class PlaceStore(WrapperStore[Any]):
             # Checked here, because errors of codecs would not name the object, and come after all of it is unpacked.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)
-            codec, least, most = self.packed.get(name, ("", 0, 0))
-            if codec and not least <= _unpacked_bytes(content, codec, most) <= most:
-                raise BadInput(f"{damaged} does not unpack to the numbers of its chunk")
+            if name in self.packed:
+                codec, least, most = self.packed[name]
+                if not least <= _unpacked_bytes(content, codec, most) <= most:
+                    raise BadInput(f"{damaged} does not unpack to the numbers of its chunk")
         match byte_range:
             case RangeByteRequest():
                 content = content[byte_range.start : byte_range.end]
@@ -151,31 +155,22 @@ def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
     """Bytes that an object unpacks to, as its header says or, of gzip, as they are counted up to `most`; -1 if that is not known."""
     if codec == "blosc":
         return int.from_bytes(content[4:8], "little")
-    if codec == "zstd":  # RFC 8878: magic number, descriptor, window and dictionary, size of the content
-        descriptor = content[4] if content[:4] == b"\x28\xb5\x2f\xfd" and len(content) > 4 else 0
-        is_single, flag = descriptor >> 5 & 1, descriptor >> 6
-        start, length = 5 + (not is_single) + (0, 1, 2, 4)[descriptor & 3], (is_single, 2, 4, 8)[flag]
-        return (
-            int.from_bytes(content[start : start + length], "little") + 256 * (length == 2) if length else -1
-        )
-    count = 0
-    with suppress(zlib.error):
-        while content and count <= most:
-            part = zlib.decompressobj(31)
-            count += len(part.decompress(content, most + 1))
-            if count <= most and not part.eof:
-                return -1
-            content = part.unused_data
-        return count
-    return -1
+    if codec == "gzip":
+        with suppress(OSError, EOFError, zlib.error):
+            return len(gzip.open(io.BytesIO(content)).read(most + 1))
+        return -1
+    # RFC 8878: magic number, descriptor, window and dictionary, size of the content
+    descriptor = content[4] if content[:4] == b"\x28\xb5\x2f\xfd" and len(content) > 4 else 0
+    is_single, flag = descriptor >> 5 & 1, descriptor >> 6
+    start, length = 5 + (not is_single) + (0, 1, 2, 4)[descriptor & 3], (is_single, 2, 4, 8)[flag]
+    size = int.from_bytes(content[start : start + length], "little")
+    return size + 256 * (length == 2) if length else -1
 
 
 def _codec(array: zarr.Array[Any]) -> str:
-    """Name of the codec that packs the objects of an array, empty without one and for shards; ValueError where it may unpack to any size."""
+    """Name of the codec that packs the objects of an array, empty without one; ValueError where it may unpack to any size."""
     codecs = getattr(array.metadata, "codecs", ())  # none of format 2
     names = [str(codec.to_dict()["name"]) for codec in codecs]
-    if names == ["sharding_indexed"]:  # of version 0.1.0
-        return ""
     packing = [name for name in names if name not in PLAIN]
     if len(packing) > 1 or not PACKING.issuperset(packing):
         raise ValueError(
@@ -273,13 +268,14 @@ class Zarr(Format):
             store = PlaceStore(place, is_whole=is_whole, packed=packed, has_checksums=is_own, stamp=stamp)
             group = zarr.open_group(store, mode="r", use_consolidated=is_consolidated)
             claimed = 0
-            for name, array in group.arrays():
+            for count, (name, array) in enumerate(group.arrays(), 1):
                 size = math.prod(array.shape) * array.dtype.itemsize
                 claimed += size
                 chunk_bytes = math.prod(array.chunks) * array.dtype.itemsize
                 limits = (chunk_bytes, chunk_bytes) if array.dtype.kind in "biuf" else (0, MAX_CHUNK_BYTES)
-                packed[name] = _codec(array), *limits
-                if len(packed) > MAX_NAMES:
+                if codec := _codec(array):
+                    packed[name] = codec, *limits
+                if count > MAX_NAMES:
                     raise ValueError(f"it has more than {MAX_NAMES} arrays")
                 for chunk in (array.chunks, array.shards or ()):
                     if math.prod(chunk) * array.dtype.itemsize > max(MAX_CHUNK_BYTES, size):

@@ -206,7 +206,7 @@ def complain(folder: Path, text: str) -> None:
     """Log a warning about an unusable cache, once for each folder."""
     if folder not in _complaints:
         _complaints.add(folder)
-        logging.getLogger("atlas").warning("the kernel cache %s %s", folder, text)
+        logging.getLogger("atlas").warning("the cache %s %s", folder, text)
 
 
 def check_types(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:

@@ -140,22 +140,16 @@ class Ensemble:
         self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, *, threads: int | None = None
     ) -> Array:
         """States after so many steps of these sizes (time units), (states, points), without statistics."""
-        return self.states_at_samples(kernel, steps, step_size, 1, threads=threads)[:, 0]
+        return self.states_at_samples(kernel, steps, step_size[None], threads=threads)[:, 0]
 
     def states_at_samples(
-        self,
-        kernel: ModuleType,
-        steps: NDArray[np.int64],
-        step_size: Array,
-        count: int,
-        *,
-        threads: int | None = None,
+        self, kernel: ModuleType, steps: NDArray[np.int64], step_sizes: Array, *, threads: int | None = None
     ) -> Array:
-        """States each time that so many steps have ended, (states, count, points)."""
-        arrays, schedule = self.arrays(kernel, step_size), blocks.pack_blocks(steps, steps)
-        states = np.empty((len(self.state), count, self.size))
-        for k in range(count):
-            blocks.integrate(kernel, schedule, arrays, threads=threads)
+        """States each time that so many steps have ended, (states, samples, points); step_sizes: (samples, points)."""
+        arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
+        states = np.empty((len(self.state), *step_sizes.shape))
+        for k, step_size in enumerate(step_sizes):
+            blocks.integrate(kernel, schedule, arrays._replace(step_size=step_size), threads=threads)
             states[:, k] = arrays.state[: len(self.state)]
             arrays.state[len(self.state) :] = 0.0  # losses, which no sample takes over
         return states

@@ -22,6 +22,7 @@ from atlas.kernel.tableaux import METHODS
 from atlas.measure import observables
 from atlas.measure.instrument import Run
 from atlas.scene.model import Settings
+from atlas.scene.tables import point_columns
 from atlas.systems import jacobian
 from atlas.variables import variables
 
@@ -358,9 +359,10 @@ def test_the_size_of_a_power_is_near_the_spectral_radius(decades, largest):
 
 
 def bound_along(system, points, duration, **more):
-    ensemble, size = Ensemble.of(system, points), len(points["x0"])
+    points, size = point_columns(system, points)
+    ensemble, durations = Ensemble.of(system, points), np.full(size, duration)
     return numeric_bound.along_runs(
-        system, kernel(system, METHOD), METHODS[METHOD], ensemble, np.full(size, duration), 10**8, **more
+        system, kernel(system, METHOD), METHODS[METHOD], ensemble, durations, 10**8, **more
     )
 
 
@@ -393,6 +395,55 @@ def test_the_bound_sees_a_forcing_that_the_jacobian_does_not_contain(driven, mon
     assert (error[1:] > 0.1).all()
     assert (error <= 10 * estimate).all()
     assert np.isfinite(estimate).all()
+
+
+def test_a_forcing_that_turns_once_from_sample_to_sample_is_seen_at_all_phases(driven):
+    """With equal distances all samples have one phase, in which the slope is zero and the bound had no limit."""
+    points, duration = {"w": np.full(1, 2 * np.pi), "force": 1 - (2 * np.pi) ** 2, "x0": 1.0}, 2000.0
+    ds = atlas.label_points("driven", points, duration=duration, method=METHOD)
+    assert ds["status"] == Status.OK
+    assert float(ds["x_std"][0]) == pytest.approx(np.sqrt(0.5), abs=1e-5)
+    assert float(ds["error_estimate"][0]) < 1e-5
+    assert duration / float(ds["step"][0]) < 40 * 2000
+
+
+def test_no_number_of_turns_between_two_samples_raises_the_bound(driven):
+    """Of x = cos(w t) the larger ratio of derivatives is w at least, and sqrt(2) w where the phases are a quarter turn wide."""
+    turns = np.array([0.5, 1, 1.382, 1.5, 1.764, 2, 3.1459, 4.9098, 5, 8.0557, 13])
+    w = np.linspace(4.0, 9.0, turns.size)
+    duration = numeric_bound.MAX_SAMPLES * turns * 2 * np.pi / w
+    bound, settled = bound_along(driven, {"w": w, "force": 1 - w**2, "x0": 1.0}, duration)
+    assert settled.all()
+    assert (bound >= 0.5 * w / numeric_bound.TOLERATED).all()
+    assert (bound <= 0.75 * w).all()
+
+
+def test_bounds_by_few_samples_are_about_those_by_many(driven, monkeypatch):
+    rng, size = np.random.default_rng(0), 12
+    w = rng.uniform(1.0, 20.0, size)
+    points = {
+        "w": w, "force": w * 10 ** rng.uniform(-1.5, 1.0, size), "spring": rng.uniform(0.1, 9.0, size),
+        "cubic": rng.uniform(0.0, 0.2, size), "damping": rng.uniform(0.0, 0.5, size),
+        "x0": rng.uniform(-2.0, 2.0, size),
+    }  # fmt: skip
+    duration = numeric_bound.MAX_SAMPLES * rng.choice([0.5, 1.0, 1.5, 2.0], size) * 2 * np.pi / w
+    few, settled = bound_along(driven, points, duration)
+    monkeypatch.setattr(numeric_bound, "MAX_SAMPLES", 8 * numeric_bound.MAX_SAMPLES)
+    many, _ = bound_along(driven, points, duration)
+    assert settled.all()
+    assert (few > 0.5 * many).all()
+    assert (few < 4.0 * many).all()
+
+
+def test_a_trajectory_has_the_steps_of_the_atlas(driven):
+    points = {"w": np.array([3.0, 2 * np.pi, 40.0]), "force": 5.0, "x0": 1.0, "damping": 0.1}
+    options = {"duration": 600.0, "method": METHOD}
+    ds = atlas.label_points("driven", points, **options)
+    alone = atlas.label_points("driven", points | {"w": points["w"][1:2]}, threads=1, **options)
+    xr.testing.assert_equal(alone.drop_attrs(), ds.isel(point=[1]).drop_attrs())
+    for i, w in enumerate(points["w"]):
+        tr = atlas.trajectory("driven", points | {"w": w}, samples=2, **options)
+        assert float(tr["step"]) == float(ds["step"][i])
 
 
 def test_the_differences_of_extremes_have_no_order(driven):

@@ -93,32 +93,39 @@ class Stability(Flag):
 
 
 class EnergyStability(Flag):
-    """Whether a steady motion is stable by the energy with the other integrals."""
+    """Whether a steady motion is stable by the energy with what dissipation inside the body keeps."""
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
-    YES = 1, "the second variation of the energy is definite on the level of the other integrals: stable"
-    NO = 2, "the second variation is indefinite: unstable, or stable by gyroscopic terms alone"
+    YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"
+    NO = (
+        2,
+        "no such minimum: unstable, or stable by gyroscopic terms or a momentum that internal dissipation destroys",
+    )
 
 
 class StabilityKind(Flag):
     """Linear stability and stability by the energy together."""
 
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
-    ENERGY_STABLE = 1, "stable by the energy: small dissipation leaves it stable"
-    GYROSCOPIC = 2, "linearly stable and not by the energy: dissipation destroys the stability"
+    ENERGY_STABLE = 1, "stable by the energy: small dissipation inside the body leaves it stable"
+    GYROSCOPIC = 2, "linearly stable and no minimum of the energy: dissipation destroys the stability"
     MARGINAL = (
         3,
         "no exponent grows, but exponents coincide or the energy is degenerate: may grow like a power of time",
     )
     LINEARLY_STABLE = 4, "linearly stable; stability by the energy is not known"
     UNSTABLE = 5, "some characteristic exponent has a positive real part"
+    ENERGY_STABLE_AXIAL = (
+        6,
+        "stable by the energy as long as the axial momentum is kept: internal dissipation changes it",
+    )
 
 
 class NonlinearStability(Flag):
     """Stability of a steady motion in the full equations, as far as it is proved."""
 
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
-    ENERGY = 1, "stable by the energy"
+    ENERGY = 1, "stable by the energy on the level of every constant momentum, as nothing dissipates"
     ARNOLD_MOSER = 2, "stable by the theorem of Arnold and Moser: two degrees of freedom, D is not 0"
     RESONANCE_STABLE = 3, "at a resonance 2:1 or 3:1, and stable by the criterion of Markeev"
     RESONANCE_UNSTABLE = 4, "at a resonance 2:1 or 3:1, and unstable by the criterion of Markeev"

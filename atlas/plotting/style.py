@@ -75,7 +75,8 @@ _FLAGS_OF_COLOUR = {
     "#1c0a02": ("marginal", "degenerate"),
     "#8fc4e4": ("resonance_stable",),
     "#8a2b0c": ("resonance_unstable",),
-    "#1f4a36": ("linearly_stable",),
+    "#1d513b": ("linearly_stable",),
+    "#302251": ("energy_stable_axial",),
 }
 COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}
 # White for none, then colours without an order, for positions in a list; after Tol, "muted".

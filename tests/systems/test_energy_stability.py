@@ -19,6 +19,7 @@ from atlas.systems.satellite import SATELLITE
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
 YES, NO, UNKNOWN = EnergyStability.YES, EnergyStability.NO, EnergyStability.UNKNOWN
+AXIAL = StabilityKind.ENERGY_STABLE_AXIAL
 SIGNED_PERMUTATIONS = np.array(
     [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]]
 )
@@ -103,7 +104,10 @@ def test_spinning_satellites_have_it_on_the_level_of_their_momentum(psi0):
         points = default_points("satellite", C=sigma, theta0=theta, psi0=psi0, m=m, k3=k3)
         assert SATELLITE.identify_family(points)[0] > 0
         least = np.linalg.eigvalsh(jacobi_hessian(points, (2, 5)))[0]
-        energy = derived(SATELLITE, "energy_stable", points)[0]
+        # Dissipation inside the body changes the momentum: a spinning satellite is no minimum without it.
+        assert derived(SATELLITE, "energy_stable", points)[0] == NO
+        kind = derived(SATELLITE, "stability_kind", points)[0]
+        energy = YES if kind == AXIAL else NO
         assert energy == (YES if least > 0 else NO)
         # Damping destroys the momentum: at rest all changes but the angle of symmetry count.
         damped = points | {"m": np.zeros(1), "k3": points["k3"] + sigma * m, "damping": np.full(1, 0.2)}
@@ -135,9 +139,9 @@ def test_the_diagram_of_likins_and_thomson():
     rng = np.random.default_rng(3)
     sigma, b = rng.uniform(0.05, 2.0, 2000), rng.uniform(-4, 4, 2000)
     points = default_points("satellite", C=sigma, m=b / sigma - 1)
-    energy = derived(SATELLITE, "energy_stable", points)
-    assert ((energy == YES) == ((b > 1) & (b + 3 * sigma > 4))).all()
+    assert (derived(SATELLITE, "energy_stable", points) == NO).all()
     kind = derived(SATELLITE, "stability_kind", points)
+    assert ((kind == AXIAL) == ((b > 1) & (b + 3 * sigma > 4))).all()
     assert ((kind == StabilityKind.UNSTABLE) == (linear(SATELLITE, points) == Stability.UNSTABLE)).all()
     assert (kind == StabilityKind.GYROSCOPIC).any()
 
@@ -185,7 +189,8 @@ def test_permanent_rotations_have_the_second_variation_on_the_leaf():
 def test_sleeping_tops_and_free_bodies():
     spin = np.array([1.0, 5.0])
     points = default_points("fixed_point", C=0.6, Mg=2.0, z0=-0.7, m=spin)
-    assert derived(FIXED_POINT, "energy_stable", points).tolist() == [NO, YES]
+    assert derived(FIXED_POINT, "energy_stable", points).tolist() == [NO, NO]
+    assert derived(FIXED_POINT, "stability_kind", points).tolist() == [StabilityKind.UNSTABLE, AXIAL]
     free = default_points(
         "fixed_point",
         A=np.array([1.0, 2.0, 1.0]),
@@ -194,7 +199,136 @@ def test_sleeping_tops_and_free_bodies():
         m=1.0,
         theta0=0.4,
     )
-    assert derived(FIXED_POINT, "energy_stable", free).tolist() == [YES, YES, NO]
+    assert derived(FIXED_POINT, "energy_stable", free).tolist() == [YES, NO, NO]
+    kinds = [StabilityKind.ENERGY_STABLE, StabilityKind.GYROSCOPIC, StabilityKind.UNSTABLE]
+    assert derived(FIXED_POINT, "stability_kind", free).tolist() == kinds
+
+
+def test_free_spins_with_dissipation_at_constant_angular_momentum():
+    """M' = M x w + M x (M x w) keeps |M| and lowers the energy: a spin about the greatest moment stays, every other one leaves."""
+    rng, every = np.random.default_rng(11), np.ones(100, np.int8)
+    inertia, rotor, spin = np.empty((3, 100)), np.zeros((3, 100)), np.zeros((3, 100))
+    for i in range(100):
+        axis, others = i % 3, [(i + 1) % 3, (i + 2) % 3]
+        far = 0.0
+        while far < 0.03:  # from a border of stability
+            inertia[:, i] = 1 + 0.9 * rng.random(3)
+            if i % 4 == 0:  # about its axis of symmetry
+                inertia[others[0], i] = inertia[others[1], i]
+            spin[axis, i], rotor[axis, i] = rng.choice([-1.0, 1.0]), rng.normal() * (i % 8 < 3)
+            momentum = inertia[axis, i] * spin[axis, i] + rotor[axis, i]
+            far = np.abs(1 / inertia[others, i] - spin[axis, i] / momentum).min() * min(momentum**2, 1.0)
+    given = dict(zip((*"ABC", "l1", "l2", "l3", "p0", "q0", "r0"), [*inertia, *rotor, *spin], strict=True))
+    given |= dict(zip(("gamma10", "gamma20", "gamma30"), rng.normal(size=(3, 100)), strict=True))
+    points = default_points("fixed_point", **given, Mg=0.0, N=0.0)
+    start = inertia * spin + rotor
+    M = start + 1e-3 * rng.normal(size=start.shape)
+    size = np.linalg.norm(M, axis=0)
+
+    def slope(M):
+        torque = np.cross(M, (M - rotor) / inertia, axis=0)
+        return torque + np.cross(M, torque, axis=0)
+
+    h = 0.05
+    for _ in range(10000):
+        a = slope(M)
+        b = slope(M + h / 2 * a)
+        c = slope(M + h / 2 * b)
+        M = M + h / 6 * (a + 2 * b + 2 * c + slope(M + h * c))
+    np.testing.assert_allclose(np.linalg.norm(M, axis=0), size, rtol=1e-3)
+    left = np.linalg.norm(M / size - start / np.linalg.norm(start, axis=0), axis=0) > 0.05
+    assert 20 < left.sum() < 80
+    verdict = FIXED_POINT.energy_stability(points, every)
+    np.testing.assert_array_equal(verdict, np.where(left, NO, YES))
+    held, axial = FIXED_POINT.conservative_stability(points, every)
+    assert (held[~left] == YES).all()
+    np.testing.assert_array_equal(axial, np.arange(100) % 4 == 0)
+
+
+def slope_with_ball(system, body, ball, drag):
+    """Of the body without a ball in it that turns at s against a viscous fluid: w, s and the directions of the frame."""
+    moments = np.array([body[name] for name in "ABC"])
+    names = ("k", "mu") if system is SATELLITE else ("l",)
+    rotor, *field = (np.array([body.get(f"{name}{i}", 0.0) for i in (1, 2, 3)]) for name in names)
+    turn, inertia = body.get("Omega", 0.0), moments - ball
+    weight = body.get("Mg", 0.0) * np.array([body.get(f"{name}0", 0.0) for name in "xyz"])
+
+    def slope(y):
+        w, s, *directions = y.reshape(-1, 3)
+        gamma = directions[-1]
+        if system is SATELLITE:
+            (mu,), alpha = field, directions[0]
+            torque = np.cross(alpha, 3 * turn**2 * moments * alpha + body["h1"] * mu)
+            torque += np.cross(gamma, body["h3"] * mu)
+        else:
+            torque = np.cross(gamma, body["N"] * moments * gamma - weight)
+        friction, u = drag * (w - s), w - turn * gamma
+        w_dot = (np.cross(inertia * w + rotor, w) + torque - friction) / inertia
+        turned = [np.cross(direction, u) for direction in directions]
+        return np.concatenate([w_dot, np.cross(s, w) + friction / ball, *turned])
+
+    return slope
+
+
+@pytest.mark.extension("equilibria")
+def test_a_damper_in_the_body_leaves_minima_alone():
+    """Tops and satellites with a ball that turns against a viscous fluid in them, a pervasive internal damper, linearised.
+
+    The motions are steady with it, and stable where the energy of the whole body has a minimum (Kelvin, Tait and Chetaev).
+    """
+    rng = np.random.default_rng(14)
+    found = set()
+    for trial in range(20):
+        moments = 1 + 0.9 * rng.random(3)
+        symmetric, system = bool(trial % 2), (FIXED_POINT, SATELLITE)[trial // 2 % 2]
+        if symmetric:
+            moments[1] = moments[0]
+        body = dict(zip("ABC", moments, strict=True))
+        if system is SATELLITE:
+            body |= {"Omega": 0.9, "h1": 0.4, "h3": -0.2}
+            given = ("k3", "mu3") if symmetric else ("k1", "k2", "k3", "mu1", "mu2", "mu3")
+            body |= {name: (1.0 if symmetric else 0.5) * rng.normal() for name in given}
+        else:
+            body |= {"Mg": 1.0, "N": 0.3 * (trial % 3 == 0), "n": 2 * rng.normal()}
+            given = ("z0", "l3") if symmetric else ("x0", "y0", "z0", "l1", "l2", "l3")
+            body |= {name: rng.normal() for name in given}
+        ds = atlas.equilibria(system.name, body)
+        for i in range(ds.sizes["equilibrium"]):
+            start = {name: ds[name].values[i] for name in ("theta0", "psi0", "phi0") if name in ds}
+            points = system.with_defaults(body | start)
+            state = system.initial_state(points)[:, 0]
+            state = np.concatenate([state[:3], state])
+            slope = slope_with_ball(system, body, 0.3 * moments.min(), 0.5)
+            assert np.abs(slope(state)).max() < 1e-8
+            steps = 1e-6 * np.eye(len(state))
+            matrix = np.array([(slope(state + h) - slope(state - h)) / 2e-6 for h in steps]).T
+            growth = np.linalg.eigvals(matrix).real.max()
+            every = np.ones(1, np.int8)
+            verdict = system.energy_stability(points, every)[0]
+            assert verdict == (NO if growth > 1e-5 else YES), (trial, i, growth)
+            held, axial = system.conservative_stability(points, every)
+            found.add((system.name, verdict, held[0], bool(axial[0])))
+    both = {(YES, YES, False), (NO, NO, False), (YES, YES, True), (NO, YES, True)}
+    assert {(name, *verdicts) for name in ("satellite", "fixed_point") for verdicts in both} <= found
+
+
+@pytest.mark.parametrize("system", ["fixed_point", "satellite"])
+def test_the_word_does_not_flip_beside_a_symmetric_body(system):
+    """A spin about the least moment, and one about the greatest (Explorer 1)."""
+    given = {"Mg": 0.0} if system == "fixed_point" else {"Omega": 1.08e-3}
+    for B in (1.0, 1.0001):
+        points = default_points(system, B=B, C=np.array([0.5, 1.5]), m=1.0, **given)
+        energy = derived(atlas.systems.get(system), "energy_stable", points).tolist()
+        if system == "fixed_point":
+            assert energy == [NO, YES]
+            kinds = derived(FIXED_POINT, "stability_kind", points)
+            assert kinds.tolist() == [
+                AXIAL if B == 1.0 else StabilityKind.GYROSCOPIC,
+                StabilityKind.ENERGY_STABLE,
+            ]
+        elif B == 1.0:
+            assert energy == [NO, NO]
+            assert (derived(SATELLITE, "stability_kind", points) == AXIAL).all()
 
 
 def test_nothing_is_claimed_off_families_and_of_periodic_equations():
@@ -254,6 +388,10 @@ def test_marginal_motions():
         [0, 0, 0, np.nan],
     )
     kinds = stability_kind(np.array(stable), np.array(growth), np.array([UNKNOWN, NO, NO, NO]))
+    axial = np.array([False, True, False, False])
+    assert (
+        stability_kind(np.array(stable), np.array(growth), np.array([UNKNOWN, NO, NO, NO]), axial)[1] == AXIAL
+    )
     expected = ["LINEARLY_STABLE", "GYROSCOPIC", "MARGINAL", "UNKNOWN"]
     np.testing.assert_array_equal(kinds, [StabilityKind[name] for name in expected])
 
@@ -267,5 +405,6 @@ def test_scenes_and_points_write_flags():
     )
     assert ds.energy_stable.dtype == ds.stability_kind.dtype == np.int8
     assert ds.stability_kind.attrs["flag_meanings"].split()[1:3] == ["energy_stable", "gyroscopic"]
+    assert ds.stability_kind.attrs["flag_meanings"].split()[-1] == "energy_stable_axial"
     assert ds.energy_stable.attrs["flag_meanings"] == "unknown yes no"
     assert ds.stability_kind.item() == StabilityKind.ENERGY_STABLE

@@ -31,6 +31,7 @@ _LINES = {
     StabilityKind.MARGINAL: (COLOURS["marginal"], 0.7, False),
     StabilityKind.LINEARLY_STABLE: (COLOURS["linearly_stable"], 0.7, False),
     StabilityKind.GYROSCOPIC: ("#5aa7d0", 0.7, False),  # the colour of maps is too pale for a line
+    StabilityKind.ENERGY_STABLE_AXIAL: (COLOURS["energy_stable_axial"], 1.2, False),
     StabilityKind.ENERGY_STABLE: (COLOURS["energy_stable"], 1.7, False),
 }
 LINES: dict[StabilityKind, Style] = {

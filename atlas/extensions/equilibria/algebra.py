@@ -152,10 +152,10 @@ def stability_at_rest(
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
     every = np.ones_like(stable)
-    energy = system.energy_stability(points, every)
+    energy, (_, axial) = system.energy_stability(points, every), system.conservative_stability(points, every)
     return {
         "stable": stable, "growth_rate": growth, "energy_stable": energy,
-        "stability_kind": stability_kind(stable, growth, energy),
+        "stability_kind": stability_kind(stable, growth, energy, axial),
         **dict(zip(FREQUENCIES, system.frequencies(points, every).T, strict=True)),
     }  # fmt: skip
 

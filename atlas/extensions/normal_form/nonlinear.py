@@ -36,11 +36,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import NonlinearStability, StabilityKind
+from ...flags import EnergyStability, NonlinearStability, StabilityKind
 from ...systems.base import Array, Flags, Points, subset
 from ...systems.gyrostat.body import across
 from ...systems.gyrostat.oscillations import GROWTH_TOLERANCE, Equilibria
-from ...systems.gyrostat.variables import kinds_of_stability, steady_families
+from ...systems.gyrostat.variables import conservative, kinds_of_stability, steady_families
 from . import RESONANCE_BAND
 
 if TYPE_CHECKING:
@@ -141,9 +141,13 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
     for linear, verdict in (
         (StabilityKind.UNKNOWN, NonlinearStability.UNKNOWN),
         (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
-        (StabilityKind.ENERGY_STABLE, NonlinearStability.ENERGY),
     ):
         result[kind == linear] = verdict
+    # Nothing dissipates: every momentum is held, and a maximum of the energy is as good as a minimum.
+    stable = np.isin(
+        kind, (StabilityKind.ENERGY_STABLE, StabilityKind.ENERGY_STABLE_AXIAL, StabilityKind.GYROSCOPIC)
+    )
+    result[stable & (conservative(system, points)[0] == EnergyStability.YES)] = NonlinearStability.ENERGY
     return result, values
 
 
@@ -156,7 +160,7 @@ def stability(rest: Equilibria) -> tuple[Flags, Array]:
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
     values = np.full((4, count.size), np.nan)
     # A body symmetric about the vertical, or a free body, has one degree of freedom less.
-    symmetric = np.any([rest.body.symmetric_about(i) for i in range(3)], axis=0)
+    symmetric = rest.symmetric()
     about_axis = (rest.cyclic[..., 1] != 0).any(1)
     members = (count == 1) & (about_axis | ~symmetric) & ~rest.free & (rest.body.damping == 0)
     for first in range(0, count.size, _CHUNK):

@@ -63,8 +63,8 @@ class FixedPoint(Gyrostat):
         " relative to the body, of a symmetric body on the vertical in space"
     )
     energy_comment = (
-        "on the level of the momentum about the vertical, and of that about the axis of symmetry where there is one; unknown off"
-        " conical, sleeping, staude and rest"
+        "on the level of the momentum about the vertical, without a field of the angular momentum; energy_stable_axial also of that"
+        " about the axis of symmetry; unknown off conical, sleeping, staude and rest"
     )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:

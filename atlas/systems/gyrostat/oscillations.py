@@ -22,7 +22,9 @@ coefficient of the cubic, which is 0, is left out with its root.
 
 The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
 Dirichlet); with constant momenta about the cyclic directions E that of W on their level, W'' + F (E^T I E)^-1 F^T with
-F = v x E (Routh, Rumyantsev). Damping destroys the momenta and leaves W as it is. The frequencies are those without damping.
+F = v x E (Routh, Rumyantsev). Damping destroys the momenta and leaves W as it is. Dissipation inside the body keeps the momentum
+about a direction about which the frame is symmetric, and not that about an axis of symmetry of the body: see `energy_minima`.
+The frequencies are those without damping.
 P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10; V. V. Rumyantsev, J. Appl. Math. Mech. 30 (1966) 1090;
 N. G. Chetaev, The Stability of Motion, Pergamon 1961.
 """
@@ -41,6 +43,7 @@ from .body import Body, across, cross_matrix, length, quadratic_roots
 # Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
 # as its error.
 GROWTH_TOLERANCE = 1e-6
+_PARALLEL = 1e-9  # sine of an angle between parallel axes
 _ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
 
 
@@ -172,27 +175,78 @@ class Equilibria(NamedTuple):
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
         stiffness = forces @ np.linalg.pinv(moments, hermitian=True) @ np.swapaxes(forces, 1, 2)
         hessian = self.body.hessian(self.alpha, self.gamma)
-        hessian = hessian + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness)
-        scale = np.abs(hessian).max((1, 2))
-        projection = E @ np.linalg.pinv(E)
-        complement = np.eye(3) - projection
-        hessian = (
-            complement @ hessian @ complement / np.where(scale > 0, scale, 1.0)[:, None, None] + projection
-        )
-        finite = np.asarray(np.isfinite(hessian).all((1, 2)))
-        values = np.full(hessian.shape[:2], np.nan)
-        values[finite] = np.linalg.eigvalsh(hessian[finite])
-        return values
+        return _eigenvalues(hessian + np.where(self.body.damping[:, None, None] > 0, 0.0, stiffness), E)
+
+    def symmetric(self) -> Mask:
+        """Where the body has an axis of symmetry, (points,)."""
+        return np.any([self.body.symmetric_about(i) for i in range(3)], axis=0)
 
     def energy_stability(self) -> Flags:
-        """Whether the motions are stable by the energy, values of flags.EnergyStability, (points,)."""
+        """Whether the motions are stable by the energy with every momentum held, values of flags.EnergyStability, (points,)."""
         with np.errstate(all="ignore"):
             least = self.hessian_eigenvalues()[:, 0]
             # The energy on the level of a momentum that is constant in space: a maximum is as good as a minimum.
             polhode = -self.squared_exponents()[:, 0].real
             least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
-            flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
-            return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
+            return _verdict(least)
+
+
+def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
+    """Whether motions are minima of the energy on the level of what internal dissipation keeps.
+
+    w, alpha, gamma: at the start, (points, 3). Values of flags.EnergyStability, (points,).
+    """
+    body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
+    rate = body.rate(w)
+    body, w = body.scaled(rate), w / rate[:, None]
+    axes = np.stack([body.symmetric_about(i, np.ones_like(rate)) for i in range(3)], -1)[:, None]
+    any_frame = ~body.acts_along(body.alpha)
+    free = any_frame & ~body.acts_along(body.gamma)
+    with np.errstate(all="ignore"):
+        # On the level of the momentum about the vertical, in the frame of the rotation, where the vertical is the only direction.
+        turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
+        force = np.cross(body.gyroscopic(turn[:, None] * gamma), gamma)
+        kept = np.where(any_frame & (body.damping == 0), 1.0 / (body.inertia * gamma**2).sum(-1), 0.0)
+        hessian = body._replace(turn=turn).hessian(alpha, gamma)
+        hessian += kept[:, None, None] * force[:, :, None] * force[:, None, :]
+        moving = w - turn[:, None] * gamma
+        vertical = np.where(any_frame[:, None], gamma, 0.0)
+        hat = cross_matrix(vertical)
+        turns = np.where(axes & ~(any_frame[:, None] & (length(hat) <= _PARALLEL))[:, None], np.eye(3), 0.0)
+        # Where nothing acts, that of the angular momentum M, on which the energy is (M - k).I^-1 (M - k) / 2.
+        momentum = body.inertia * w + body.rotor
+        square = (momentum**2).sum(-1)
+        share = np.where(square > 0, (w * momentum).sum(-1) / square, 0.0)
+        hat = cross_matrix(momentum)
+        of_momentum = np.where(axes & (length(hat) > _PARALLEL * np.sqrt(square)[:, None])[:, None], hat, 0.0)
+        of_momentum = np.where((square > 0)[:, None, None], of_momentum, np.eye(3))
+
+        def chosen(of_free: Array, others: Array) -> Array:
+            return np.where(free.reshape(-1, *(1,) * (others.ndim - 1)), of_free, others)
+
+        hessian = chosen((1.0 / body.inertia - share[:, None])[:, None] * np.eye(3), hessian)
+        still = np.concatenate([chosen(of_momentum, turns), chosen(momentum, vertical)[:, :, None]], 2)
+        flags = _verdict(_eigenvalues(hessian, still)[:, 0])
+        critical = length(chosen(w - share[:, None] * momentum, moving)) <= FAMILY_TOLERANCE
+    return np.where(critical, flags, np.int8(EnergyStability.NO))
+
+
+def _eigenvalues(hessian: Array, still: Array) -> Array:
+    """Ascending eigenvalues of Hessians (points, 3, 3) over their size; 1 for directions that do not count, the columns `still`."""
+    scale = np.abs(hessian).max((1, 2))
+    projection = still @ np.linalg.pinv(still, rcond=1e-12)
+    complement = np.eye(3) - projection
+    hessian = complement @ hessian @ complement / np.where(scale > 0, scale, 1.0)[:, None, None] + projection
+    finite = np.asarray(np.isfinite(hessian).all((1, 2)))
+    values = np.full(hessian.shape[:2], np.nan)
+    values[finite] = np.linalg.eigvalsh(hessian[finite])
+    return values
+
+
+def _verdict(least: Array) -> Flags:
+    """Values of flags.EnergyStability by the least eigenvalue of a second variation."""
+    flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
+    return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:

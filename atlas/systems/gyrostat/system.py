@@ -8,10 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...flags import Stability
+from ...flags import EnergyStability, Stability
 from ..base import Array, Flags, Mask, Points, System, shape_of, shared, subset, unsteady
 from .body import Body, across, length
-from .oscillations import Equilibria
+from .oscillations import Equilibria, energy_minima
 from .variables import oscillation_variables
 
 _CHUNK = 2048  # points whose exponents are computed together
@@ -31,7 +31,7 @@ class Gyrostat(System):
     """Where the variables of frequencies have no value."""
     axial_rotor: str = ""
     """Parameter of the rotor along the third axis; empty: there is none."""
-    energy_comment = "on the level of the momenta that are constant"
+    energy_comment = "on the level of what dissipation inside the body keeps"
     """On which level of which integrals the energy decides."""
 
     def __init__(self) -> None:
@@ -117,12 +117,24 @@ class Gyrostat(System):
         return result
 
     def energy_stability(self, points: Points, flags: Flags) -> Flags:
-        """Whether steady motions are stable by the energy, values of flags.EnergyStability."""
+        """Whether steady motions are minima of the energy on the level of what internal dissipation keeps, as EnergyStability."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         part = subset(points, members)
-        rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
-        result[members[rest.points]] = rest.energy_stability()
+        body, start = self.body(part), self.start(part)
+        known = Equilibria.of(body, *start, from_space=False).points
+        result[members[known]] = energy_minima(body.subset(known), *(vector[known] for vector in start))
         return result
+
+    def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
+        """Whether steady motions are stable by the energy with every momentum held, and where by that about an axis of symmetry."""
+        result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
+        symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
+        rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
+        result[members[rest.points]], symmetric[members[rest.points]] = (
+            rest.energy_stability(),
+            rest.symmetric(),
+        )
+        return result, symmetric & (result == EnergyStability.YES)
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
         """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability, StabilityKind
-from ..base import Array, DerivedVariable, Flags, Points, shared, unsteady
+from ..base import Array, DerivedVariable, Flags, Mask, Points, shared, unsteady
 
 if TYPE_CHECKING:
     from .system import Gyrostat
@@ -31,10 +31,16 @@ def energy_stable(system: Gyrostat, points: Points) -> Flags:
 
 
 @shared
+def conservative(system: Gyrostat, points: Points) -> tuple[Flags, Mask]:
+    """See `Gyrostat.conservative_stability`."""
+    return system.conservative_stability(points, steady_families(system, points))
+
+
+@shared
 def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
     """Values of flags.StabilityKind."""
     stable, growth = system.linear_stability(points, system.oscillation_families(points))
-    return stability_kind(stable, growth, energy_stable(system, points))
+    return stability_kind(stable, growth, energy_stable(system, points), conservative(system, points)[1])
 
 
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
@@ -68,13 +74,17 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
     return {row[0]: DerivedVariable.of_group(group_values, *row, flags=flags.get(row[0])) for row in rows}
 
 
-def stability_kind(linear: Flags, growth: Array, energy: Flags) -> Flags:
-    """Values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy."""
+def stability_kind(linear: Flags, growth: Array, energy: Flags, axial: Mask | bool = False) -> Flags:
+    """Values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy.
+
+    axial: where the energy decides with the momentum about an axis of symmetry.
+    """
     stable = linear == Stability.STABLE
     kinds = {
         StabilityKind.UNSTABLE: linear == Stability.UNSTABLE,
         StabilityKind.ENERGY_STABLE: stable & (energy == EnergyStability.YES),
         StabilityKind.MARGINAL: (linear == Stability.UNKNOWN) & (growth == 0),
+        StabilityKind.ENERGY_STABLE_AXIAL: stable & axial,
         StabilityKind.GYROSCOPIC: stable & (energy == EnergyStability.NO),
         StabilityKind.LINEARLY_STABLE: stable,
     }

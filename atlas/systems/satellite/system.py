@@ -75,8 +75,8 @@ class Satellite(Gyrostat):
         " periodic"
     )
     energy_comment = (
-        "on the level of the momentum about an axis of symmetry, where there is one; unknown where the linear equations are"
-        " periodic"
+        "of the Jacobi integral; energy_stable_axial on the level of the momentum about an axis of symmetry; unknown where the linear"
+        " equations are periodic"
     )
 
     def possible_start(self, points: Points) -> Mask:

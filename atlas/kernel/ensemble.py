@@ -165,14 +165,14 @@ class Ensemble:
     ) -> NDArray[np.int64]:
         """Number of nodes that each point took.
 
-        All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run outside the
-        cylinder, no later motion brings the label back. A passage of the vertical takes away at most one sample near it. Whole
+        All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run, and the axis
+        was so far outside the cylinder that a later entry is a change of theta, no later motion brings the label back. A passage of the vertical takes away at most one sample near it. Whole
         runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
             limit = early_stop_rate * early_stop_rate * step_sizes.intervals * (1.0 + 1e-6)
-        min_sin2_theta = arrays.cylinder_squared * (1.0 + 1e-9)
+        min_sin2_theta = 4.0 * arrays.cylinder_squared * (1.0 + 1e-9)
         done = np.zeros_like(run_nodes)
         active, packed, schedule = np.arange(self.size), np.empty(0, np.int64), None
         for share in SEGMENTS:

@@ -179,7 +179,7 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Every statistic of STATISTICS, sine_max (largest sin theta), and axis_1, axis_2 (mean `axis_in_frame`)."""
+    """Every statistic of STATISTICS, sine_max (largest sin theta), outside (share of the samples), axis_1, axis_2 (mean `axis_in_frame`)."""
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan, so that an overflow stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
@@ -215,6 +215,7 @@ def finish(
             "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
             "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),
             "sine_max": np.sqrt(np.minimum(widest, 1.0)),
+            "outside": outside / intervals,
         }
         result["axis_1"] = out[Row.AXIS_1] / (intervals + 1)
         result["axis_2"] = out[Row.AXIS_2] / (intervals + 1)

@@ -257,7 +257,7 @@ def predict(
     }  # fmt: skip
     if motion is not None and others.size:
         sampled, error = _statistics(
-            system, subset(points, others), motion.axes.subset(others), times[others]
+            system, subset(points, others), motion.axes.subset(others), times[others], tolerances.angle
         )
     for name, frame_rate in predicted_frames(system, points).items():
         label = rates.rule(tolerances, frame_rate).label(measured)
@@ -284,7 +284,9 @@ def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
     return np.array(motion[:3]), np.array(motion[3:])
 
 
-def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) -> tuple[Measured, Measured]:
+def _statistics(
+    system: System, points: Points, axes: TwoAxes, duration: Array, cylinder: float
+) -> tuple[Measured, Measured]:
     """Measurements of exact motions from which labels are decided, from samples, and their errors."""
     # Multiples of the golden section, which are even and resonate with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
@@ -296,6 +298,8 @@ def _statistics(system: System, points: Points, axes: TwoAxes, duration: Array) 
     values = {f"{name}_mean": (rate.mean(0), rate.std(0)) for name, rate in varying.items()}
     values |= {f"{name}_std": (rate.std(0), rate.std(0)) for name, rate in varying.items()}
     values |= {"theta_dot_rms": (rms, rms), "sine_max": (sine.max(0), np.ptp(sine, axis=0))}
+    outside = (sine >= cylinder).mean(0)
+    values |= {"outside": (outside, outside * (1.0 - outside))}
     swing = np.ptp(theta, axis=0)
     values |= {"theta_min": (theta.min(0), swing), "theta_max": (theta.max(0), swing)}
     measured = {name: value for name, (value, _) in values.items()}

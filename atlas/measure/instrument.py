@@ -108,7 +108,7 @@ class Rule:
     """How a label follows from measurements."""
 
     label: Callable[[Measured], Flags]  # whatever the status
-    statistics: tuple[str, ...]  # the measurements that it reads, which have errors
+    statistics: tuple[str, ...]  # the measurements that it reads, which have errors where they are not exact
     # Means among them -> a rate: the label depends on the magnitude of their sum
     means: Mapping[str, Array | float] = field(default_factory=dict)
     # What rounding alone may add to some of the statistics of a steady motion, in their units
@@ -129,7 +129,7 @@ def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
-        for name in rule.statistics:
+        for name in error.keys() & rule.statistics:
             change = sign * error[name]
             if name in rule.means:
                 mean = measured[name] + rule.means[name]

@@ -37,7 +37,7 @@ INTEGRAL_DRIFT = next(
 # Of a start in the cylinder: the sine of theta from which the samples follow the axis; the turn of its path between two nodes,
 # in rad, beyond which they miss how it leaves.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
-_NO_MEANING = "nan where the third axis stays inside the cylinder: psi' and phi' have no meaning there"
+_NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
     "the bound is numeric: |J^64|^(1/64) of the Jacobian J at the start and at instants of a preliminary run, or half of"
     " what a derivative of a state by time is over the one before"
@@ -142,7 +142,7 @@ class Rates(MainInstrument):
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
         # psi' and phi' divide by sin theta: near the vertical rounding counts more.
         near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
-            _least_sine(measured), run.settings.cylinder
+            _least_sine(measured), 1e-300
         )
         angle = (measured["theta_max"] - measured["theta_min"]) * share
         angle += measured["sine_max"] * np.where(bound > 0, step_sizes.rate_error / bound, 0.0)
@@ -154,7 +154,9 @@ class Rates(MainInstrument):
         }
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
-        return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle}
+        outside = measured.get("outside", np.ones(1))
+        share = np.where((outside > 0.0) & (outside < 1.0), 2.0 / run.step_sizes.intervals, 0.0)
+        return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
         """Of rates as large as the bound; psi' and phi' divide by sin theta, outside the cylinder."""
@@ -269,7 +271,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
 
 def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
     of_rates = partial(label, tolerances=tolerances, frame_rate=frame_rate)
-    return Rule(of_rates, LABEL_STATISTICS, {"psi_dot_mean": frame_rate, "phi_dot_mean": 0.0})
+    return Rule(of_rates, (*LABEL_STATISTICS, "outside"), {"psi_dot_mean": frame_rate, "phi_dot_mean": 0.0})
 
 
 def steady_label(
@@ -282,8 +284,12 @@ def steady_label(
 
 
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
-    """Whether sin theta stayed below the tolerance (rad) through the run."""
-    return np.asarray(measured["sine_max"] < cylinder_tolerance)
+    """Whether the third axis counts as vertical: sin theta stayed below the tolerance (rad) through the run or, where theta
+    changes by no more than that, at most nodes."""
+    swings = measured["theta_max"] - measured["theta_min"] > cylinder_tolerance
+    at_rim = (_least_sine(measured) < cylinder_tolerance) & ~swings
+    at_most_nodes = at_rim & (measured.get("outside", np.ones(1)) <= 0.5)
+    return np.asarray((measured["sine_max"] < cylinder_tolerance) | at_most_nodes)
 
 
 def _least_sine(measured: Measured) -> Array:
@@ -313,7 +319,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
         missed = spread * np.minimum((turn / MISSED_TURN) ** 3, 1.0)
         left = np.fmax(np.fmin(rates + missed, undefined), angle)
     outside = integration.sums[Row.OUTSIDE]
-    inside = outside == 0.0  # psi' and phi' are missing
+    inside = (outside == 0.0) | in_cylinder(measured, cylinder)  # psi' and phi' are missing
     partly = (outside > 0.0) & (outside < integration.intervals * (1.0 - 1e-10))
     crossed = ~inside & (partly | (least < 2.0 * cylinder))
     return np.asarray(np.select([inside, crossed & leaves, crossed], [angle, left, undefined], rates))

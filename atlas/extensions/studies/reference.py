@@ -37,7 +37,7 @@ MAX_RADIANS = 1e5
 GROUP_FACTOR = 2.0
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
-Run = dict[str, Array]  # the statistics, "sine_max", all (points,), and "state" (state, points)
+Run = dict[str, Array]  # the statistics, "sine_max", "outside", all (points,), and "state" (state, points)
 
 
 def no_progress(points: float) -> None:
@@ -151,7 +151,8 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
     _, psi_dot, phi_dot, normal_rate, _, theta = euler_rates(motion, cylinder)
     run = {name: np.zeros(exact.size) for name in RATES} | {
         "psi_dot_mean": psi_dot, "phi_dot_mean": phi_dot, "normal_rate_mean": normal_rate, "theta_min": theta,
-        "theta_max": theta, "sine_max": np.sin(theta), "state": np.full_like(start, np.nan),
+        "theta_max": theta, "sine_max": np.sin(theta), "outside": np.where(np.sin(theta) < cylinder, 0.0, 1.0),
+        "state": np.full_like(start, np.nan),
     }  # fmt: skip
     for flag in np.unique(flags[exact]):
         members = np.flatnonzero(exact & (flags == flag))
@@ -230,7 +231,7 @@ def _integrate_group(
     references = list(range(Row.THETA_DOT_REFERENCE, Row.NORMAL_RATE_REFERENCE + 1))
     out[[*references, Row.FIRST_THETA, Row.LAST_THETA]] = *rates0, theta0, theta
     result = finish(out, np.ones(size, np.int64), duration)
-    return {name: result[name] for name in RATES} | {
+    return {name: result[name] for name in (*RATES, "outside")} | {
         "theta_min": theta_min, "theta_max": theta_max, "sine_max": largest_sine(theta_min, theta_max),
         "state": final[:states],
     }  # fmt: skip

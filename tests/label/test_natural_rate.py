@@ -237,7 +237,9 @@ def test_reuse_compares_the_tolerance_of_each_point(tmp_path, evaluated):
 def test_an_atlas_of_points_keeps_its_text(tmp_path):
     """Its trajectory takes the steps of the atlas, by the tolerance of that point."""
     points = {"Omega": np.array([1e-3, 1.0]), "theta0": 0.6, "C": 1.4}
-    ds = atlas.label_points("satellite", points, method="rk8", variables=["theta_dot_rms", "end_time", "step"])
+    ds = atlas.label_points(
+        "satellite", points, method="rk8", variables=["theta_dot_rms", "end_time", "step"]
+    )
     ds.to_netcdf(tmp_path / "points.nc")
     with atlas.open_atlas(tmp_path / "points.nc") as read:
         motion = read.atlas.trajectory(Omega=1e-3, samples=2)

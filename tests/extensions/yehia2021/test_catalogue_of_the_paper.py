@@ -12,6 +12,7 @@ import pytest
 from atlas import systems
 from atlas.analysis import catalogue
 from atlas.cli import main
+from atlas.extensions.yehia2021 import published
 from atlas.systems.base import families_of
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
 
@@ -54,6 +55,18 @@ def test_every_printed_equation_has_its_verdict_and_residuals():
         assert (row["residual_printed"] > 1e-2) == wrong
     errata = catalogue.published(SATELLITE, errata=True)
     assert {row["equation"] for row in errata} == WRONG | beyond
+
+
+def test_at_pi_the_body_at_rest_in_space_turns_the_other_way():
+    """(14)2: there m = -Omega leaves the torque 2 Omega (-k2, k1, 0), and m = Omega none."""
+    point = published.random_point(np.random.default_rng(0)) | {
+        name: np.zeros(1) for name in ("h1", "mu1", "mu2", "n", "psi0")
+    }
+    point |= {"B": point["A"], "theta0": np.full(1, np.pi)}
+    torque = 2 * max(abs(point["k1"][0]), abs(point["k2"][0]))
+    left = published.residual(point | {"m": -point["Omega"]})
+    assert left * point["A"][0] == pytest.approx(torque, rel=1e-9)
+    assert published.residual(point | {"m": point["Omega"]}) < 1e-12
 
 
 def test_command_line_tables(capsys, monkeypatch):

@@ -71,7 +71,8 @@ def branches(
     Raises
     ------
     BadInput
-        For names, values and ties that a scene would not take, for a parameter that changes no body, and where no body is possible.
+        For names, values and ties that a scene would not take, for a parameter that changes no body, where no body is possible, and
+        where every value is a bifurcation.
 
     Notes
     -----
@@ -138,6 +139,10 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
         raise BadInput(f"branches: {name} changes no equilibria; take a parameter of body or field")
     family = BodyFamily.of(system, points, some[:, None])
     result = follow(family, some, possible - np.arange(possible.size), stability=True)
+    if not result.total:
+        raise BadInput(
+            f"branches: each of these values of {name} is a bifurcation, or its equilibria are not isolated; add values between them"
+        )
     variables = _variables(name, values.size, possible, family, result)
     ds = empty_dataset(scene)
     ds = ds.drop_vars([each for each in variables if each in ds]).assign(variables)

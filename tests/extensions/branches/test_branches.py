@@ -264,6 +264,11 @@ def test_values_without_a_possible_body_cut_branches():
             {"k1": [0.0, 1.0]},
             "B + C = 2.2 is less than A = 5: no rigid body has these moments of inertia, and none of 2 points is possible",
         ),
+        (
+            {"A": 1.0, "B": 1.3, "C": 1.7},
+            {"k3": [0.7, 1.6, 2.8]},
+            "branches: each of these values of k3 is a bifurcation, or its equilibria are not isolated; add values between them",
+        ),
     ],
 )
 def test_input_without_branches(body, along, sentence):

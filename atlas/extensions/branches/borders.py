@@ -27,7 +27,7 @@ from ..equilibria.dataset import attributes
 from .branches import empty_dataset, scene_of
 from .continuation import Curve, Segments, lengths, with_zeros
 from .singular import BorderKind, Degenerate, Potential
-from .starts import Cell, all_curves, sides
+from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
 
@@ -108,7 +108,14 @@ class Borders(NamedTuple):
             """Where a body is possible and, at limits of stability, all exponents are imaginary."""
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
-        lines = [part for line in lines for part in _possible(line, shown)]
+        lines = _possible(lines, shown) if lines else []
+        kept = [line.points.solves() for line in lines]
+        for line, own in zip(lines, kept, strict=True):
+            gaps = np.flatnonzero(~own)
+            beside = np.clip(gaps[:, None] + [-1, 0, 1], 0, len(line.tangents) - 1).ravel()
+            where = cells_of(line.points.parts[4][beside], axis)
+            cells[where] = np.where(cells[where] == Cell.COUNTED, Cell.UNEXPLAINED, cells[where])
+        lines = [part for line, own in zip(lines, kept, strict=True) for part in line.runs(own)]
         index, changes = sides(Segments.of(lines)) if lines else (np.zeros(0, int), np.zeros((2, 0)))
         ends = np.cumsum([len(line.tangents) - 1 for line in lines], dtype=int)
         index = np.insert(index, ends, index[ends - 1])
@@ -140,23 +147,24 @@ class Borders(NamedTuple):
         return lines
 
 
-def _possible(line: Curve, possible: Callable[[Degenerate], Mask]) -> list[Curve]:
-    """The parts of a curve on which bodies are possible, to their ends."""
-    inside = possible(line.points)
-    if inside.all():
-        return [line]
-    changes = np.r_[inside[1:] != inside[:-1], False]
-    parts = Segments.of([line], [changes])
-    low, high, first = np.zeros(changes.sum()), np.ones(changes.sum()), inside[changes]
-    for _ in range(50):
+def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) -> list[Curve]:
+    """The parts of curves on which bodies are possible, to their ends."""
+    inside = [possible(line.points) for line in lines]
+    changes = [np.r_[each[1:] != each[:-1], False] for each in inside]
+    parts = Segments.of(lines, changes)
+    first = np.concatenate([each[where] for each, where in zip(inside, changes, strict=True)])
+    low, high = np.zeros(first.size), np.ones(first.size)
+    for _ in range(50 if first.size else 0):
         middle = 0.5 * (low + high)
         same = possible(parts.at(middle)[0]) == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     ends, tangents = parts.at(np.where(first, low, high))
-    line, inside = line.inserted(parts.vertex, ends, tangents), np.insert(inside, parts.vertex + 1, True)
-    cuts = np.flatnonzero(np.diff(inside)) + 1
-    groups = [own for own in np.split(np.arange(inside.size), cuts) if inside[own[0]] and own.size > 1]
-    return [Curve(line.points.take(own), line.tangents[own], False, line.lost) for own in groups]
+    result = []
+    for i, (line, each) in enumerate(zip(lines, inside, strict=True)):
+        own = parts.curve == i
+        line = line.inserted(parts.vertex[own], ends.take(own), tangents[own])
+        result += line.runs(np.insert(each, parts.vertex[own] + 1, True))
+    return result
 
 
 @typed
@@ -318,6 +326,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):
             at = line.points.take(np.flatnonzero(zero[: zero.size - line.closed]))
+            at = at.take(at.solves())
             points = Degenerate.joined([points, at])
             curve += [n] * len(at.kind)
             kind += list(np.where(at.pitchfork, SpecialKind.MEETING, SpecialKind.CUSP))
@@ -337,5 +346,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
     """Parameters and attitudes of points."""
-    values = dict(zip(curves.plane.extent, curves.values(points.parts[4]).T, strict=True))
-    return values | attitudes(frames_of(*curves.potential.attitudes(points.parts[0])))
+    low, high = np.transpose(list(curves.plane.extent.values()))
+    values = np.clip(curves.values(points.parts[4]), low, high)  # beyond by rounding errors
+    frames = frames_of(*curves.potential.attitudes(points.parts[0]))
+    return dict(zip(curves.plane.extent, values.T, strict=True)) | attitudes(frames)

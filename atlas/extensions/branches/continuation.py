@@ -21,12 +21,16 @@ _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
 _NONE = 1e-10  # share of the largest value that counts as 0
-_ILLINOIS = 14  # iterations, the secant method with brackets
+_ILLINOIS, _NO_SHARE = 14, 1e-15  # iterations, the secant method with brackets, and its last change
+_ITERATIONS = 10  # of least squares, where the equations are singular
 _MISSED = 3e-5  # distance of a predicted vertex, with which the cubic between two is wrong by less than 1e-6
 _ON_CURVE = 1e-6  # distance from a vertex within which a point is the same
 _SETTLED = 1e-6  # step of Newton's method that no other follows: the equations are quadratic
 # Points near a vertex among which the next one is looked for, and the length after which these are others.
 _NEIGHBOURS, _LOOK = 32, 0.2
+_ASTRAY = 0.1  # distance of a point from the cubic between two vertices, over that of these, on no curve
+# Product of unit null vectors along one curve; where moments are nearly equal another one is beside it.
+_SAME_VECTOR = 0.3
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
 
 
@@ -48,6 +52,14 @@ class Curve(NamedTuple):
     tangents: Array
     closed: bool
     lost: bool  # an end is not on the border of the box
+
+    def runs(self, kept: Mask) -> list[Curve]:
+        """The parts of two vertices or more that are all kept."""
+        if kept.all():
+            return [self]
+        cuts = np.flatnonzero(np.diff(kept)) + 1
+        groups = [own for own in np.split(np.arange(kept.size), cuts) if kept[own[0]] and own.size > 1]
+        return [Curve(self.points.take(own), self.tangents[own], False, self.lost) for own in groups]
 
     def inserted(self, after: NDArray[np.int64], points: Degenerate, tangents: Array) -> Curve:
         """The curve with more vertices, one after each of these."""
@@ -84,12 +96,20 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
     ahead, across = _along_and_across(targets[near] - place[:, None], along)
     ahead = np.abs(ahead)
     same = (ahead < _FIRST) & (across < np.maximum(_BEND * ahead, _ON_CURVE) ** 2)
-    same &= points.kind[near % count] == points.kind[:, None]
+    same &= _alike(points, points, near)
     kept = np.ones(count, bool)
     for i, k in np.argwhere(same):
         if kept[i] and near[i, k] % count > i:
             kept[near[i, k] % count] = False
     return np.flatnonzero(kept)
+
+
+def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
+    """Whether seeds, and then their mirror images, of these numbers are of the kind of points and have the same null vector."""
+    count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
+    vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
+    same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
+    return (seeds.kind[near % count] == points.kind[:, None]) & (same | points.limit[:, None])
 
 
 def _along_and_across(gap: Array, along: Array) -> tuple[Array, Array]:
@@ -128,7 +148,6 @@ def _in_unknowns(points: Degenerate, rows: Array) -> Array:
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
     """The parts of curves that leave points by some of their ends."""
     targets, target_along = _with_images(seeds, seed_tangents)
-    kinds = np.resize(seeds.kind, len(targets))
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
     *_, orientation = points.corrected(_in_unknowns(points, _of_place(points, tangents)), 1)
@@ -153,7 +172,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         near = around[active]
         ahead, across = _along_and_across(targets[near] - place[:, None], along)
         is_ahead = (ahead > _ON_CURVE) & (ahead < 1.5 * _LARGEST) & (across < (_OBLIQUE * ahead) ** 2)
-        ahead = np.where(is_ahead & (kinds[near] == now.kind[:, None]), ahead, np.inf)
+        ahead = np.where(is_ahead & _alike(now, seeds, near), ahead, np.inf)
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
@@ -181,6 +200,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         accepted &= missed < 3 * _MISSED
         angle = np.arccos(cosine)
         hit = accepted & meets & (np.abs(new.place - targets[target]).max(1) < _ON_CURVE)
+        hit &= _alike(new, seeds, target[:, None])[:, 0]
         chosen = active[accepted]
         points.unknowns[chosen], total[chosen] = new.unknowns[accepted], total[chosen] + size[accepted]
         bend[chosen] = (ahead_t - t)[accepted] / np.maximum(arc, _SMALLEST)[accepted, None]
@@ -286,10 +306,25 @@ class Segments(NamedTuple):
         )
 
     def at(self, share: Array) -> tuple[Degenerate, Array]:
-        """Points of the curves at these shares of the way, and their tangents."""
-        points, chord = self.cubic(share), self.end.place - self.start.place
-        points, _, tangents, _ = points.corrected(_in_unknowns(points, chord / length(chord)[:, None]), 3)
+        """Points of the curves at these shares of the way, of the cubics where none is near, and their tangents."""
+        guess, chord = self.cubic(share), self.end.place - self.start.place
+        reach = _ASTRAY * length(chord)
+        points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
+        with np.errstate(all="ignore"):  # they may be anywhere
+            astray = np.flatnonzero(~((step < _SETTLED) & (length(points.place - guess.place) < reach)))
+        others = guess.take(astray)
+        beside, step = others.nearest(_ITERATIONS)
+        near = (step < _SETTLED) & (length(beside.place - others.place) < reach[astray])
+        points.unknowns[astray] = np.where(near[:, None], beside.unknowns, others.unknowns)
+        tangents[astray] = self._directions(share)[astray]
         return points, tangents
+
+    def _directions(self, share: Array) -> Array:
+        """Unit tangents of the cubics at these shares of the way."""
+        w, (first, last) = share[:, None], self.slopes
+        rows = 6 * w * (1 - w) * (self.end.unknowns - self.start.unknowns)
+        rows += (1 - w) * (1 - 3 * w) * first + w * (3 * w - 2) * last
+        return rows / length(_of_place(self.start, rows))[:, None]
 
 
 def lengths(line: Curve) -> Array:
@@ -317,8 +352,10 @@ def with_zeros(
     at_high = np.concatenate([each[1:][each[:-1] * each[1:] < 0] for each in values])
     low, high = np.zeros(at_low.size), np.ones(at_low.size)
     share = 0.5 * (low + high)
-    for _ in range(_ILLINOIS if share.size else 0):
-        share = high - at_high * (high - low) / (at_high - at_low)
+    for iteration in range(_ILLINOIS if share.size else 0):
+        before, share = share, high - at_high * (high - low) / (at_high - at_low)
+        if iteration and (np.abs(share - before) < _NO_SHARE).all():
+            break  # the first one may be the middle again
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)

@@ -472,6 +472,7 @@ class Degenerate(NamedTuple):
             points = points.moved(change)
         return points, np.abs(change).max(1)
 
+    @np.errstate(all="ignore")  # Newton's method diverges where these equations are singular
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
         """Points of the curves in the hyperplanes through these across a row, (N, unknowns), the last steps, the unit tangents, and orientations.
 
@@ -490,6 +491,19 @@ class Degenerate(NamedTuple):
         tangent = tangent / length(tangent[:, [*range(n), -3, -2, -1]])[:, None]
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
+    def onto_sides(self) -> tuple[Degenerate, Array]:
+        """Points of curves on the sides of the box beyond which these are, and the last steps."""
+        nearest, row = np.clip(self.parts[4], 0, 1), np.zeros_like(self.unknowns)
+        row[:, -3:-1] = np.sign(self.parts[4] - nearest)
+        points = self._replace(unknowns=self.unknowns.copy())
+        points.unknowns[:, -3:-1] = nearest
+        points, step, *_ = points.corrected(row, _ON_SIDE)
+        return points, step
+
+    def solves(self) -> Mask:
+        """Which are on their curves, in the box."""
+        return np.asarray((np.abs(self.equations()[0]).max(1) < _EXACT) & self.inside())
+
     def regular(self) -> tuple[Degenerate, Array]:
         """The points at which curves are regular, polished, and their unit tangents."""
         residual, slopes = self.equations()
@@ -497,6 +511,10 @@ class Degenerate(NamedTuple):
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
         points, step, tangent, _ = self.take(good).corrected(right[good, -1], 7)
         good = (step < _EXACT) & (points.excess < _EXACT) & points.inside()
+        beyond = np.flatnonzero(good & (points.parts[4] != np.clip(points.parts[4], 0, 1)).any(1))
+        onto, step = points.take(beyond).onto_sides()
+        points.unknowns[beyond] = onto.unknowns
+        good[beyond] = step < _EXACT
         forks = np.flatnonzero(points.pitchfork)
         _, (product, flat), _ = points.take(forks).character()
         good[forks] &= np.abs(flat) > _EXACT * np.abs(product)  # else equilibria form a line
@@ -566,15 +584,11 @@ class Degenerate(NamedTuple):
         """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
         points, step = self.nearest(_ITERATIONS)
         beyond = np.flatnonzero(~points.inside())  # on curves of which a part may be inside
-        onto, row = points.take(beyond), np.zeros_like(points.unknowns[beyond])
-        row[:, -3:-1] = np.sign(onto.parts[4] - np.clip(onto.parts[4], 0, 1))
-        onto.unknowns[:, -3:-1] = np.clip(onto.parts[4], 0, 1)
-        with np.errstate(all="ignore"):
-            onto, step[beyond], *_ = onto.corrected(row, _ON_SIDE)
+        onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
-        inside = length(points.parts[4] - self.parts[4]) < reach
-        inside &= points.inside() & (step < _NEAR)
-        points = points.take(inside)
+        found = step < _NEAR
+        points, starts = points.take(found), self.parts[4][found]
+        points = points.take((length(points.parts[4] - starts) < reach) & points.inside())
         candidates = np.flatnonzero(
             (length(points.force()) < _LITTLE_FORCE) & (points.kind == BorderKind.FOLD)
         )

@@ -151,6 +151,7 @@ def all_curves(
             lambda points: np.where(points.limit, points.character()[1][0], 1.0),
             lambda points: points.margin()[0],
         ]
+    searched = [np.isnan(each[0]) for each in jumps]  # or with a number that is not certain
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
@@ -169,7 +170,9 @@ def all_curves(
         expected = expected_differences(lines, axis)
         differs = [f[: 1 + stability] != e[: 1 + stability] for f, e in zip(jumps, expected, strict=True)]
         wrong = [each.any(0) for each in differs]
-        edges = [np.argwhere(each & np.isfinite(f[0])) for each, f in zip(wrong, jumps, strict=True)]
+        fresh = [each & ~old for each, old in zip(wrong, searched, strict=True)]
+        searched = [old | each for old, each in zip(searched, wrong, strict=True)]
+        edges = [np.argwhere(each) for each in fresh]
         if attempt == _SEARCHES or not any(map(len, edges)):
             break
         share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])
@@ -184,10 +187,14 @@ def all_curves(
     missed = wrong[0][:, 1:] | wrong[0][:, :-1] | wrong[1][1:] | wrong[1][:-1]
     for line in lines:
         if line.lost:
-            where = np.searchsorted(axis, line.points.parts[4][[0, -1]]) - 1
-            missed[tuple(np.clip(where, 0, CELLS - 1).T)] = True
+            missed[cells_of(line.points.parts[4][[0, -1]], axis)] = True
     cells = np.select([uncertain, missed], [Cell.NOT_CERTAIN, Cell.UNEXPLAINED], Cell.COUNTED)
     return lines, axis, cells.astype(np.int8)
+
+
+def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
+    """Indices of the cells of a grid in which positions are, (N, 2), of the nearest ones at its rim."""
+    return tuple(np.clip(np.searchsorted(axis, positions) - 1, 0, axis.size - 2).T)
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:

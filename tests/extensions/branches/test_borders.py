@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from refusals import assert_refused
-from truth import REFERENCE
+from truth import REFERENCE, jacobian_matrices
 
 import atlas
+from atlas import systems
 from atlas.cli import main
 from atlas.extensions.branches.borders import BorderKind, SpecialKind
 from atlas.extensions.branches.starts import Cell
@@ -281,6 +282,54 @@ def test_numbers_of_stable_solutions(system, body, ranges):
             assert change == sum(cuts[k][2] for k in np.flatnonzero(own))
         seen += np.count_nonzero(changes)
     assert seen > 5
+
+
+EQUAL_MOMENTS = [
+    ("fixed_point", {"A": 1.0, "C": 1.0, "Mg": 1.0, "z0": -0.55, "N": -0.63, "l3": -0.7}, {"B": (0.75, 1.5), "n": (-3.0, -0.5)}),
+    ("fixed_point", {"A": 1.52, "B": 1.0, "C": 1.000000001, "Mg": 1.0, "y0": -0.77, "l2": 0.16}, {"n": (0.3, 3.0), "N": (-3.0, 3.0)}),
+    ("fixed_point", {"A": 1.07, "B": 1.0, "C": 1.000001, "Mg": 1.0, "x0": 0.62}, {"l1": (-2.0, 2.0), "n": (0.3, 3.0)}),
+    ("satellite", {"A": 1.0, "C": 1.0, "k2": 0.5}, {"k3": (-0.7, 0.7), "B": (1.05, 1.55)}),
+    ("satellite", {"A": 1.0, "B": 1.0, "k3": -0.6, "h3": 1.0, "mu2": 0.87}, {"k1": (-2.0, 2.0), "C": (0.6, 1.6)}),
+    ("satellite", {"A": 1.0, "C": 1.000000000001, "k2": -1.29, "h3": 1.0, "mu3": 1.2}, {"k1": (-2.0, 2.0), "B": (0.6, 1.6)}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("system", "body", "ranges"), EQUAL_MOMENTS)
+def test_equal_and_nearly_equal_moments(system, body, ranges):
+    """Every vertex and special point is on its curve; along several lines the exponents of the equations of motion say the same, but in marked cells."""
+    ds, (first, second) = atlas.borders(system, body, ranges, stability=True), ranges
+    assert float(ds.residual.max()) < 1e-9
+    for name, (low, high) in ranges.items():
+        for values in (ds[name], ds[f"special_{name}"]):
+            assert (values >= low).all()
+            assert (values <= high).all()
+    low, high = ranges[second]
+    seen = 0
+    for value in ranges[first][0] + np.diff(ranges[first]) * [0.07, 0.19, 0.31, 0.46, 0.61, 0.83]:
+        places = [crossings(ds, first, value, second, f"{kind}_change") for kind in ("count", "stable")]
+        edges = np.sort(np.r_[low, [place for place, _, _ in places[0]], high])
+        between = 0.5 * (edges[1:] + edges[:-1])[np.diff(edges) > 1e-4]  # nearer ones count as one
+        numbers = own_numbers(system, body | {first: np.full(between.size, value), second: between})
+        for i, changes in enumerate(np.diff(numbers, axis=1).T):
+            way = {f"cell_{first}": value, f"cell_{second}": np.linspace(*between[i : i + 2], 20)}
+            if (ds.cells.sel(way, method="nearest") == Cell.COUNTED).all():
+                for change, cuts in zip(changes, places, strict=True):
+                    assert change == sum(cut[2] for cut in cuts if between[i] < cut[0] < between[i + 1])
+                seen += changes.any()
+    assert seen > 3
+
+
+def own_numbers(system, bodies):
+    """Numbers of relative equilibria, and of those whose exponents, of the equations of motion, have no real part, (2, bodies)."""
+    rest, system = atlas.equilibria(system, bodies), systems.get(system)
+    row, place = np.nonzero(rest.index.values >= 0)
+    at = {name: np.broadcast_to(value, rest.sizes["point"])[row] for name, value in bodies.items()}
+    angles = {name: rest[name].values[row, place] for name in ("theta0", "psi0", "phi0") if name in rest}
+    points = {name: np.full(row.size, p.default) for name, p in system.parameters.items()} | at | angles
+    state, constants = system.initial_state(points), system.constants(points)
+    growth = np.linalg.eigvals(jacobian_matrices(system.equations.rhs, state, constants)).real.max(-1)
+    count = len(rest.index)
+    return np.array([np.bincount(row, minlength=count), np.bincount(row, growth < 1e-5, count)])
 
 
 def test_momentum_has_an_extremum():

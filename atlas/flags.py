@@ -161,7 +161,11 @@ class SettledBy(Flag):
 
     NOT = 0, "not settled, or unresolved: see status"
     PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
-    MEASURED = 2, "attitude and rates are within 1e-3 (rad, and of the frame's rate) of the equilibrium"
+    MEASURED = (
+        2,
+        "attitude and rates are within 1e-3 (rad, and of the frame's rate) of the equilibrium; a saddle (end_index above 0) may only"
+        " be passed",
+    )
     UNDECIDED = (
         3,
         "an error of the size of the tolerance at the start can change the motion before it settles: no end",

@@ -57,7 +57,7 @@ REPLACED = {
     "a limit or the size of a piece that has no setting: at its value the test would take minutes or gigabytes": """
         analysis.metadata.MAX_POINTS analysis.select.MAX_CELLS analysis.tracer.? analysis.tracer.WORTH_KEEPING
         extensions.amer2013.fast_spin.CHUNK extensions.amer2013.fast_spin.MAX_EVALUATIONS kernel.blocks.CHUNK
-        kernel.integrate.QUEUE label.pipeline.POINTS_PER_HALF_STEP runs.refine.MAX_BOX_POINTS runs.refine.MAX_PREDICTED
+        kernel.integrate.QUEUE kernel.numeric_bound.MAX_SAMPLES label.pipeline.POINTS_PER_HALF_STEP runs.refine.MAX_BOX_POINTS runs.refine.MAX_PREDICTED
         scene.points.MAX_FILE_BYTES scene.tables.MAX_TABLE store.dataset.MAX_EAGER_VALUES store.netcdf.MAX_ROW_VALUES
         store.tile.TILES_PER_FOLDER
         test_docs.py:?.example

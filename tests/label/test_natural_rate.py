@@ -57,14 +57,26 @@ def test_slow_frames_and_fields_do_not_count(factor):
     assert rate(SATELLITE, Omega=slow, **at_right_angle) == pytest.approx(expected, rel=1e-12)
 
 
-def test_other_systems_have_1_unless_they_give_one(monkeypatch):
+class Plain(type(TOP)):
+    """Tops without a natural rate."""
+
+    natural_rate = System.natural_rate
+
+
+class Own(type(TOP)):
+    """Tops with a natural rate of a test."""
+
+    def natural_rate(self, points):
+        return 4.0 * points["A"]
+
+
+def test_other_systems_have_1_unless_they_give_one():
     points = default_points("fixed_point", Mg=4.0, z0=1.2)
-    np.testing.assert_array_equal(durations(TOP, Duration(), points), 60 / 2.0)
-    monkeypatch.setattr(type(TOP), "natural_rate", System.natural_rate)
-    np.testing.assert_array_equal(durations(TOP, Duration(), points), 60.0)
-    assert unit_warnings(TOP, ["label"], points_at_indices(load_scene(SCENE), np.arange(2))) == []
-    monkeypatch.setattr(type(TOP), "natural_rate", lambda self, points: 4.0 * points["A"])
-    np.testing.assert_array_equal(durations(TOP, Duration(), points), 15.0)
+    for system, natural_rate in ((TOP, 2.0), (Plain(), 1.0), (Own(), 4.0)):
+        np.testing.assert_array_equal(durations(system, Duration(), points), 60 / natural_rate)
+    short = points_at_indices(load_scene(SCENE.replace("24 /", "2 /")), np.arange(2))
+    assert unit_warnings(Plain(), ["label"], short) == []
+    assert len(unit_warnings(SATELLITE, ["label"], short)) == 1
 
 
 def bodies(name, seed, count=10):

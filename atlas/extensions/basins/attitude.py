@@ -45,9 +45,13 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
                 for axis in (2, 0)
             )
             angle = np.degrees(np.arccos(min(abs(frame[nearest[2], 2]), 1.0)))
-            directed[i] = [third + f", {angle:.0f} deg" * bool(angle >= 0.5), first]
-    thirds = [third for third, _ in directed.values()]
+            at_saddle = "end_index" in ds and bool((ds["end_index"].where(ds[END] == i) > 0).any())
+            saddle = ", a saddle, which the motion may only pass" * at_saddle
+            directed[i] = [third + f", {angle:.0f} deg" * bool(angle >= 0.5), first, saddle]
+    thirds = [third for third, *_ in directed.values()]
     return without | {
-        f"equilibrium_{i}": f"{i}: third axis {third}" + f", first {first}" * (thirds.count(third) > 1)
-        for i, (third, first) in directed.items()
+        f"equilibrium_{i}": f"{i}: third axis {third}"
+        + f", first {first}" * (thirds.count(third) > 1)
+        + saddle
+        for i, (third, first, saddle) in directed.items()
     }

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import atlas
+from atlas.extensions.basins.attitude import texts
 from atlas.extensions.basins.wells import SETTLED, wells_of
 from atlas.flags import SettledBy, Status
 from atlas.systems.satellite import SATELLITE
@@ -149,6 +150,10 @@ def test_rest_at_a_saddle_is_measured_and_without_damping_nothing_is_proved():
     measured = [SettledBy.MEASURED, SettledBy.MEASURED, SettledBy.NOT]
     assert ds["settled_by"].values.tolist() == measured
     np.testing.assert_array_equal(ds["settling_time"], [np.nan, 0.0, np.nan])
+    assert [", a saddle, which the motion may only pass" in text for text in texts(ds).values()] == [
+        False,
+        True,
+    ]
 
 
 def test_an_end_that_changes_with_the_step_is_step_sensitive():

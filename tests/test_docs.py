@@ -34,7 +34,7 @@ CELL = "{code-cell} ipython3"
 EXTENSIONS = {
     "README.md": {"page"},
     "docs/accuracy.md": {"studies"},
-    "docs/api.rst": {"basins", "branches", "equilibria", "page"},
+    "docs/api.rst": {"basins", "branches", "equilibria", "page", "sections"},
     "docs/basins.md": {"basins", "equilibria"},
     "docs/branches.md": {"branches"},
     "docs/fixed_point.md": {"equilibria"},
@@ -47,6 +47,7 @@ EXTENSIONS = {
     "docs/published.md": {"branches", "normal_form", "published"},
     "docs/satellite.md": {"equilibria"},
     "docs/scenes.md": {"equilibria"},
+    "docs/sections.md": {"sections"},
     "docs/stress.md": {"studies"},
 }
 

@@ -1,0 +1,76 @@
+"""Figures of sections."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from ...analysis.metadata import system_of
+from ...errors import BadInput, allowed_text, shown
+from ...flags import Status
+from ...label.points import label_points
+from ...plotting.maps import atlas_map
+from .section import AT, DIMS, LENGTH, TRANSIENT
+
+LARGEST_DOT = 2.0  # square points
+
+
+def section_map(
+    ds: xr.Dataset, x: str | None = None, y: str | None = None, *, colour: str | None = None, **options: Any
+) -> Figure:
+    """Figure of a section from `atlas.section`, with a dot for each crossing.
+
+    Parameters
+    ----------
+    ds : Dataset
+        The section; of the method `ds.atlas.section_map` its dataset.
+    x, y : str, optional
+        What the section keeps, or time or error; default the first two.
+    colour : str, optional
+        A parameter or variable of the points, or "regularity", which `label_points` measures over the duration of the section;
+        default black.
+    **options
+        As of `map`, such as title, ax, legend and width.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A map of `map` whose points are the crossings.
+    """
+    if AT not in ds.attrs or not {*DIMS} <= {*ds.dims}:
+        raise BadInput("section_map: this dataset is no section; atlas.section makes one")
+    kept = [str(name) for name in ds if ds[name].dims == DIMS]
+    axes = [name or default for name, default in zip((x, y), kept, strict=False)]
+    if colour == "regularity" and colour not in ds:
+        settings = {} if ds.attrs[TRANSIENT] == "0" else {"transient": ds.attrs[TRANSIENT]}
+        given = {name: ds[name].values for name in system_of(ds).parameters if name in ds.coords}
+        labels = label_points(
+            ds.attrs["atlas_system"], given, duration=ds.attrs[LENGTH],
+            variables=["regularity", "label", "lyapunov"], **settings,
+        )  # fmt: skip
+        ds = ds.assign({colour: ("point", labels[colour].values.reshape(-1), labels[colour].attrs)})
+    of_points = [
+        str(name) for name in ds.variables if ds[name].dims == DIMS[:1] and ds[name].dtype.kind in "if"
+    ]
+    if colour is None:
+        colour, legend = "status", {"colors": dict.fromkeys(Status.meanings(), "black"), "legend": False}
+        options = legend | options
+    for name, allowed in ((axes[0], kept), (axes[1], kept), (colour, [*of_points, "regularity"])):
+        if name not in allowed:
+            raise BadInput(f"section_map: {shown(name)}: {allowed_text(name, allowed)}")
+    dots = (
+        xr.broadcast(ds[[*axes, colour]].reset_coords())[0]
+        .stack(dot=DIMS)
+        .drop_vars(["dot", *DIMS], errors="ignore")
+    )
+    dots = dots.dropna("dot", subset=axes).rename(dot="point").set_coords(axes)
+    for each in system_of(ds).observables:
+        if each.symbol and each.name in axes:
+            dots[each.name].attrs["long_name"] = each.symbol
+    figure = atlas_map(dots.assign_attrs(ds.attrs), colour, x=axes[0], y=axes[1], **options)
+    drawn: Any = (options.get("ax") or figure.axes[0]).collections[-1]
+    drawn.set(sizes=np.minimum(drawn.get_sizes(), LARGEST_DOT), linewidths=0.0)
+    return figure

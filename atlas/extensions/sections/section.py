@@ -1,0 +1,214 @@
+"""Poincaré sections as datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from ... import systems
+from ...errors import BadInput, shown
+from ...flags import Status
+from ...kernel import numeric_bound
+from ...kernel.ensemble import Ensemble
+from ...kernel.stepsize import ROUNDING, StepSizes
+from ...kernel.tableaux import METHODS
+from ...label.plan import Plan
+from ...scene import grid
+from ...scene.checks import texts, typed, whole_number
+from ...scene.model import Settings
+from ...scene.read import check_unit, parse_duration
+from ...scene.tables import Table, flat_columns, parameter_arrays, table
+from ...store import dataset
+from ...systems.base import NATURAL_RATE, System, check_possible, subset
+from .crossings import crossings
+from .surface import ANGLES, BODY, Surface
+
+DURATION = f"6000 / {NATURAL_RATE}"
+OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
+DIMS = ("point", "crossing")
+AT, LENGTH, TRANSIENT = "atlas_section", "atlas_duration", "atlas_transient"  # attributes
+MAX_VALUES = 10**8  # of each kept quantity
+SPREAD = 1e-6  # relative difference of first integrals among points from which on a warning follows
+
+
+@typed
+def section(
+    system: str,
+    points: Table,
+    *,
+    at: str,
+    keep: Sequence[str] | None = None,
+    count: int = 500,
+    duration: float | str | None = None,
+    transient: float | str = 0,
+    tolerance: float = 1e-10,
+    method: str = "rk8",
+) -> xr.Dataset:
+    """Poincaré section: where motions cross a surface, with an error for each crossing.
+
+    Parameters
+    ----------
+    system : str
+        Name of a system, such as "satellite" or "fixed_point".
+    points : mapping, list of mappings, Dataset, DataFrame or path
+        As in `label_points`, of numbers, 1-D arrays or arrays along "point".
+    at : str
+        Two expressions with = between them, then "rising" (default), "falling" or "either": "psi_dot = 0 rising" is where
+        the left side minus the right one becomes positive. Names are states, constants and observables of the system and, of
+        a body, theta, psi, phi, theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z; psi and phi stand alone.
+    keep : sequence of str, optional
+        Expressions whose values at the crossings are kept; default the observables, of a body theta, phi, theta_dot and
+        psi_dot.
+    count : int
+        Crossings after which a motion ends.
+    duration : float or str, optional
+        Time after which it ends without them: time units or a text as in `label_points`; default "6000 / natural_rate".
+    transient : float or str
+        Time before crossings count, likewise.
+    tolerance : float
+        Phase error of the fastest frequency after transient and duration, rad.
+    method : str
+        "rk4" or "rk8".
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the dimensions "point" and "crossing", nan beyond the crossings of a point: what is kept, by its text; time, from
+        the start; error, the largest of these by a second run with longer steps. Over "point": crossings, their number, and status: ok,
+        not_finite, under_resolved, or step_sensitive where both runs have different numbers of crossings. The parameters are
+        coordinates.
+
+    Raises
+    ------
+    BadInput
+        As `label_points`, and for texts that are no surface.
+
+    Notes
+    -----
+    A start on the surface is no crossing. theta_dot, psi_dot and phi_dot, alone on the left side, are smooth where the third
+    axis passes the vertical. Errors of chaotic motions grow exponentially: beyond 1e-3 single crossings mean nothing, their
+    distribution does.
+    """
+    description = systems.get(system)
+    surface, settings = Surface(description, at), Settings(method=method, tolerance=tolerance)
+    if keep is None:
+        keep = OF_BODY if description.frame else [each.name for each in description.observables]
+    keep = list(dict.fromkeys(texts("keep", keep)))
+    kept = [surface.expression("keep", text) for text in keep]
+    for text in keep:
+        if text in description.parameters or text in ("time", "error", "crossings", "status", *DIMS):
+            raise BadInput(f"keep: {shown(text)} is part of every section")
+    source = table(points, description.parameters)
+    names, arrays, name_columns = parameter_arrays(description, source)
+    for dim in {str(dim) for array in arrays for dim in array.dims} - {"point"}:
+        raise BadInput(
+            f"points: an array along {shown(dim)}; a section is that of points along one dimension, point"
+        )
+    size = max((array.size for array in (*arrays, *name_columns.values())), default=1)
+    whole_number("count", count, 1, MAX_VALUES // size)
+    columns = flat_columns(description, names, [array.values for array in arrays], (size,), source)
+    description.check(columns)
+    check_possible(description, columns)
+    later = np.zeros(size)
+    for key, value in (("transient", transient), ("duration", DURATION if duration is None else duration)):
+        if key == "duration" or value != 0:
+            length = parse_duration(value, key, description.parameters)
+            check_unit(description, length, key)
+            lengths = grid.durations(description, length, columns, key=key)
+            later = later if key == "duration" else lengths
+    total = later + lengths
+    rate_tolerance = grid.at_points(description, settings.rate_tolerance, columns)
+    reason = grid.reasons(description, columns)
+    grid.without_settings(reason, total, rate_tolerance)
+    if (reason != grid.Reason.NONE).all():
+        raise BadInput(f"no motion: {grid.sentence(grid.Reason(reason.max()), description, None, length)}")
+    plan, runner = Plan.of_points(description, settings, None, names), METHODS[method]
+    where = np.flatnonzero(reason == grid.Reason.NONE)
+    ensemble, total = Ensemble.of(description, subset(columns, where)), total[where]
+    bound, settled = numeric_bound.along_runs(
+        description, plan.kernel, runner, ensemble, total, settings.max_steps
+    )
+    with np.errstate(all="ignore"):
+        sizes = StepSizes.of(settings.at(rate_tolerance[where]), bound, total)
+        coarse = sizes.incommensurate(runner)
+    status = grid.status_of(reason)
+    status[where] = np.where(sizes.resolved & settled, Status.OK, Status.UNDER_RESOLVED)
+    resolved = np.flatnonzero(status[where] == Status.OK)
+    where, ensemble = where[resolved], replace(ensemble, frequency_bound=bound).subset(resolved)
+    (rows, number, finite), (others, other_number, _) = (
+        crossings(
+            surface, kept, plan.kernel, runner, ensemble, each.subset(resolved), later[where], lengths[where], count
+        )
+        for each in (sizes, coarse)
+    )  # fmt: skip
+    status[where] = np.select(
+        [~finite, number != other_number], [Status.NOT_FINITE, Status.STEP_SENSITIVE], Status.OK
+    )
+    error = np.abs(rows - others)
+    for i, text in enumerate(keep):
+        if description.frame and text in ANGLES:
+            error[i] = np.abs((error[i] + np.pi) % (2 * np.pi) - np.pi)
+    # The second run has the errors of the first times a power of the ratio of steps, as far as they are not of rounding.
+    sizes, coarse = sizes.subset(resolved), coarse.subset(resolved)
+    rounding = ROUNDING * np.sqrt(sizes.steps)
+    share = 1 / ((sizes.steps / coarse.steps) ** runner.order - 1) + rounding / np.maximum(
+        coarse.dispersion_error, ROUNDING
+    )
+    error = error * np.minimum(share, 1.0)[:, None] + np.spacing(np.abs(rows)) + rounding[:, None]
+    most = int(number.max(initial=0))
+    ds = xr.Dataset(coords=name_columns)
+    for name, values in zip([*keep, "time", "error"], [*rows, error.max(0)], strict=True):
+        every = np.full((size, most), np.nan)
+        every[where] = values[:, :most]
+        ds[name] = DIMS, every, _attributes(description, name)
+    numbers = np.zeros(size, np.int32)
+    numbers[where] = number
+    ds["crossings"] = "point", numbers, {"long_name": "number of crossings", "units": "1"}
+    ds["status"] = "point", status, dataset.variable_attributes(description, "status", ())
+    ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
+    counts = np.bincount(reason, minlength=len(grid.Reason))
+    spread = _spread(description, ensemble)
+    warnings = [
+        *grid.count_lines(counts, description, None, length),
+        *grid.system_warnings(description, subset(columns, where)),
+        *(
+            f"the first integral {name} of the points differs by {value:.2g} of its size: motions of different ones share no section"
+            for name, value in spread.items() if value > SPREAD
+        ),
+    ]  # fmt: skip
+    dataset.log_warnings(warnings)
+    ds.attrs = dataset.provenance(
+        description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings
+    )
+    ds.attrs |= {AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0), "atlas_integral_spread": max(spread.values(), default=0.0)}  # fmt: skip
+    return ds
+
+
+def _attributes(system: System, name: str) -> dict[str, object]:
+    """Attributes of a variable over the crossings; the unit of an expression is unknown."""
+    known = {each.name: (each.long_name, each.unit) for each in system.observables}
+    known |= {
+        "time": ("time of the crossing", "s"),
+        "error": ("largest error of what is kept and of the time", "1"),
+    }
+    if system.frame:
+        known |= {
+            each: (each, "rad s-1" if each.endswith(("_dot", "_rate")) else "rad")
+            for each in ("psi", *BODY[:6])
+        }
+        known |= {each: (each, "rad s-1") for each in system.rate_states}
+    long_name, *units = known.get(name, (name,))
+    return {"long_name": long_name, **dict(zip(["units"], units, strict=False))}
+
+
+def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
+    """Differences among starts of the first integrals that are constant, over their sizes."""
+    equations, at, result = system.equations, (ensemble.state, ensemble.constants), {}
+    for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
+        loss = getattr(equations, "LOSSES", {}).get(name)
+        if (scale > 0).all() and scale.size and not (loss and np.any(getattr(equations, loss)(*at))):
+            result[name] = float(np.ptp(sum(getattr(equations, name)(*at))) * scale.min())
+    return result

@@ -31,6 +31,8 @@ PARTS = 64  # of a transient, so that an interruption need not wait for its end
 TOUCHING, SPLITS = 0.2, 4
 # Newton's method ends where a step is this share of the distance of two nodes; near a touch rounding allows the other share only.
 NEWTON, CONVERGED, ACCEPTED = 60, 1e-14, 1e-8
+# A motion on which the function stays below this share of what its states could make of it stays on the surface.
+STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
 
 
@@ -79,14 +81,13 @@ def crossings(
             )
             return f, s * unit
 
-        ends = [each.ravel() for each in (value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:])]
+        ends = np.array([value[:, :-1], value[:, 1:], slope[:, :-1], slope[:, 1:]]).reshape(4, -1)
         with np.errstate(all="ignore"):
             f0, f1, s0, s1 = ends
-            candidates = np.flatnonzero(
-                in_run.ravel() & ((np.sign(f0) != np.sign(f1)) | ((f0 * s0 <= 0) & (f1 * s1 >= 0)))
-            )
-            zero, one = np.zeros(candidates.size), np.ones(candidates.size)
-            brackets = _brackets(at, SPLITS, candidates, zero, one, *(end[candidates] for end in ends))
+            near = (np.sign(f0) != np.sign(f1)) | ((f0 * s0 <= 0) & (f1 * s1 >= 0))
+            near_at = np.flatnonzero(in_run.ravel() & near)
+            whole = [near_at, 0 * near_at, 0 * near_at + 1, *ends[:, near_at]]
+            brackets = _brackets(at, SPLITS, np.array(whole, float))
         place, low, high, share, side, size = brackets[:, np.lexsort(brackets[[3, 0]])]
         place = place.astype(np.int64)
         point, node = np.divmod(place, length)
@@ -97,6 +98,7 @@ def crossings(
         quantities = Quantities(surface.system, at_root, constants)
         with np.errstate(all="ignore"):
             counted = converged & (np.abs(f) <= size) & surface.contains(quantities)
+            counted &= np.nanmax(np.abs(value), axis=1)[point] > STAYS * surface.size(at_root, constants)
             counted &= (time > START * unit) | (done[active[point]] + node > 0)
             counted &= (surface.direction == 0) | (side == -surface.direction)
             time = transient[active[point]] + (done[active[point]] + node) * unit + time
@@ -125,14 +127,12 @@ def _moved(surface: Surface, method: Method, state: Array, constants: Array, tim
     return state
 
 
-def _brackets(
-    at: Callable[[Counts, Array], tuple[Array, Array]], splits: int, place: Counts, low: Array, high: Array,
-    f0: Array, f1: Array, s0: Array, s1: Array,
-) -> Array:  # fmt: skip
+def _brackets(at: Callable[[Counts, Array], tuple[Array, Array]], splits: int, pieces: Array) -> Array:
     """Shares of intervals that hold one zero each: place, two ends, about the zero, sign at the first end, largest value at both.
 
-    f0, f1: values at the ends low and high; s0, s1: slopes by the share of the interval.
+    pieces: place, two ends as shares of the interval, the values and the slopes by this share at both ends.
     """
+    place, low, high, f0, f1, s0, s1 = pieces
     width = high - low
     first, last = s0 * width, s1 * width
     a, b = 2 * (f0 - f1) + first + last, 3 * (f1 - f0) - 2 * first - last
@@ -149,14 +149,12 @@ def _brackets(
     lowest = depth.argmin(0), np.arange(place.size)
     split = depth[lowest] < TOUCHING * np.maximum(np.abs(f0), np.abs(f1))
     if splits and split.any():
-        here, middle = place[split], (low + edges[lowest] * width)[split]
-        f, s = at(here, middle)
-        pieces = [
-            _brackets(at, 0, place[~split], *(each[~split] for each in (low, high, f0, f1, s0, s1))),
-            _brackets(at, splits - 1, here, low[split], middle, f0[split], f, s0[split], s),
-            _brackets(at, splits - 1, here, middle, high[split], f, f1[split], s, s1[split]),
-        ]
-        return np.concatenate(pieces, axis=1)
+        middle = (low + edges[lowest] * width)[split]
+        halves = pieces[:, split], pieces[:, split]
+        for half, end in zip(halves, (1, 0), strict=True):
+            half[[1 + end, 3 + end, 5 + end]] = middle, *at(place[split].astype(np.int64), middle)
+        rest = _brackets(at, 0, pieces[:, ~split])
+        return np.concatenate([rest, _brackets(at, splits - 1, np.concatenate(halves, axis=1))], axis=1)
     found = [np.empty((6, 0))]
     for (x0, x1), (h0, h1) in zip(pairwise(edges), pairwise(heights), strict=True):
         has = (x0 < x1) & (np.sign(h0) != np.sign(h1)) & (h0 != 0)

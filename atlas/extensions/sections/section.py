@@ -183,23 +183,20 @@ def section(
     ds.attrs = dataset.provenance(
         description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings
     )
-    ds.attrs |= {AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0), "atlas_integral_spread": max(spread.values(), default=0.0)}  # fmt: skip
+    ds.attrs |= {AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0)}
+    ds.attrs["atlas_integral_spread"] = max(spread.values(), default=0.0)
     return ds
 
 
 def _attributes(system: System, name: str) -> dict[str, object]:
     """Attributes of a variable over the crossings; the unit of an expression is unknown."""
-    known = {each.name: (each.long_name, each.unit) for each in system.observables}
-    known |= {
+    known = {
         "time": ("time of the crossing", "s"),
         "error": ("largest error of what is kept and of the time", "1"),
     }
-    if system.frame:
-        known |= {
-            each: (each, "rad s-1" if each.endswith(("_dot", "_rate")) else "rad")
-            for each in ("psi", *BODY[:6])
-        }
-        known |= {each: (each, "rad s-1") for each in system.rate_states}
+    known |= {each.name: (each.long_name, each.unit) for each in system.observables}
+    known |= {each: (each, "rad s-1") for each in (*system.rate_states, *(BODY[2:6] if system.frame else ()))}
+    known |= {each: (each, "rad") for each in (("theta", *ANGLES) if system.frame else ())}
     long_name, *units = known.get(name, (name,))
     return {"long_name": long_name, **dict(zip(["units"], units, strict=False))}
 

@@ -115,18 +115,12 @@ class Surface:
             return self.left.value(quantities) - c
         u1, u2, u3, g1, g2, g3 = quantities.motion
         sin2, along = g1 * g1 + g2 * g2, u1 * g1 + u2 * g2
-        match self.cleared:
-            case "theta":
-                return np.cos(c) * np.sqrt(sin2 + g3 * g3) - g3  # whatever rounding makes of the unit vector
-            case "theta_dot":
-                return u1 * g2 - u2 * g1 - c * np.sqrt(sin2)
-            case "psi_dot":
-                return along - c * sin2
-            case "phi_dot":
-                return (u3 - c) * sin2 - along * g3
-            case "phi":
-                return g1 * np.cos(c) - g2 * np.sin(c)
-        return quantities["axis_x"] * np.cos(c) + quantities["axis_y"] * np.sin(c)
+        return {
+            "theta": lambda: np.cos(c) * np.sqrt(sin2 + g3 * g3) - g3,  # whatever rounding makes of the unit vector
+            "theta_dot": lambda: u1 * g2 - u2 * g1 - c * np.sqrt(sin2), "psi_dot": lambda: along - c * sin2,
+            "phi_dot": lambda: (u3 - c) * sin2 - along * g3, "phi": lambda: g1 * np.cos(c) - g2 * np.sin(c),
+            "psi": lambda: quantities["axis_x"] * np.cos(c) + quantities["axis_y"] * np.sin(c),
+        }[self.cleared]()  # fmt: skip
 
     def with_slope(self, state: Array, constants: Array) -> tuple[Array, Array]:
         """The function and its derivative by time, over the places of the states."""
@@ -136,6 +130,11 @@ class Surface:
         return np.broadcast_to(value, state.shape[1:]), np.broadcast_to(
             np.imag(moved) / STEP, state.shape[1:]
         )
+
+    def size(self, state: Array, constants: Array) -> Array:
+        """About the change of the function where all states change by their sizes."""
+        shares = np.cos(np.arange(len(state)))[:, None]  # not all alike, which unit vectors would not feel
+        return np.asarray(np.abs(np.imag(self.value(state * (1 + 1j * STEP * shares), constants))) / STEP)
 
     def contains(self, quantities: Quantities) -> Mask | bool:
         """Whether a zero is on the surface: of a jumping angle, those half a turn away are not."""

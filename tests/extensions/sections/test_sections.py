@@ -163,6 +163,13 @@ def test_a_start_on_the_surface_is_no_crossing():
     assert not (ds["time"] < 1e-3).any()
 
 
+@pytest.mark.parametrize("at", ["theta_dot = 0 either", "psi_dot = 0.3 either"])
+def test_a_motion_that_stays_on_the_surface_has_no_crossings(at):
+    """The regular precession of a free top, C (m + n cos theta) = A n cos theta, where errors alone change the sign."""
+    point = {"A": 1.0, "B": 1.0, "C": 1.5, "theta0": 0.5, "n": 0.3, "m": -0.1 * np.cos(0.5)}
+    assert atlas.section("fixed_point", point, at=at, duration=50.0)["crossings"].item() == 0
+
+
 def test_a_passage_of_the_vertical_hides_no_crossing():
     """A top whose axis passes the vertical at a small distance: psi' is a sharp peak there, and crosses a level twice a passage."""
     point = {"A": 1.0, "B": 1.0, "C": 0.5, "Mg": 1.0, "z0": 1.0, "theta0": 1.0, "n": 1e-3, "m": -5e-4}

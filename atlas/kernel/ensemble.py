@@ -166,8 +166,8 @@ class Ensemble:
         """Number of nodes that each point took.
 
         All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run, and the axis
-        was so far outside the cylinder that a later entry is a change of theta, no later motion brings the label back. A passage of the vertical takes away at most one sample near it. Whole
-        runs have the same bits as in a single call.
+        was so far outside the cylinder that a later entry is a change of theta, no later motion brings the label back. A passage
+        of the vertical takes away at most one sample near it. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):

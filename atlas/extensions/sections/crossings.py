@@ -47,7 +47,8 @@ def crossings(
     state, step, finite = ensemble.state, sizes.step_size, np.ones(ensemble.size, bool)
     if transient.any():
         steps = np.maximum(np.ceil(transient / (PARTS * step)), 1).astype(np.int64)
-        state[:] = ensemble.states_at_samples(kernel, steps, transient / (PARTS * steps), PARTS)[:, -1]
+        equal = np.broadcast_to(transient / (PARTS * steps), (PARTS, ensemble.size))
+        state[:] = ensemble.states_at_samples(kernel, steps, equal)[:, -1]
     radians = np.maximum(ensemble.frequency_bound * step, 1e-300)
     steps = np.clip(NODE_RADIANS / radians, 1, sizes.steps).astype(np.int64)
     nodes = np.ceil(duration / (step * steps)).astype(np.int64)
@@ -57,7 +58,8 @@ def crossings(
         length = int(min(np.clip(NODES // active.size, 16, LONGEST), (nodes - done)[active].max()))
         part = ensemble.subset(active)
         threads = 0 if done.any() else None  # the first call may compile the kernel
-        after = part.states_at_samples(kernel, steps[active], step[active], length, threads=threads)
+        equal = np.broadcast_to(step[active], (length, active.size))
+        after = part.states_at_samples(kernel, steps[active], equal, threads=threads)
         states = np.concatenate([part.state[:, None], after], axis=1)
         state[:, active] = after[:, -1]
         in_run = (done[active] + np.arange(length)[:, None] < nodes[active]).T

@@ -13,7 +13,7 @@ from .measure.circle import CIRCLES
 from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
-from .systems.base import System, derived_variables
+from .systems.base import NATURAL_RATE, System, derived_variables
 
 # The instruments of the core, in the order of the variables in a file; the first of a system is its main one.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
@@ -73,7 +73,7 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
             f"the system {system.name}: two variables of its atlases would be called {repeated}; rename one"
         )
     every = {variable.name for each in instruments for variable in each.every_variable(system)}
-    reserved = {*registry, *every, COMPUTED.name, POINT, "time"}
+    reserved = {*registry, *every, COMPUTED.name, POINT, "time", NATURAL_RATE}
     for kind, names in (
         ("parameter", list(system.parameters)),
         ("observable", [o.name for o in system.observables]),

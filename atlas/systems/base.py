@@ -649,12 +649,13 @@ def _magnitude(condition: Condition, points: Points) -> Array:
 @cache
 def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
     """Quantities from theory that a scene may list, by name: of the system, then of extensions; BadInput for a name given twice."""
-    rate = DerivedVariable(
-        NATURAL_RATE, "rad s-1", "the body's own rate",
-        lambda points, duration, pause: system.natural_rate(points),
-        comment="default durations and rate tolerances are measured in it",
-    )  # fmt: skip
-    variables = {NATURAL_RATE: rate, **system.derived}
+    variables = dict(system.derived)
+    if type(system).natural_rate is not System.natural_rate:
+        variables[NATURAL_RATE] = DerivedVariable(
+            NATURAL_RATE, "rad s-1", "the body's own rate",
+            lambda points, duration, pause: system.natural_rate(points),
+            comment="default durations and rate tolerances are measured in it",
+        )  # fmt: skip
     for of_system in extension.every("variables"):
         for name, variable in of_system(system).items():
             if name in variables:

@@ -78,7 +78,7 @@ def random_scene(system: str, count: int, rng: np.random.Generator) -> tuple[Pla
     points = {name: np.full(count, p.default) for name, p in SYSTEMS[system].parameters.items()}
     points |= random_points(system, count, rng)
     return Plan(SYSTEMS[system], Settings()), Grid(
-        points, points, np.zeros(count, np.int8), np.full(count, 50.0)
+        points, points, np.zeros(count, np.int8), np.full(count, 50.0), np.full(count, 1e-5)
     )
 
 

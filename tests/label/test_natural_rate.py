@@ -257,4 +257,4 @@ def test_an_atlas_of_points_keeps_its_text(tmp_path):
         motion = read.atlas.trajectory(Omega=1e-3, samples=2)
         assert motion.time.values[-1] == 6e4
         assert motion.attrs["atlas_rate_tolerance"] == 1e-8
-        assert motion.step == pytest.approx(ds.step[0], rel=1e-12)
+        assert float(motion.step) == pytest.approx(float(ds.step[0]), rel=1e-12)

@@ -22,7 +22,6 @@ from atlas.kernel.tableaux import METHODS
 from atlas.measure import observables
 from atlas.measure.instrument import Run
 from atlas.scene.model import Settings
-from atlas.scene.tables import point_columns
 from atlas.systems import jacobian
 from atlas.variables import variables
 
@@ -359,7 +358,9 @@ def test_the_size_of_a_power_is_near_the_spectral_radius(decades, largest):
 
 
 def bound_along(system, points, duration, **more):
-    points, size = point_columns(system, points)
+    size = max(map(np.size, points.values()))
+    defaults = {name: parameter.default for name, parameter in system.parameters.items()}
+    points = {name: np.broadcast_to(values, size) for name, values in (defaults | points).items()}
     ensemble, durations = Ensemble.of(system, points), np.full(size, duration)
     return numeric_bound.along_runs(
         system, kernel(system, METHOD), METHODS[METHOD], ensemble, durations, 10**8, **more

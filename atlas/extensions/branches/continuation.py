@@ -31,6 +31,7 @@ _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # distance of a point from the cubic between two vertices, over that of these, on no curve
 # Product of unit null vectors along one curve; where moments are nearly equal another one is beside it.
 _SAME_VECTOR = 0.3
+_BACK = 1e-6  # product of rates of the parameters with opposite signs, over their squares
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
 
 
@@ -369,3 +370,26 @@ def with_zeros(
         np.insert(each == 0, parts.vertex[own] + 1, True) for each, own in zip(values, owns, strict=True)
     ]
     return every, where
+
+
+def with_turns(lines: Sequence[Curve]) -> list[Curve]:
+    """Curves with vertices also where limits of stability turn back between two: at a pitchfork those of mirror images are the same one."""
+    if not lines:
+        return []
+    every = Segments.of(lines)
+    first, last = (each[:, -3:-1] for each in every.slopes)
+    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # no cusps that are vertices
+    turns &= every.start.limit
+    chosen = np.split(turns, np.cumsum([len(line.tangents) - 1 for line in lines])[:-1])
+    back = (first - last)[turns]
+    parts = Segments.of(lines, chosen)
+    chord = (parts.end.unknowns - parts.start.unknowns)[:, -3:-1]
+    a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
+    middle = 2 * a + b - 3 * c  # the derivative of the cubic along back is 0
+    share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
+    points, tangents = parts.at(share)
+    owns = [parts.curve == i for i in range(len(lines))]
+    return [
+        line.inserted(parts.vertex[own], points.take(own), tangents[own])
+        for line, own in zip(lines, owns, strict=True)
+    ]

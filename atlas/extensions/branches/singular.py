@@ -417,7 +417,7 @@ class Degenerate(NamedTuple):
     def _change_at_pitchforks(self) -> NDArray[np.int64]:
         """By how many the stable solutions are more on the side with more solutions, from the first of these beside a pitchfork, (N,)."""
         _, _, toward = self.character()
-        toward = toward / length(toward)[:, None]
+        toward = toward / np.maximum(length(toward), np.finfo(float).tiny)[:, None]
         _, rates = self.values_and_rates()
         v, n, size = self.parts[2], self.potential.size, sum(self.potential.forms.shape[:2])
         points = self._replace(unknowns=self.unknowns.copy())

@@ -13,7 +13,7 @@ from ...flags import Completeness, Flag
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.secular import SecularEquation
-from .continuation import Curve, Segments, curves, with_zeros
+from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
 # Lines along each axis, samples on each, and values along each axis of the grid for the zeros of a component.
@@ -25,6 +25,8 @@ CELLS = (
     13  # of the coarse grid, along each axis: odd, since the middle of ranges is often a plane of symmetry
 )
 _RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
+# Distance from the middle of another line through the grid: curves on both sides of a plane of symmetry cancel between corners beyond both.
+_BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # cells, within which curves are sought from an equilibrium
 # Further searches, points on an interval in each, and divisions of the segments of curves.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
@@ -136,10 +138,11 @@ def all_curves(
     sought from points between the two.
     """
     axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
-    i, j = np.divmod(np.arange(axis.size**2), axis.size)
-    j = np.where(i % 2, CELLS - j, j)  # neighbours are solved from one another
-    numbers = np.empty((2, axis.size, axis.size))
-    positions = axis[np.stack([i, j], -1)]
+    nodes = np.insert(axis, CELLS // 2 + 1, 0.5 + _BESIDE_MIDDLE) if stability else axis
+    i, j = np.divmod(np.arange(nodes.size**2), nodes.size)
+    j = np.where(i % 2, nodes.size - 1 - j, j)  # neighbours are solved from one another
+    numbers = np.empty((2, nodes.size, nodes.size))
+    positions = nodes[np.stack([i, j], -1)]
     near, limits, numbers[:, i, j] = near_solutions(system, potential, points, positions, reach, stability)
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
@@ -151,7 +154,8 @@ def all_curves(
             lambda points: np.where(points.limit, points.character()[1][0], 1.0),
             lambda points: points.margin()[0],
         ]
-    searched = [np.isnan(each[0]) for each in jumps]  # or with a number that is not certain
+    unsure = [np.isnan(each[0]) for each in jumps]
+    searched = unsure
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
@@ -167,24 +171,29 @@ def all_curves(
             lines += curves(*Degenerate.joined([seeds.take(seeds.limit), *beside]).regular())
         for test in tests:
             lines, _ = with_zeros(lines, test)
-        expected = expected_differences(lines, axis)
+        lines = with_turns(lines)
+        expected = expected_differences(lines, nodes)
         differs = [f[: 1 + stability] != e[: 1 + stability] for f, e in zip(jumps, expected, strict=True)]
-        wrong = [each.any(0) for each in differs]
+        wrong = [each.any(0) & ~nan for each, nan in zip(differs, unsure, strict=True)]
         fresh = [each & ~old for each, old in zip(wrong, searched, strict=True)]
         searched = [old | each for old, each in zip(searched, wrong, strict=True)]
         edges = [np.argwhere(each) for each in fresh]
         if attempt == _SEARCHES or not any(map(len, edges)):
             break
-        share = (np.arange(_BETWEEN) + 0.5) / _BETWEEN * (axis[1] - axis[0])
+        share = (np.arange(_BETWEEN)[:, None] + 0.5) / _BETWEEN
         between = [
-            axis[each][:, None] + share[:, None] * side for each, side in zip(edges, np.eye(2), strict=True)
+            nodes[each][:, None] + share * (nodes[each + side] - nodes[each])[:, None]
+            for each, side in zip(edges, np.eye(2, dtype=int), strict=True)
         ]
         positions = np.concatenate(between).reshape(-1, 2)
         near, limits, _ = near_solutions(system, potential, points, positions, reach, stability)
         seeds = Degenerate.joined([seeds, near.settled(reach), limits.settled(reach)])
-    unknown = np.isnan(numbers[0])
+    corners = np.isin(nodes, axis)
+    unknown = np.isnan(numbers[0])[np.ix_(corners, corners)]
     uncertain = unknown[1:, 1:] | unknown[1:, :-1] | unknown[:-1, 1:] | unknown[:-1, :-1]
     missed = wrong[0][:, 1:] | wrong[0][:, :-1] | wrong[1][1:] | wrong[1][:-1]
+    for along in (0, 1):
+        missed = np.logical_or.reduceat(missed, np.flatnonzero(corners)[:-1], along)
     for line in lines:
         if line.lost:
             missed[cells_of(line.points.parts[4][[0, -1]], axis)] = True

@@ -319,6 +319,32 @@ def test_equal_and_nearly_equal_moments(system, body, ranges):
     assert seen > 3
 
 
+def test_limits_on_both_sides_of_a_plane_of_symmetry():
+    """Between corners of the coarse grid that lie beyond both they cancel."""
+    top = {"A": 1.001, "B": 1.0, "Mg": 1.0, "y0": -0.74, "l2": 0.65, "N": 0.76, "n": 1.3}
+    ds = atlas.borders("fixed_point", top, {"C": (0.92, 1.05), "l1": (-2.0, 2.0)}, stability=True)
+    assert (ds.cells == Cell.COUNTED).all()
+    ends = np.array([-1.0, -0.15, 0.01, 0.15, 1.0])
+    for C in (0.94, 1.03):
+        cuts = crossings(ds, "C", C, "l1", "stable_change")
+        _, stable = own_numbers("fixed_point", top | {"C": np.full(5, C), "l1": ends})
+        np.testing.assert_array_equal(stable, [2, 1, 2, 1, 2])
+        for i, change in enumerate(np.diff(stable)):
+            assert change == sum(cut[2] for cut in cuts if ends[i] < cut[0] < ends[i + 1])
+
+
+def test_limits_turn_back():
+    """At a pitchfork the limits of mirror images are the same line, passed to and fro, with the same side up to its end."""
+    top = {"B": 1.001, "C": 1.0, "Mg": 1.0, "z0": -0.5, "l3": -0.47}
+    ds = atlas.borders("fixed_point", top, {"A": (0.7, 1.6), "n": (-3.0, -0.3)}, stability=True)
+    line = ds.isel(vertex=ds.kind.values == BorderKind.EXTREMAL_MOMENTUM)
+    beside = crossings(line, "A", 0.938, "n")[0][0] + np.array([-1e-5, 1e-5])
+    _, stable = own_numbers("fixed_point", top | {"A": np.full(2, 0.938), "n": beside})
+    for A in (0.9, 0.938, 0.939, 0.939049):  # the end is beyond by 4e-7
+        changes = [change for _, _, change in crossings(line, "A", A, "n", "stable_change")]
+        assert changes == 2 * [0.5 * float(np.diff(stable)[0])]
+
+
 def own_numbers(system, bodies):
     """Numbers of relative equilibria, and of those whose exponents, of the equations of motion, have no real part, (2, bodies)."""
     rest, system = atlas.equilibria(system, bodies), systems.get(system)

@@ -52,7 +52,9 @@ def test_the_panel_of_rates_says_where_it_is_clipped(tmp_path):
     box = title.get_window_extent()
     assert box.x0 > figure.bbox.x0
     assert not box.overlaps(figure.axes[1].get_window_extent())
-    assert not box.overlaps(rates.get_window_extent())
+    assert not box.padded(-0.5).overlaps(
+        rates.get_window_extent()
+    )  # Matplotlib 3.10 rounds the box to pixels
 
 
 def small_motion(theta0):

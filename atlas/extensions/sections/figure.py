@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from ...analysis.metadata import system_of
-from ...errors import BadInput, allowed_text, shown
+from ...errors import BadInput, allowed_text, attribute_text, shown
 from ...flags import Status
 from ...label.points import label_points
 from ...plotting.maps import atlas_map
@@ -45,10 +45,11 @@ def section_map(
     kept = [str(name) for name in ds if ds[name].dims == DIMS]
     axes = [name or default for name, default in zip((x, y), kept, strict=False)]
     if colour == "regularity" and colour not in ds:
-        settings = {} if ds.attrs[TRANSIENT] == "0" else {"transient": ds.attrs[TRANSIENT]}
+        transient = attribute_text(ds.attrs, TRANSIENT)
+        settings: dict[str, Any] = {} if transient == "0" else {"transient": transient}
         given = {name: ds[name].values for name in system_of(ds).parameters if name in ds.coords}
         labels = label_points(
-            ds.attrs["atlas_system"], given, duration=ds.attrs[LENGTH],
+            attribute_text(ds.attrs, "atlas_system"), given, duration=attribute_text(ds.attrs, LENGTH),
             variables=["regularity", "label", "lyapunov"], **settings,
         )  # fmt: skip
         ds = ds.assign({colour: ("point", labels[colour].values.reshape(-1), labels[colour].attrs)})
@@ -69,7 +70,7 @@ def section_map(
     dots = dots.dropna("dot", subset=axes).rename(dot="point").set_coords(axes)
     for each in system_of(ds).observables:
         if each.symbol and each.name in axes:
-            dots[each.name].attrs["long_name"] = each.symbol
+            dots[each.name].attrs |= {"long_name": each.symbol}
     figure = atlas_map(dots.assign_attrs(ds.attrs), colour, x=axes[0], y=axes[1], **options)
     drawn: Any = (options.get("ax") or figure.axes[0]).collections[-1]
     drawn.set(sizes=np.minimum(drawn.get_sizes(), LARGEST_DOT), linewidths=0.0)

@@ -183,8 +183,10 @@ def section(
     ds.attrs = dataset.provenance(
         description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings
     )
-    ds.attrs |= {AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0)}
-    ds.attrs["atlas_integral_spread"] = max(spread.values(), default=0.0)
+    ds.attrs |= {
+        AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0),
+        "atlas_integral_spread": max(spread.values(), default=0.0),
+    }  # fmt: skip
     return ds
 
 

@@ -189,7 +189,7 @@ class _Runs:
         with np.errstate(all="ignore"):
             return label_status(
                 run.integration.finite, run.measured["integral_drift"], run.settings.drift_tolerance,
-                self.resolved(run), *self.theory.rounding(run), step_sensitive, run.rounding_decides(),
+                self.resolved(run), *self.theory.rounding(run), step_sensitive, run.rounding_decides,
             )  # fmt: skip
 
 

@@ -114,14 +114,19 @@ class Rule:
     # What rounding alone may add to some of the statistics of a steady motion, in their units
     rounding: Mapping[str, Array] = field(default_factory=dict)
 
-    def decide(self, measured: Measured) -> Flags:
-        """The label by measurements of which those that may be rounding alone count as none."""
-        decisive = dict(measured)
+    def without_rounding(self, measured: Measured) -> Measured:
+        """The measurements, of which those that may be rounding alone count as none; the same object where there are none."""
+        changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
             is_rounding = np.abs(measured[name] - none) <= self.rounding[name]
-            decisive[name] = np.where(is_rounding, none, measured[name])
-        return self.label(decisive)
+            if (is_rounding & (measured[name] != none)).any():
+                changed[name] = np.where(is_rounding, none, measured[name])
+        return {**measured, **changed} if changed else measured
+
+    def decide(self, measured: Measured) -> Flags:
+        """The label by measurements `without_rounding`."""
+        return self.label(self.without_rounding(measured))
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
@@ -205,10 +210,15 @@ class Run:
         """Every label, whatever the status."""
         return {name: rule.decide(self.measured) for name, rule in self.rules.items()}
 
+    @cached_property
     def rounding_decides(self) -> Mask:
         """Whether rounding alone may decide a label of a whole run."""
-        differs = [rule.label(self.measured) != rule.decide(self.measured) for rule in self.rules.values()]
-        return np.logical_or.reduce(differs) & ~self.integration.stopped_early
+        differs = np.zeros(self.ensemble.size, bool)
+        for rule in self.rules.values():
+            decisive = rule.without_rounding(self.measured)
+            if decisive is not self.measured:
+                differs |= rule.label(self.measured) != rule.label(decisive)
+        return differs & ~self.integration.stopped_early
 
     def unsure(self, error: Measured) -> Mask:
         """Whether a label could change within the errors of its measurements."""

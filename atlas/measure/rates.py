@@ -286,10 +286,12 @@ def steady_label(
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
     """Whether the third axis counts as vertical: sin theta stayed below the tolerance (rad) through the run or, where theta
     changes by no more than that, at most nodes."""
-    swings = measured["theta_max"] - measured["theta_min"] > cylinder_tolerance
-    at_rim = (_least_sine(measured) < cylinder_tolerance) & ~swings
-    at_most_nodes = at_rim & (measured.get("outside", np.ones(1)) <= 0.5)
-    return np.asarray((measured["sine_max"] < cylinder_tolerance) | at_most_nodes)
+    inside = np.asarray(measured["sine_max"] < cylinder_tolerance)
+    at_most_nodes = ~inside & (measured.get("outside", np.ones(1)) <= 0.5)
+    if at_most_nodes.any():
+        swings = measured["theta_max"] - measured["theta_min"] > cylinder_tolerance
+        inside = inside | (at_most_nodes & (_least_sine(measured) < cylinder_tolerance) & ~swings)
+    return inside
 
 
 def _least_sine(measured: Measured) -> Array:

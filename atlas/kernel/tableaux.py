@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,16 @@ class Method:
     @property
     def stages(self) -> int:
         return len(self.b)
+
+    def step(self, slope: Callable[[Any], Any], state: Any, step_size: Any) -> Any:
+        """The state after a step of this size (time units) by its slope, a function of the state, in NumPy."""
+        slopes: list[Any] = []
+        for row in (*self.a, self.b):
+            change = sum((a * each for a, each in zip(row, slopes, strict=True) if a), 0.0)
+            moved = state + step_size * change
+            if len(slopes) < self.stages:
+                slopes.append(slope(moved))
+        return moved
 
 
 RK4 = Method(

@@ -133,14 +133,14 @@ def trajectory_of_point(
         if np.isnan(value[0]):
             raise BadInput(f"no motion: {grid.sentence(reason, system, None, duration)}")
     settings = settings.with_number(float(rate_tolerance[0]))
-    ensemble = Ensemble.of(system, points)
+    at_point, ensemble = settings.at(rate_tolerance), Ensemble.of(system, points)
     plan = Plan(system, settings)
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound, _ = numeric_bound.along_runs(
             system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
         )
-        whole = StepSizes.of(settings.at(rate_tolerance), bound, durations).steps
-    steps = int(steps_between_instants(settings.at(rate_tolerance), whole, durations, samples - 1)[0])
+        whole = StepSizes.of(at_point, bound, durations).steps
+    steps = int(steps_between_instants(at_point, whole, durations, samples - 1)[0])
     has_angles = main_instrument(system).has_theory
     parts = max(1, min(steps // STEPS_PER_NODE, NODES // (samples - 1))) if has_angles else 1
     # The last part before a sample may be shorter than the others.
@@ -328,13 +328,11 @@ class _Motion:
 
     def step(self, state: Array) -> Array:
         """The states, (states, motions), after one step."""
-        slopes: list[Array] = []
-        for row in (*self.method.a, self.method.b):
-            change = sum((a * slope for a, slope in zip(row, slopes, strict=True) if a), 0.0)
-            moved = state + self.step_size * change
-            if len(slopes) < self.method.stages:
-                slopes.append(np.array(np.broadcast_arrays(*self.equations.rhs(moved, self.constants))))
-        return moved
+
+        def slope(state: Array) -> Array:
+            return np.array(np.broadcast_arrays(*self.equations.rhs(state, self.constants)))
+
+        return np.asarray(self.method.step(slope, state, self.step_size))
 
     def turns(self, state: Array, steps: NDArray[np.int64]) -> tuple[Array, Array]:
         """Changes of psi and phi, (2, motions), in so many steps of each, and the states at their end."""

@@ -41,7 +41,7 @@ def crossings(
     sizes: StepSizes, transient: Array, duration: Array, count: int,
 ) -> tuple[Array, Counts, Mask]:  # fmt: skip
     """Kept quantities and, last, times of at most `count` crossings, (rows, points, count); their numbers; finite motions."""
-    found = np.full((len(kept) + 1, ensemble.size, count), np.nan)
+    table = np.full((len(kept) + 1, ensemble.size, count), np.nan)
     have, done = np.zeros((2, ensemble.size), np.int64)
     ensemble = replace(ensemble, state=ensemble.state.copy())
     state, step, finite = ensemble.state, sizes.step_size, np.ones(ensemble.size, bool)
@@ -108,24 +108,22 @@ def crossings(
         point, rows = point[counted], rows[:, counted]
         number = have[active[point]] + np.arange(point.size) - np.searchsorted(point, point)
         fits = number < count
-        found[:, active[point[fits]], number[fits]] = rows[:, fits]
+        table[:, active[point[fits]], number[fits]] = rows[:, fits]
         have[active] += np.bincount(point, minlength=active.size)
         done[active] += length
         active = active[finite[active] & (done[active] < nodes[active]) & (have[active] < count)]
-    return found, np.minimum(have, count), finite
+    return table, np.minimum(have, count), finite
 
 
 def _moved(surface: Surface, method: Method, state: Array, constants: Array, time: Array, step: Array) -> Any:
     """States a time later, by steps that are no longer than `step`."""
+
+    def slope(state: Array) -> Array:
+        return np.array(np.broadcast_arrays(*surface.system.equations.rhs(state, constants)))
+
     count = max(int(np.ceil(np.max(np.abs(time) / step, initial=0.0) - 1e-9)), 1)
     for _ in range(count):
-        slopes = list[Array]()
-        for row in (*method.a, method.b):
-            change = sum((a * k for a, k in zip(row, slopes, strict=True) if a), np.zeros(()))
-            moved = state + time / count * change
-            if len(slopes) < method.stages:
-                slopes.append(np.array(np.broadcast_arrays(*surface.system.equations.rhs(moved, constants))))
-        state = moved
+        state = method.step(slope, state, time / count)
     return state
 
 
@@ -157,7 +155,7 @@ def _brackets(at: Callable[[Counts, Array], tuple[Array, Array]], splits: int, p
             half[[1 + end, 3 + end, 5 + end]] = middle, *at(place[split].astype(np.int64), middle)
         rest = _brackets(at, 0, pieces[:, ~split])
         return np.concatenate([rest, _brackets(at, splits - 1, np.concatenate(halves, axis=1))], axis=1)
-    found = [np.empty((6, 0))]
+    brackets = [np.empty((6, 0))]
     for (x0, x1), (h0, h1) in zip(pairwise(edges), pairwise(heights), strict=True):
         has = (x0 < x1) & (np.sign(h0) != np.sign(h1)) & (h0 != 0)
         lower, upper = x0.copy(), x1.copy()
@@ -173,8 +171,8 @@ def _brackets(at: Callable[[Counts, Array], tuple[Array, Array]], splits: int, p
             np.sign(h0),
             np.maximum(np.abs(h0), np.abs(h1)),
         )
-        found.append(np.array(rows)[:, has])
-    return np.concatenate(found, axis=1)
+        brackets.append(np.array(rows)[:, has])
+    return np.concatenate(brackets, axis=1)
 
 
 def _roots(

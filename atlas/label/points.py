@@ -25,7 +25,7 @@ from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
 from ..store.progress import Progress
-from ..systems.base import Array, System, check_possible
+from ..systems.base import Array, SharedValues, System, check_possible
 from ..variables import POINT, default_variables, listed_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
@@ -191,13 +191,13 @@ class _Labels:
         """The outputs at the points."""
         system, shape = systems.get(self.system), np.broadcast_shapes(*(array.shape for array in arrays))
         points = flat_columns(system, self.names, arrays[:-1], shape, self.source)
-        durations = np.broadcast_to(arrays[-1], shape).ravel()
+        durations, values = np.broadcast_to(arrays[-1], shape).ravel(), SharedValues(points)
         if self.duration is not None:
-            durations = grid.durations(system, self.duration, points)
+            durations = grid.durations(system, self.duration, values)
         elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
             raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
         reason = grid.reasons(system, points)
-        rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, points)
+        rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, values)
         grid.without_settings(reason, durations, rate_tolerance)
         tile = grid.Grid(points, points, reason, durations, rate_tolerance)
         if self.warnings is not None:

@@ -215,18 +215,27 @@ class TangentRuns:
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
+    def _separation(
+        self, where: NDArray[np.int64], threads: int | None, progress: Callable[[float], None]
+    ) -> Separation:
+        """Tangent vectors of some points after their runs; `progress` gets `share` of all points."""
+        steps = self.steps.subset(where)
+        separation = Separation(
+            self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
+        )
+        points_per_step = self.rate_unit.size * self.share / float(steps.steps.sum())
+        separation.integrate(
+            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
+        )
+        return separation
+
     def growth(self, where: Mask, threads: int | None, progress: Callable[[float], None]) -> Array:
         """Logarithm of the largest growth of a tangent vector, infinite where that is not resolved, nan elsewhere; for
         `progress` see `variables`."""
         result = np.where(where, np.inf, np.nan)
         resolved = np.flatnonzero(where & self.steps.resolved)
         if resolved.size:
-            steps = self.steps.subset(resolved)
-            points = where.size * self.share / float(steps.steps.sum())
-            separation = Separation(
-                self.system, self.kernel, self.ensemble.subset(resolved), steps, self.rate_unit[resolved]
-            )
-            separation.integrate(threads=threads, progress=lambda count: progress(points * count))
+            separation = self._separation(resolved, threads, progress)
             result[resolved] = np.nan_to_num(separation.sums[tangent.HIGHEST], nan=np.inf)
         else:
             progress(where.size * self.share)
@@ -247,14 +256,7 @@ class TangentRuns:
         if not where.size:
             progress(size * self.share)
             return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
-        steps = self.steps.subset(where)
-        points_per_step = size * self.share / float(steps.steps.sum())
-        separation = Separation(
-            self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
-        )
-        separation.integrate(
-            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
-        )
+        separation = self._separation(where, threads, progress)
         values = np.array([separation.megno, separation.lyapunov])
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])

@@ -19,6 +19,7 @@ from ..systems.base import (
     Flags,
     Mask,
     Points,
+    SharedValues,
     System,
     check_possible,
     derived_variables,
@@ -154,9 +155,9 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
                     base[axis.name] = base[axis.name] + axis.values[index]
             no_motion = ~exists
         reason = reasons(system, base, no_value, no_motion)
-        names, rate = values | base, scene.settings.rate_tolerance
-        duration = durations(system, scene.duration, base, names, "integration.duration")
-        rate_tolerance = at_points(system, rate, base, names)
+        points, names = SharedValues(base), values | base
+        duration = durations(system, scene.duration, points, names, "integration.duration")
+        rate_tolerance = at_points(system, scene.settings.rate_tolerance, points, names)
         without_settings(reason, duration, rate_tolerance)
         has_values = reason != Reason.NO_VALUE
         system.check(base if has_values.all() else subset(base, has_values))

@@ -24,6 +24,7 @@ LEVELS = 6  # minima of a body for which the time of settling is measured, from 
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
 START = "ends:start"  # measurement: the energy at the start, with its margin
+LEAST = "ends:least"  # measurement: the lowest potential of an equilibrium that is no minimum
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
     " positions of different bodies cannot be compared"
@@ -96,15 +97,14 @@ class Ends(Instrument):
             "settled_by": np.select(known, [SettledBy.PROVED, SettledBy.MEASURED], SettledBy.NOT),
             LEVEL: wells.settled[row, place],
             START: start + MARGIN * error,
+            LEAST: wells.least[row],
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
         """Where there is an end that the energy at the start may not decide."""
-        from .wells import wells_of
-
-        wells, row = wells_of(run.system, run.points)
-        decided = (run.measured["settled_by"] == SettledBy.PROVED) & (run.measured[START] < wells.least[row])
-        return (status == Status.OK) & (run.measured[END] >= 0) & ~decided
+        measured = run.measured
+        decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
+        return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
         """Where an error of the size of the tolerance at the start can change the motion before it settles.

@@ -99,7 +99,8 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         state = np.concatenate([state, frame_vector(system, parameters, state, ensemble.constants)])
     with np.errstate(all="ignore"):
         finite = np.where(np.isfinite(duration), duration, 0.0)
-        count = StepSizes.of(settings.at(rate_tolerance), ensemble.frequency_bound, finite).steps
+        at_points = settings.at(rate_tolerance)
+        count = StepSizes.of(at_points, ensemble.frequency_bound, finite).steps
         if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
             if "step" not in ds:
                 raise BadInput(
@@ -109,7 +110,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
             recorded = np.rint(duration / column("step"))
             valid = np.isfinite(recorded) & (recorded >= 1)
             count = np.where(valid, recorded, count).astype(np.int64)
-    steps = steps_between_instants(settings.at(rate_tolerance), count, finite, SAMPLES - 1)
+    steps = steps_between_instants(at_points, count, finite, SAMPLES - 1)
 
     def shaped(values: np.ndarray) -> np.ndarray:
         """An array whose last axis, the points, is split into their dimensions."""

@@ -46,6 +46,7 @@ class Gyrostat(System):
         w, alpha, gamma = self.start(points)
         return self.body(points).frequency_bound(w, alpha, gamma)
 
+    @shared
     def natural_rate(self, points: Points) -> Array:
         """Of the frame, else of the fields, else of the start and the rotor, see Body.natural_rate."""
         with np.errstate(all="ignore"):

@@ -190,9 +190,9 @@ rate_tolerance = "1e-4 * rate"
 
 def test_scenes_take_texts_in_parameters_and_axes(tmp_path):
     scene = load_scene(SCENE)
-    again = parse_scene(scene.toml())
-    assert again.duration == scene.duration
-    assert again.settings == replace(scene.settings, cylinder_tolerance=1e-5)
+    round_trip = parse_scene(scene.toml())
+    assert round_trip.duration == scene.duration
+    assert round_trip.settings == replace(scene.settings, cylinder_tolerance=1e-5)
     assert scene.settings.cylinder == 1e-5
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)
     np.testing.assert_allclose(ds.end_time, [48.0, 24.0, 12.0])

@@ -277,7 +277,7 @@ def test_a_damper_in_the_body_leaves_minima_alone():
     The motions are steady with it, and stable where the energy of the whole body has a minimum (Kelvin, Tait and Chetaev).
     """
     rng = np.random.default_rng(14)
-    found = set()
+    verdicts_met = set()
     for trial in range(20):
         moments = 1 + 0.9 * rng.random(3)
         symmetric, system = bool(trial % 2), (FIXED_POINT, SATELLITE)[trial // 2 % 2]
@@ -307,9 +307,9 @@ def test_a_damper_in_the_body_leaves_minima_alone():
             verdict = system.energy_stability(points, every)[0]
             assert verdict == (NO if growth > 1e-5 else YES), (trial, i, growth)
             held, axial = system.conservative_stability(points, every)
-            found.add((system.name, verdict, held[0], bool(axial[0])))
+            verdicts_met.add((system.name, verdict, held[0], bool(axial[0])))
     both = {(YES, YES, False), (NO, NO, False), (YES, YES, True), (NO, YES, True)}
-    assert {(name, *verdicts) for name in ("satellite", "fixed_point") for verdicts in both} <= found
+    assert {(name, *verdicts) for name in ("satellite", "fixed_point") for verdicts in both} <= verdicts_met
 
 
 @pytest.mark.parametrize("system", ["fixed_point", "satellite"])

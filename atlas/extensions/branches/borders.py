@@ -158,13 +158,9 @@ def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) ->
         middle = 0.5 * (low + high)
         same = possible(parts.at(middle)[0]) == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    ends, tangents = parts.at(np.where(first, low, high))
-    result = []
-    for i, (line, each) in enumerate(zip(lines, inside, strict=True)):
-        own = parts.curve == i
-        line = line.inserted(parts.vertex[own], ends.take(own), tangents[own])
-        result += line.runs(np.insert(each, parts.vertex[own] + 1, True))
-    return result
+    lines = parts.inserted(lines, *parts.at(np.where(first, low, high)))
+    kept = [np.insert(each, parts.vertex[parts.curve == i] + 1, True) for i, each in enumerate(inside)]
+    return [part for line, own in zip(lines, kept, strict=True) for part in line.runs(own)]
 
 
 @typed

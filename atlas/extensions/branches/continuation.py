@@ -320,6 +320,14 @@ class Segments(NamedTuple):
         tangents[astray] = self._directions(share)[astray]
         return points, tangents
 
+    def inserted(self, lines: Sequence[Curve], points: Degenerate, tangents: Array) -> list[Curve]:
+        """The curves with more vertices, one on each of these segments."""
+        owns = [self.curve == i for i in range(len(lines))]
+        return [
+            line.inserted(self.vertex[own], points.take(own), tangents[own])
+            for line, own in zip(lines, owns, strict=True)
+        ]
+
     def _directions(self, share: Array) -> Array:
         """Unit tangents of the cubics at these shares of the way."""
         w, (first, last) = share[:, None], self.slopes
@@ -361,15 +369,8 @@ def with_zeros(
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
         high, at_high = share, np.where(value == 0, 1e-300 * np.sign(at_high), value)
-    (points, tangents), owns = parts.at(share), [parts.curve == i for i in range(len(lines))]
-    every = [
-        line.inserted(parts.vertex[own], points.take(own), tangents[own])
-        for line, own in zip(lines, owns, strict=True)
-    ]
-    where = [
-        np.insert(each == 0, parts.vertex[own] + 1, True) for each, own in zip(values, owns, strict=True)
-    ]
-    return every, where
+    where = [np.insert(each == 0, parts.vertex[parts.curve == i] + 1, True) for i, each in enumerate(values)]
+    return parts.inserted(lines, *parts.at(share)), where
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
@@ -387,9 +388,4 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
     middle = 2 * a + b - 3 * c  # the derivative of the cubic along back is 0
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
-    points, tangents = parts.at(share)
-    owns = [parts.curve == i for i in range(len(lines))]
-    return [
-        line.inserted(parts.vertex[own], points.take(own), tangents[own])
-        for line, own in zip(lines, owns, strict=True)
-    ]
+    return parts.inserted(lines, *parts.at(share))

@@ -586,8 +586,8 @@ class Degenerate(NamedTuple):
         beyond = np.flatnonzero(~points.inside())  # on curves of which a part may be inside
         onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
-        found = step < _NEAR
-        points, starts = points.take(found), self.parts[4][found]
+        near = step < _NEAR
+        points, starts = points.take(near), self.parts[4][near]
         points = points.take((length(points.parts[4] - starts) < reach) & points.inside())
         candidates = np.flatnonzero(
             (length(points.force()) < _LITTLE_FORCE) & (points.kind == BorderKind.FOLD)

@@ -100,9 +100,9 @@ def test_crossings_of_a_satellite_are_those_of_another_integrator(at):
     ds = atlas.section("satellite", BODY, at=at, duration=duration)
     assert ds["crossings"].item() == len(expected) > 0
     assert ds["status"].item() == Status.OK
-    found = np.array([ds[name].values[0] for name in ("theta", "phi", "theta_dot", "psi_dot", "time")]).T
-    near_vertical = 1 + np.abs(found[:, 3])  # where small errors turn the line of nodes far
-    assert (np.abs(found - expected).max(1) / near_vertical).max() < 1e-9
+    measured = np.array([ds[name].values[0] for name in ("theta", "phi", "theta_dot", "psi_dot", "time")]).T
+    near_vertical = 1 + np.abs(measured[:, 3])  # where small errors turn the line of nodes far
+    assert (np.abs(measured - expected).max(1) / near_vertical).max() < 1e-9
     assert (ds["error"].values[0] / near_vertical).max() < 1e-9
 
 

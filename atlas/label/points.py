@@ -199,7 +199,7 @@ class _Labels:
         reason = grid.reasons(system, points)
         rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, values)
         grid.without_settings(reason, durations, rate_tolerance)
-        tile = grid.Grid(points, points, reason, durations, rate_tolerance)
+        tile = grid.Grid(values, values, reason, durations, rate_tolerance)
         if self.warnings is not None:
             self.warnings.extend(_warnings(system, self.outputs, tile, self.duration or Duration()))
             log_warnings(self.warnings)
@@ -220,7 +220,7 @@ def _warnings(system: System, outputs: Sequence[str], points: grid.Grid, duratio
         raise BadInput(f"{grid.sentence(reason, system, None, duration)}{remedy}")
     counts = np.bincount(points.reason, minlength=len(grid.Reason))
     warnings = grid.count_lines(counts, system, None, duration)
-    computed = points.subset(points.exists)
+    computed = points if points.exists.all() else points.subset(points.exists)
     warnings += grid.system_warnings(system, computed.base)
     warnings += grid.unit_warnings(system, outputs, computed)
     try:

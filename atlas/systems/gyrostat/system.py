@@ -50,7 +50,7 @@ class Gyrostat(System):
     def natural_rate(self, points: Points) -> Array:
         """Of the frame, else of the fields, else of the start and the rotor, see Body.natural_rate."""
         with np.errstate(all="ignore"):
-            return self.body(points).natural_rate(self.start(points)[0])
+            return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
     def start(self, points: Points) -> tuple[Array, Array, Array]:
         """w, alpha and gamma at the start, each (points, 3) in body axes."""

@@ -163,7 +163,7 @@ class SettledBy(Flag):
     PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
     MEASURED = (
         2,
-        "attitude and rates are within 1e-3 (rad, and of the frame's rate) of the equilibrium; a saddle (end_index above 0) may only"
+        "attitude and rates are within 1e-3 (rad, and of the frame's or the natural rate) of the equilibrium; a saddle (end_index above 0) may only"
         " be passed",
     )
     UNDECIDED = (

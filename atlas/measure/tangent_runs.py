@@ -109,12 +109,12 @@ class TangentArrays(NamedTuple):
 
 
 def rate_unit(system: System, points: Points) -> Array:
-    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: the rate of the frame, or 1.
+    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: of the frame, else natural_rate.
 
     A finite Lyapunov exponent depends a little on it, its limit does not.
     """
     rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
-    return np.where(rate > 0, rate, 1.0)
+    return np.where(rate > 0, rate, system.natural_rate(points))
 
 
 class Separation:

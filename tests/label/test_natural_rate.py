@@ -112,6 +112,23 @@ def test_no_word_depends_on_the_unit_of_time(name, unit):
     assert first.attrs["atlas_rate_tolerance"] == "1e-5 * natural_rate"
 
 
+@pytest.mark.parametrize("name", ["satellite", "fixed_point"])
+def test_no_end_and_no_regularity_depends_on_the_unit_of_time(name):
+    rng = np.random.default_rng(7)
+    draw = random_satellites if name == "satellite" else random_fixed_points
+    points = draw(rng, 16, damping=rng.choice([0.05, 0.3], 16))
+    names = ["end_equilibrium", "settled_by", "settling_time", "regularity"]
+    unit = 2.0**-40
+    first, second = (
+        atlas.label_points(name, each, variables=names, method="rk8", tolerance=1e-6)
+        for each in (points, in_units(points, 1 / unit))
+    )
+    for key in names:
+        time = unit if key == "settling_time" else 1.0
+        np.testing.assert_array_equal(first[key] / time, second[key], key)
+    assert (first.end_equilibrium >= 0).sum() > 4
+
+
 def test_a_chaotic_tumble_in_si_is_no_permanent_rotation():
     """The libration of an asteroid on an eccentric... orbit of months: its rates are far below 1e-5 rad/s."""
     point = {"A": 1.0, "B": 1.6, "C": 2.0, "Omega": 2.66e-6, "theta0": 1.2, "psi0": 0.4, "m": 3e-6}

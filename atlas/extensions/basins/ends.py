@@ -30,7 +30,7 @@ _ORDER = (
     " positions of different bodies cannot be compared"
 )
 _TIME = (
-    "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or rad per time unit where that is 0; seen at"
+    "the energy is then too low for more than 1e-3 rad and 1e-3 of the frame's rate, or of the natural rate at rest where that is 0; seen at"
     " every eighth node; nan where this is not reached, and at ends that are no minimum"
 )
 _INDEX = "0 of a minimum of the amended potential; -1 where there is no end"

@@ -23,7 +23,7 @@ from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
 from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
-# A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate (or of 1 where it rests).
+# A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate, or of the natural rate of the body at rest.
 SETTLED = 1e-3
 _FLAT = 1e-6  # eigenvalue of the Hessian, relative to the largest of the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
@@ -154,7 +154,7 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     # Turning the body about gamma changes nothing in a frame of one direction, nor does turning it along a circle.
     regular = flat.sum(-1) == circle.astype(int) + single
     minimum = (index == 0) & regular
-    rate = np.where(body.turn == 0, 1.0, np.abs(body.turn))
+    rate = np.where(body.turn == 0, body.natural_rate(np.zeros_like(body.rotor)), np.abs(body.turn))
     stiffness = np.minimum(np.where(flat, np.inf, values).min(-1), each.inertia.min(-1) * rate[:, None] ** 2)
     settled = np.where(minimum, potential + 0.5 * SETTLED**2 * stiffness, np.nan)
     axis = solutions.get("axis", np.full(gamma.shape, np.nan))

@@ -57,6 +57,8 @@ class StepSizes:
     periods: NDArray[
         np.int64
     ]  # of the run, with equally many nodes in each; 0: nothing is measured once a period
+    transient: NDArray[np.float64]  # time before the run, time units
+    transient_steps: NDArray[np.int64]  # steps in it, about as long as those of the run
 
     @classmethod
     def of(
@@ -115,7 +117,29 @@ class StepSizes:
             dissipation_error=dissipation_error,
             rate_error=bound * (dispersion + dissipation_error + ROUNDING * np.sqrt(steps)),
             periods=np.zeros_like(steps),
+            transient=np.zeros(steps.shape),
+            transient_steps=np.zeros_like(steps),
         )
+
+    def after(self, transient: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
+        """The last part of these runs, of this duration after a transient; the errors stay those of the whole runs."""
+        has = transient > 0
+        intervals = np.ceil(self.intervals * duration / (transient + duration) - 1e-9).astype(np.int64)
+        steps = np.maximum(intervals, 2 * MIN_INTERVALS) * self.steps_per_sample
+        step_size = np.where(has, duration / steps, self.step_size)
+        return replace(
+            self,
+            steps=np.where(has, steps, self.steps),
+            step_size=step_size,
+            step_ratio=self.step_ratio * np.where(has, step_size / self.step_size, 1.0),
+            transient=transient,
+            transient_steps=np.ceil(transient / self.step_size - 1e-9).astype(np.int64),
+        )
+
+    @property
+    def whole_steps(self) -> NDArray[np.int64]:
+        """Steps from the start, the transient included."""
+        return self.steps + self.transient_steps
 
     @property
     def intervals(self) -> NDArray[np.int64]:
@@ -139,12 +163,13 @@ class StepSizes:
         return np.asarray(stable & (self.dissipation_error <= MAX_DISSIPATION_ERROR))
 
     def without_unresolved(self) -> StepSizes:
-        """The same step sizes, with at most STEPS_UNRESOLVED steps where they do not resolve the point."""
+        """The same step sizes, with at most STEPS_UNRESOLVED steps and no transient where they do not resolve the point."""
         shorter = ~self.resolved & (self.steps > STEPS_UNRESOLVED)
         return replace(
             self,
             steps=np.where(shorter, STEPS_UNRESOLVED, self.steps),
             steps_per_sample=np.where(shorter, 1, self.steps_per_sample),
+            transient_steps=np.where(self.resolved, self.transient_steps, 0),
         )
 
     def subset(self, where: NDArray[np.int64]) -> StepSizes:
@@ -195,6 +220,7 @@ class StepSizes:
             dispersion_error=self.dispersion_error * ratio**method.order,
             dissipation_error=self.dissipation_error * ratio ** (method.dissipation_order - 1),
             rate_error=self.rate_error * ratio**method.order,
+            transient_steps=np.ceil(self.transient_steps / ratio - 1e-9).astype(np.int64),
         )
 
 

@@ -17,10 +17,10 @@ from ..measure.circle import ANY_AXIS_THEORY
 from ..measure.instrument import Run, RunSettings
 from ..measure.observables import whole_periods
 from ..scene.grid import Grid, status_of
-from ..systems.base import Array, Flags, Mask, SharedValues, derived_values
+from ..systems.base import Array, Flags, Mask, Points, SharedValues, derived_values
 from ..variables import variables
 from .plan import Plan
-from .theory import Theory, agreement, departure_changes
+from .theory import Theory, agreement, departure_changes, forget_drifting
 
 if TYPE_CHECKING:
     from ..measure.tangent_runs import TangentRuns
@@ -79,19 +79,22 @@ def evaluate(
     for name, values in plan.proofs(tile).items():
         columns[name] = np.where(values != 0, values, columns[name]) if name in columns else values
     added = dict[str, np.ndarray]()
-    if "predicted" in columns:
-        added["agreement"] = agreement(columns["label"], columns["predicted"])
     if runs.tangent is not None and plan.has_chaos:
-        added |= runs.tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
+        tangent = replace(runs.tangent, ensemble=run.ensemble)
+        added |= tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         from .any_axis import predict_any_axis
 
-        added |= predict_any_axis(
+        columns |= predict_any_axis(
             plan.system, tile.base, tile.points, columns, run.settings.tolerances,
             nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,
         )  # fmt: skip
-        if "agreement_any_axis" in plan.names:
-            added["agreement_any_axis"] = agreement(columns["label_any_axis"], added["predicted_any_axis"])
+    start, may_settle = run.ensemble, runs.theory.prediction.may_settle
+    forget_drifting(plan.system, columns, may_settle, start.constants, start.origin, start.state)
+    if "predicted" in columns:
+        added["agreement"] = agreement(columns["label"], columns["predicted"])
+    if "agreement_any_axis" in plan.names:
+        added["agreement_any_axis"] = agreement(columns["label_any_axis"], columns["predicted_any_axis"])
     return columns | added | derived_values(plan.system, plan.names, tile.base, tile.duration, runs.check)
 
 
@@ -132,7 +135,8 @@ class _Runs:
     step_sizes: StepSizes
     settled: Mask  # whether the frequency bound holds for the whole run
     theory: Theory
-    tangent: TangentRuns | None
+    tangent: TangentRuns | None  # after the transient, if they are for the indicators of chaos
+    growth: TangentRuns | None  # from the start
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
@@ -143,30 +147,44 @@ class _Runs:
     def integrate(self) -> Run:
         """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
-        total = max(int(step_sizes.steps.sum()), 1)
+        total = max(int(step_sizes.whole_steps.sum()), 1)
         points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
+
+        def progress(point_steps: int) -> None:
+            self.progress(points * point_steps / total)
+
+        ensemble = self.after_transient(self.ensemble, self.tile.points, step_sizes, progress)
         stop_rate = None
         if self.plan.may_stop_early:
             with np.errstate(all="ignore"):
                 bound, main = self.ensemble.frequency_bound, self.plan.main
                 stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
                 stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
-        integration = self.ensemble.integrate(
+        integration = ensemble.integrate(
             self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.threads,
-            progress=lambda point_steps: self.progress(points * point_steps / total),
+            progress=progress,
         )  # fmt: skip
         rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
-            self.plan.system, settings, self.plan.instruments, self.ensemble, self.step_sizes, rates, growth,
+            self.plan.system, settings, self.plan.instruments, ensemble, self.step_sizes, rates, growth,
             integration, self.tile.points,
         ).measure()  # fmt: skip
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
         """The points of a run integrated by other steps."""
-        integration = run.ensemble.integrate(
+        ensemble = self.after_transient(run.ensemble, run.points, step_sizes, self.check)
+        integration = ensemble.integrate(
             self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.threads, progress=self.check
         )  # fmt: skip
-        return replace(run, step_sizes=step_sizes, integration=integration).measure()
+        return replace(run, ensemble=ensemble, step_sizes=step_sizes, integration=integration).measure()
+
+    def after_transient(
+        self, ensemble: Ensemble, points: Points, step_sizes: StepSizes, progress: Callable[[int], None]
+    ) -> Ensemble:
+        plan = self.plan
+        return ensemble.after_transient(
+            plan.system, points, plan.plugs, plan.kernel, step_sizes, threads=self.threads, progress=progress
+        )
 
     def resolved(self, run: Run) -> Mask:
         """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
@@ -179,11 +197,11 @@ class _Runs:
     def with_growth(self, run: Run, status: Flags) -> Run:
         """The run with the growth of tangent vectors where instruments need it."""
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
-        if self.tangent is None or not needed:
+        if self.growth is None or not needed:
             return run
         # With chaos, the runs for it count as the work.
         progress = self.check if self.plan.has_chaos else self.progress
-        return replace(run, growth=self.tangent.growth(np.logical_or.reduce(needed), self.threads, progress))
+        return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), self.threads, progress))
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
         with np.errstate(all="ignore"):
@@ -201,27 +219,35 @@ def _prepare(
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
     periods, duration = whole_periods(system, ensemble.constants, tile.duration)
-    tile = replace(tile, duration=duration)
+    transient = np.where(tile.before > 0, whole_periods(system, ensemble.constants, tile.before)[1], 0.0)
+    tile = replace(tile, duration=duration, transient=transient)
     bound, settled = numeric_bound.along_runs(
-        system, plan.kernel, method, ensemble, tile.duration, settings.max_steps, threads=threads
+        system, plan.kernel, method, ensemble, tile.until, settings.max_steps, threads=threads
     )
     ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
-        step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.duration, tile.step)
-        step_sizes = step_sizes.in_periods(periods, method)
+        step_sizes = main.step_sizes(settings, ensemble.frequency_bound, tile.until, tile.step)
+        step_sizes = step_sizes.after(transient, duration).in_periods(periods, method)
         if np.any(halved):
             step_sizes = step_sizes.halved(method, halved)
         starts = replace(tile, points=points)  # not kept, so that the shared values do not stay in memory
         theory = Theory.of(plan, starts, ensemble, step_sizes)
-        tangent = None
+        tangent = growth = None
         if plan.has_tangent:
             from ..measure.tangent_runs import TangentRuns
 
-            tangent = TangentRuns.of(
-                system, plan.tangent_kernel, ensemble, tile.points, tile.duration, settings, step_sizes,
-                has_chaos=plan.has_chaos,
-            )  # fmt: skip
-    return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, threads, progress)
+            def tangent_runs(length: Array, has_chaos: bool) -> TangentRuns:
+                return TangentRuns.of(
+                    system, plan.tangent_kernel, ensemble, tile.points, length, settings, step_sizes,
+                    has_chaos=has_chaos,
+                )  # fmt: skip
+
+            tangent = growth = tangent_runs(duration if plan.has_chaos else tile.until, plan.has_chaos)
+            if plan.has_chaos and transient.any():
+                growth = tangent_runs(tile.until, False)
+    return _Runs(
+        plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads, progress
+    )
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
@@ -232,7 +258,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         # Integration errors may cause a departure from an unstable motion; they do where the start is on it to rounding.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
-            theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.steps)
+            theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.whole_steps)
         )
         errors, error = run.errors()
         unsure = run.unsure(errors)
@@ -289,10 +315,10 @@ def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
     if (where := np.flatnonzero(decides)).size:
         part = run.subset(where)
         (_, error), (_, of_coarse) = part.errors(), coarse.subset(where).errors()
-        state = part.ensemble.state
+        state = part.ensemble.origin
         slope = np.array(np.broadcast_arrays(*run.system.equations.rhs(state, part.ensemble.constants)))
         size = (np.abs(state) + np.abs(slope) / part.bound) * np.cos(np.arange(len(state)))[:, np.newaxis]
-        beside = replace(part, ensemble=replace(part.ensemble, state=state + error * size))
+        beside = replace(part, ensemble=replace(part.ensemble, origin=state + error * size))
         grown = part.change(runs.by_steps(beside, part.step_sizes)) * of_coarse / error
         decides[where] = grown < change[where]
     return decides
@@ -316,12 +342,13 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
     for instrument in run.instruments:
         columns |= instrument.columns(run, columns)
     ended = integration.stopped_early | ~run.step_sizes.resolved
+    transient = np.where(run.step_sizes.resolved, run.step_sizes.transient, 0.0)
     columns |= runs.theory.prediction.variables
     columns |= {
         "step": run.step_sizes.step_size,
         "step_ratio": run.step_sizes.step_ratio,
         "error_estimate": np.where(resolved, error, np.inf),
         "condition_residual": runs.theory.prediction.residual,
-        "end_time": np.where(ended, integration.duration, runs.tile.duration),
+        "end_time": np.where(ended, integration.duration, runs.tile.duration) + transient,
     }
     return columns

@@ -115,7 +115,7 @@ class Plan:
         for name, method in METHODS.items():
             with np.errstate(all="ignore"):
                 settings = replace(self.settings, method=name, max_steps=MAX_STEPS)
-                sizes = StepSizes.of(settings.at(points.rate_tolerance), bound, points.duration)
+                sizes = StepSizes.of(settings.at(points.rate_tolerance), bound, points.until)
             costs[name] = method.step_cost * float(sizes.steps.mean())
         own = costs.pop(self.settings.method)
         return {name: cost / own for name, cost in costs.items()}

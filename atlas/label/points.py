@@ -19,8 +19,8 @@ from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
-from ..scene.model import DEFAULTS, Duration, Settings
-from ..scene.read import check_at_points, check_std_tolerance, check_unit, parse_duration
+from ..scene.model import DEFAULTS, NO_TRANSIENT, Duration, Settings
+from ..scene.read import check_at_points, check_std_tolerance, parse_duration, parse_transient
 from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
@@ -43,6 +43,7 @@ def label_points(
     points: Table,
     *,
     duration: str | Values = Duration.amount,
+    transient: float | str = NO_TRANSIENT.amount,
     step: float | None = None,
     tolerance: float = DEFAULTS.tolerance,
     method: str = DEFAULTS.method,
@@ -67,6 +68,8 @@ def label_points(
     duration : float, array_like, DataArray or str
         In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
         rate of each point.
+    transient : float or str
+        Time before statistics, labels and indicators of chaos begin, as `duration`; at first motions may settle in it.
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
@@ -130,10 +133,10 @@ def label_points(
                 raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
         outputs = listed_variables(description, variables)
     source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
-    text = parse_duration(duration, names=description.parameters) if isinstance(duration, str) else None
-    check_at_points("rate_tolerance", settings.rate_tolerance, description.parameters)
-    if text is not None:
-        check_unit(description, text)
+    every = description.parameters
+    text = parse_duration(duration, names=every, system=description) if isinstance(duration, str) else None
+    before = parse_transient(transient, names=every, system=description)
+    check_at_points("rate_tolerance", settings.rate_tolerance, every)
     names, (*arrays, lengths), name_columns = parameter_arrays(
         description, source, keep, duration=1.0 if text is not None else duration
     )
@@ -154,7 +157,7 @@ def label_points(
     plan = Plan.of_points(description, settings, None if variables is None else outputs, names)
     warnings, stopwatch = list[str](), Stopwatch()
     labels = _Labels(
-        system, settings, plan.outputs, outputs, names, text, 1 if lazy and threads is None else threads,
+        system, settings, plan.outputs, outputs, names, text, before, 1 if lazy and threads is None else threads,
         progress and not lazy, *((None, None) if lazy else (source, warnings)),
     )  # fmt: skip
     results = xr.apply_ufunc(
@@ -167,7 +170,7 @@ def label_points(
     ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
     ds.attrs = dataset.provenance(
         description, settings, plan.kernel_hash, title=f"points of the {system}", outputs=outputs, warnings=warnings,
-        timing=None if lazy else (ds[outputs[0]].size, stopwatch.seconds()),
+        transient=before, timing=None if lazy else (ds[outputs[0]].size, stopwatch.seconds()),
     )  # fmt: skip
     return ds
 
@@ -182,6 +185,7 @@ class _Labels:
     outputs: Sequence[str]  # variables that it returns
     names: Sequence[str]  # of the parameters
     duration: Duration | None  # in place of the last array
+    transient: Duration
     threads: int | None
     progress: bool
     source: Any  # table of the points, for messages
@@ -198,8 +202,9 @@ class _Labels:
             raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
         reason = grid.reasons(system, points)
         rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, values)
-        grid.without_settings(reason, durations, rate_tolerance)
-        tile = grid.Grid(values, values, reason, durations, rate_tolerance)
+        transient = grid.durations(system, self.transient, values, key="transient", zero=True)
+        grid.without_settings(reason, durations, rate_tolerance, transient)
+        tile = grid.Grid(values, values, reason, durations, rate_tolerance, transient=transient)
         if self.warnings is not None:
             self.warnings.extend(_warnings(system, self.outputs, tile, self.duration or Duration()))
             log_warnings(self.warnings)
@@ -238,9 +243,9 @@ def _advise(plan: Plan, points: grid.Grid) -> None:
         return
     some = points.subset(exists[:: exists.size // MANY_POINTS])
     with np.errstate(all="ignore"):
-        bound = numeric_bound.before_run(plan.system, some.points, some.duration)
+        bound = numeric_bound.before_run(plan.system, some.points, some.until)
         settings = plan.settings.at(some.rate_tolerance)
-        steps = StepSizes.of(settings, bound, some.duration).steps.mean() * exists.size
+        steps = StepSizes.of(settings, bound, some.until).steps.mean() * exists.size
     if steps * METHODS[plan.settings.method].step_cost > MANY_STEPS:
         costs = {name: cost for name, cost in plan.relative_costs(bound, some).items() if cost < 1}
         log_warnings(method_lines(plan.settings.method, costs))

@@ -33,6 +33,7 @@ from ..systems.base import (
     within_range,
 )
 from ..systems.gyrostat.system import log_growth
+from ..systems.jacobian import changes_volume
 from ..systems.steady import (
     FAR,
     Existence,
@@ -77,8 +78,9 @@ class Prediction:
     # Whether `log_growth` is about a motion about other axes than the third and the vertical
     about_other_axes: Mask
     pushed: Mask  # whether a nudge moved the start off its motion
-    # Growth of a distance from the motion over the run, as a logarithm; 0 where it is unknown
+    # Growth of a distance from the motion until the end of the run, as a logarithm; 0 where it is unknown
     log_growth: Array
+    may_settle: Mask  # whether a transient comes before the run, from a start that is no steady motion
 
 
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
@@ -87,12 +89,12 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     A nudge along a family leads to another exact start. Where no labels about any axes are measured, a motion about other
     axes than the third and the vertical drifts, however it grows.
     """
-    system, duration, base = plan.system, tile.duration, SharedValues(tile.base)
+    system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points = SharedValues(tile.points)
     tolerances, nudged = plan.settings.at(tile.rate_tolerance).tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = condition_residual(system, points)
-        motion = steady_motions_of(system, base, duration, tolerances)
+        motion = steady_motions_of(system, base, until, tolerances)
         family, family_residual = np.zeros(duration.shape, np.int8), np.full(duration.shape, np.inf)
         # A start that is far from every steady motion is on no family, unless it is on the vertical, as motions in the plane are.
         where = np.arange(duration.size)
@@ -108,8 +110,8 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         pushed = nudged & ~exact_starts(system, points, nudged & (residual <= FAMILY_TOLERANCE))
         variables = predict(system, base, tolerances, pushed, family, duration, motion=motion)
         if motion is not None and nudged:
-            _take_away(system, base, points, duration, tolerances, variables)
-        growth = log_growth(system, base, family, variables["growth_rate"], duration)
+            _take_away(system, base, points, until, tolerances, variables)
+        growth = log_growth(system, base, family, variables["growth_rate"], until)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
         start_residual, varying = residual.copy(), np.flatnonzero(unsteady(system, family))
@@ -129,8 +131,25 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             motion.answer[near] = Existence.NEAR
             for name in predicted_frames(system, base):
                 variables[name][near] = Label.NOT_COMPUTED
+        steady = family > 0 if motion is None else motion.answer == Existence.EXACT
+        may_settle = (tile.before > 0) & ~(steady & ~pushed)
+        forget_drifting(system, variables, may_settle, system.constants(points), system.initial_state(points))
     growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
-    return Prediction(variables, motion, residual, family_residual, start_residual, other, pushed, growth)
+    return Prediction(
+        variables, motion, residual, family_residual, start_residual, other, pushed, growth, may_settle
+    )
+
+
+def forget_drifting(
+    system: System, labels: dict[str, np.ndarray], where: Mask, constants: Array, *states: Array
+) -> None:
+    """Take predictions of drifting from points where volumes of states change at one of these states: the motion may settle."""
+    if where.any():
+        changes = [changes_volume(system.equations, state, constants) for state in states]
+        unknown = where & np.any(changes, axis=0)
+        for name in labels:
+            if name.startswith("predicted"):
+                labels[name][unknown & (labels[name] == Label.DRIFTING)] = Label.NOT_COMPUTED
 
 
 @dataclass(frozen=True)
@@ -151,7 +170,7 @@ class Theory:
         """Theory of the points of a plan."""
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
-            nothing = Prediction({}, None, zero, zero, zero, zero > 0, zero > 0, zero)
+            nothing = Prediction({}, None, zero, zero, zero, zero > 0, zero > 0, zero, zero > 0)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
@@ -161,7 +180,7 @@ class Theory:
         )
         exact = ~prediction.pushed if plan.nudged else prediction.start_residual <= max_residual
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
-        about_vertical = growth_about_vertical(system, tile.points) * tile.duration
+        about_vertical = growth_about_vertical(system, tile.points) * tile.until
         frames = predicted_frames(system, tile.points)
         return cls(
             prediction,

@@ -311,7 +311,7 @@ class Circle(Instrument):
         """Expected errors of STATISTICS, in their units, (points,) each."""
         step_sizes, bound, circle = run.step_sizes, run.bound, self._statistics(run.measured)
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
-        rounding = bound * ROUNDING * np.sqrt(step_sizes.steps)
+        rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps)
         # The axis and the spin of a small circle, or of a short arc, are uncertain.
         spin = step_sizes.rate_error + rounding * self._amplification(run)
         absolute = dict.fromkeys(("spread", "height_std", "radius_std"), step_sizes.rate_error)

@@ -190,7 +190,7 @@ class Run:
         rules: dict[str, Rule] = {}
         rounding: dict[str, Array] = {}
         for instrument in self.instruments:
-            rounding |= instrument.rounding(self, 10.0 * ROUNDING * np.sqrt(self.step_sizes.steps))
+            rounding |= instrument.rounding(self, 10.0 * ROUNDING * np.sqrt(self.step_sizes.whole_steps))
             own = instrument.rules(self, rules)
             rules |= {name: replace(rule, rounding=rounding) for name, rule in own.items()}
         return rules

@@ -122,7 +122,7 @@ class Rates(MainInstrument):
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
         """Rate beyond which no expected error can bring a drifting label back, (points,), rad per time unit."""
         # Over 0.1 and less it is no smaller than what `Run.rules` takes for rounding.
-        rounding = bound * ROUNDING * np.sqrt(step_sizes.steps) / np.minimum(tolerances.angle, 0.1)
+        rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps) / np.minimum(tolerances.angle, 0.1)
         absolute = step_sizes.rate_error + rounding
         return np.asarray(
             (tolerances.rate + absolute) / (1.0 - np.minimum(relative_error(step_sizes, bound), 1.0))
@@ -141,9 +141,9 @@ class Rates(MainInstrument):
         step_sizes, bound, measured = run.step_sizes, run.bound, run.measured
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
         # psi' and phi' divide by sin theta: near the vertical rounding counts more.
-        near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(step_sizes.steps) / np.maximum(
-            _least_sine(measured), 1e-300
-        )
+        near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(
+            step_sizes.whole_steps
+        ) / np.maximum(_least_sine(measured), 1e-300)
         angle = (measured["theta_max"] - measured["theta_min"]) * share
         angle += measured["sine_max"] * np.where(bound > 0, step_sizes.rate_error / bound, 0.0)
         absolute = {
@@ -335,7 +335,7 @@ def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
 
 def rounding_error(step_sizes: StepSizes) -> Array:
     """Relative error of the states by rounding, (points,)."""
-    return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.steps))
+    return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.whole_steps))
 
 
 def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array) -> Array:

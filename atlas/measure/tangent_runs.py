@@ -211,7 +211,7 @@ class TangentRuns:
             error = None if has_chaos else tolerated_error(settings, step_sizes, bound)
             steps = TangentSteps.of(bound, duration, settings.step, settings.max_steps, error)
             unit = rate_unit(system, points)
-        own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().steps.sum())
+        own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().whole_steps.sum())
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 

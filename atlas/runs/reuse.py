@@ -155,7 +155,8 @@ def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Gr
     if candidates.size:
         ours, theirs = points.subset(candidates), grid.points_at_indices(other, result[candidates])
         columns, others = (
-            [g.duration, g.rate_tolerance, *g.base.values(), *g.points.values()] for g in (ours, theirs)
+            [g.duration, g.before, g.rate_tolerance, *g.base.values(), *g.points.values()]
+            for g in (ours, theirs)
         )
         same = ours.reason == theirs.reason
         for a, b in zip(columns, others, strict=True):

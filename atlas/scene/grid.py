@@ -70,6 +70,7 @@ class Reason(IntEnum):
         5  # nothing turns, but the duration is in turns or orbits; or it is arithmetic without a value
     )
     NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a value
+    NO_TRANSIENT = 7  # as NO_DURATION
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,17 @@ class Grid:
     duration: Array  # length of the run in time units; float64 of shape (points,), nan where it has no value
     rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where it has no value
     step: Array | None = None  # length of a step in time units, in place of `settings.step`
+    transient: Array | None = None  # time before the run in time units; None: 0 everywhere
+
+    @property
+    def before(self) -> Array:
+        """Time from the start to the run, float64 of shape (points,)."""
+        return np.zeros(self.duration.shape) if self.transient is None else self.transient
+
+    @property
+    def until(self) -> Array:
+        """Time from the start to the end of the run."""
+        return self.before + self.duration
 
     @property
     def exists(self) -> Mask:
@@ -91,8 +103,9 @@ class Grid:
     def subset(self, where: np.ndarray | slice) -> Grid:
         """Some of the points, by their indices, a mask or a slice."""
         base, points = subset(self.base, where), subset(self.points, where)
-        step = None if self.step is None else self.step[where]
-        return Grid(base, points, self.reason[where], self.duration[where], self.rate_tolerance[where], step)
+        step, transient = (None if each is None else each[where] for each in (self.step, self.transient))
+        duration, rate_tolerance = self.duration[where], self.rate_tolerance[where]
+        return Grid(base, points, self.reason[where], duration, rate_tolerance, step, transient)
 
 
 def status_of(reason: Flags) -> Flags:
@@ -124,16 +137,16 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
     """Points at flat C-order indices: ties, family, offsets and nudge; BadInput for ties out of range and incomplete starts."""
-    base, reason, duration, rate_tolerance = _before_nudge(scene, indices)
-    base = {name: np.ascontiguousarray(values) for name, values in base.items()}
+    grid = _before_nudge(scene, indices)
+    base = {name: np.ascontiguousarray(values) for name, values in grid.base.items()}
     with np.errstate(all="ignore"):
         start = scene.system.as_euler_angles(base) if scene.nudges_angles else base
     points = {name: start[name] + scene.nudge.get(name, 0.0) for name in base}
-    return Grid(base, points, reason, duration, rate_tolerance)
+    return replace(grid, base=base, points=points)
 
 
-def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], Flags, Array, Array]:
-    """Points before the nudge, why they are not computed, their durations and their rate tolerances, as in `Grid`."""
+def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
+    """Points before the nudge."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -158,15 +171,16 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> tuple[dict[str, Array], 
         points, names = SharedValues(base), values | base
         duration = durations(system, scene.duration, points, names, "integration.duration")
         rate_tolerance = at_points(system, scene.settings.rate_tolerance, points, names)
-        without_settings(reason, duration, rate_tolerance)
+        transient = durations(system, scene.transient, points, names, "labels.transient", zero=True)
+        without_settings(reason, duration, rate_tolerance, transient)
         has_values = reason != Reason.NO_VALUE
         system.check(base if has_values.all() else subset(base, has_values))
-    return base, reason, duration, rate_tolerance
+    return Grid(base, base, reason, duration, rate_tolerance, transient=transient)
 
 
-def without_settings(reason: Flags, duration: Array, rate_tolerance: Array) -> None:
-    """Set the reason of points that are computed but for a duration or a tolerance without a value."""
-    for value, no_value in ((duration, Reason.NO_DURATION), (rate_tolerance, Reason.NO_TOLERANCE)):
+def without_settings(reason: Flags, *settings: Array) -> None:
+    """Set the reason of points that are computed but for a duration, a rate tolerance or a transient without a value."""
+    for value, no_value in zip(settings, list(Reason)[Reason.NO_DURATION :], strict=False):
         reason[(reason == Reason.NONE) & np.isnan(value)] = no_value
 
 
@@ -194,10 +208,12 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
-def at_points(system: System, amount: float | str, points: Points, names: Points | None = None) -> Array:
+def at_points(
+    system: System, amount: float | str, points: Points, names: Points | None = None, *, zero: bool = False
+) -> Array:
     """A number, or the values of arithmetic, at points, (points,); nan where they are not finite and above 0.
 
-    names: values of every name in the arithmetic, by default of the parameters.
+    names: values of every name in the arithmetic, by default of the parameters; zero: whether 0 is allowed.
     """
     if not isinstance(amount, str):
         return np.full(shape_of(points), amount)
@@ -205,15 +221,16 @@ def at_points(system: System, amount: float | str, points: Points, names: Points
     if NATURAL_RATE in expression.names:
         names[NATURAL_RATE] = system.natural_rate(points)
     values = np.broadcast_to(expression.value(names), shape_of(points))
-    return np.where(np.isfinite(values) & (values > 0), values, np.nan)
+    return np.where(np.isfinite(values) & ((values > 0) | (zero & (values == 0))), values, np.nan)
 
 
 def durations(
-    system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration"
-) -> Array:
+    system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
+    zero: bool = False,
+) -> Array:  # fmt: skip
     """Lengths of runs, in time units; nan where they have no value, see `at_points`. BadInput where turns overflow."""
     if isinstance(duration.amount, str) or not duration.unit:
-        return at_points(system, duration.amount, points, names)
+        return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):
         if duration.unit == "orbits":
             assert system.frame_rate is not None
@@ -253,7 +270,7 @@ def check(scene: Scene) -> Grid:
             )
         check_possible(scene.system, subset(grid.base, defined))
         if scene.family is not None:
-            exists = np.isin(grid.reason, (Reason.NONE, Reason.NO_DURATION, Reason.NO_TOLERANCE))
+            exists = (grid.reason == Reason.NONE) | (grid.reason >= Reason.NO_DURATION)
             candidates = indices[exists if exists.any() else grid.reason == Reason.NO_MOTION]
             chosen = candidates[_even_indices(candidates.size, MAX_CHECKED_FORMULAS)]
             values = parameter_values(scene, chosen)
@@ -266,6 +283,8 @@ def check(scene: Scene) -> Grid:
                 " give a number of time units"
                 if (grid.reason == Reason.NO_DURATION).any()
                 else f"labels.rate_tolerance = {shown(str(scene.settings.rate_tolerance))}: at every point {_NO_NUMBER}"
+                if (grid.reason == Reason.NO_TOLERANCE).any()
+                else f"labels.transient = {shown(str(scene.transient))}: at no point a time"
             )
         on_grid = grid.subset(grid.exists)
         for name, derived in derived_variables(scene.system).items():
@@ -294,7 +313,7 @@ def not_computed(scene: Scene, sample: Grid) -> list[str]:
         length = max_points_per_tile()
         for first in range(0, scene.size, length):
             indices = np.arange(first, min(first + length, scene.size))
-            counts += np.bincount(_before_nudge(scene, indices)[1], minlength=len(Reason))
+            counts += np.bincount(_before_nudge(scene, indices).reason, minlength=len(Reason))
         return count_lines(counts, scene.system, scene.family, scene.duration)
     counts = np.bincount(sample.reason, minlength=len(Reason))
     shares = {Reason(i): 100 * count / counts.sum() for i, count in enumerate(counts) if i and count}
@@ -323,6 +342,7 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
         Reason.NO_MOTION: f"the family {family} has no motion here",
         Reason.NO_DURATION: f"duration = {shown(str(duration))}, but {_NOTHING_TURNS[duration.unit]}",
         Reason.NO_TOLERANCE: "rate_tolerance is no finite number above 0",
+        Reason.NO_TRANSIENT: "transient is no finite time, at least 0",
     }[reason]
 
 

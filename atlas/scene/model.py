@@ -156,6 +156,9 @@ class Duration:
         return f"{amount} {unit}".strip()
 
 
+NO_TRANSIENT = Duration(0.0)
+
+
 @dataclass(frozen=True)
 class Refine:
     """Refinement at the borders of labels on grids of half, a quarter, ... the spacing."""
@@ -235,6 +238,7 @@ class Scene:
     solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order of their use
     nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
     duration: Duration = Duration()  # length of the runs
+    transient: Duration = NO_TRANSIENT  # time before statistics and labels begin
     settings: Settings = DEFAULTS  # integration and labels
     outputs: tuple[str, ...] = ()  # variables of the atlas
     map: str = ""  # default variable of its map and its page; empty: see `analysis.metadata.map_variable`
@@ -305,7 +309,7 @@ class Scene:
             "ties": {name: tie.text for name, tie in self.ties.items() if not isinstance(tie, PointColumn)},
             **{name: value for name, value in table.items() if value},
             "integration": {"duration": self.duration.toml},
-            "labels": {},
+            "labels": {"transient": self.transient.toml} if self.transient.amount else {},
         }
         for f in fields(settings):
             value = settings.cylinder if f.name == "cylinder_tolerance" else getattr(settings, f.name)
@@ -339,7 +343,8 @@ class Scene:
         if self.family is not None:
             lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
-        lines.append(f"duration {self.duration}, {settings.method}, {accuracy}")
+        transient = f" after a transient of {self.transient}" if self.transient.amount else ""
+        lines.append(f"duration {self.duration}{transient}, {settings.method}, {accuracy}")
         lines.append(
             f"rate tolerance {rate_text(settings.rate_tolerance)}, cylinder tolerance {settings.cylinder:g}"
         )

@@ -31,6 +31,7 @@ from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .family import free_message
 from .model import (
     DURATION_UNITS,
+    NO_TRANSIENT,
     SCHEMA,
     About,
     Axis,
@@ -211,7 +212,7 @@ def scene_from(
         "points": columns,
     }
     _check_names(system, names, axes, ties)
-    duration, settings = _integration(
+    duration, transient, settings = _integration(
         system, section["integration"], section["labels"], {*system.parameters, *fixed, *axes, *ties}
     )
     outputs, map_variable = _outputs(system, section["outputs"], of_atlas)
@@ -230,6 +231,7 @@ def scene_from(
         solve=solve,
         nudge=_nudge(system, section["nudge"], {*fixed, *axes, *ties}),
         duration=duration,
+        transient=transient,
         settings=settings,
         outputs=outputs,
         map=map_variable,
@@ -498,24 +500,24 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
 
 def _integration(
     system: System, integration: Mapping[str, Any], labels: Mapping[str, Any], names: Collection[str]
-) -> tuple[Duration, Settings]:
-    """Duration and settings from the tables [integration] and [labels]; `names` have a value at each point."""
+) -> tuple[Duration, Duration, Settings]:
+    """Duration, transient and settings from the tables [integration] and [labels]; `names` have a value at each point."""
     values = checks.from_table(
         checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
     )
-    values |= checks.from_table(checks.keys_of(Settings, "labels"), labels, "labels")
+    values |= checks.from_table(checks.keys_of(Settings, "labels"), labels, "labels", also=["transient"])
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
     duration = (
-        parse_duration(integration["duration"], "integration.duration", names)
+        parse_duration(integration["duration"], "integration.duration", names, system)
         if "duration" in integration
         else Duration()
     )
-    check_unit(system, duration, "integration.duration")
+    transient = parse_transient(labels.get("transient", 0), "labels.transient", names, system)
     check_std_tolerance(system, values.get("std_tolerance"), "labels.std_tolerance")
     settings = Settings(**values)
     check_at_points("labels.rate_tolerance", settings.rate_tolerance, names)
-    return duration, settings
+    return duration, transient, settings
 
 
 def check_std_tolerance(
@@ -530,8 +532,13 @@ def check_std_tolerance(
             )
 
 
-def parse_duration(value: object, key: str = "duration", names: Collection[str] = ()) -> Duration:
-    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
+def parse_duration(
+    value: object, key: str = "duration", names: Collection[str] = (), system: System | None = None
+) -> Duration:
+    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput.
+
+    system: in which the unit must have a meaning.
+    """
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"([-+]?[0-9.][-+0-9.eE]*)\s*([A-Za-z]+)", value.strip())
@@ -554,7 +561,15 @@ def parse_duration(value: object, key: str = "duration", names: Collection[str] 
         raise BadInput(f"{key} = {shown(value)}: {shown(match[1])} is not a number") from None
     if not (math.isfinite(amount) and amount > 0):
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
+    if system is not None:
+        check_unit(system, Duration(amount, unit), key)
     return Duration(amount, unit)
+
+
+def parse_transient(value: object, key: str = "transient", *arguments: Any, **options: Any) -> Duration:
+    """As `parse_duration`; 0 is allowed."""
+    is_zero = value in (0, "0") and not isinstance(value, bool)
+    return NO_TRANSIENT if is_zero else parse_duration(value, key, *arguments, **options)
 
 
 def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:

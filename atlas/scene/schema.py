@@ -35,6 +35,12 @@ def scene_schema() -> Schema:
         "description": 'time units, "20 orbits" (satellite), "50 turns" (of n or m, whichever is slower), or arithmetic in'
         " parameters, axes and natural_rate, the rate of each point",
     }
+    labels = checks.table_schema(checks.keys_of(Settings, "labels"))
+    labels["properties"]["transient"] = {
+        "anyOf": [{"type": "number", "minimum": 0}, {"type": "string", "pattern": DURATION}],
+        "default": 0,
+        "description": "time before statistics and labels begin, as duration",
+    }
     about = checks.table_schema(checks.keys_of(About))
     about["properties"]["licence"] = about["properties"]["license"]
     return {
@@ -62,7 +68,7 @@ def scene_schema() -> Schema:
             "family": TABLE | {"required": ["name"], "description": "every point starts on these steady motions"},
             "nudge": TABLE | {"additionalProperties": NUMBER, "description": "added to start values after solving"},
             "integration": integration | {"not": {"required": ["step", "tolerance"]}},
-            "labels": checks.table_schema(checks.keys_of(Settings, "labels")),
+            "labels": labels,
             "refine": checks.table_schema(checks.keys_of(Refine))
             | {"description": "integrate a finer grid near the borders of labels only"},
             "outputs": {

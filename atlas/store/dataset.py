@@ -18,13 +18,14 @@ from .._version import __version__
 from ..errors import BadInput
 from ..measure.observables import std_tolerances
 from ..scene import grid
-from ..scene.model import About, Scene, Settings
+from ..scene.model import NO_TRANSIENT, About, Duration, Scene, Settings
 from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables
 
 HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
 VERSION = "atlas_version"  # attribute of every atlas
+TRANSIENT = "atlas_transient"  # attribute of an atlas: its transient, if it has one
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
 # A parameter with more values is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000
@@ -166,7 +167,7 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
 
 def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
-    title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None,
+    title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration = NO_TRANSIENT,
 ) -> dict[str, Any]:  # fmt: skip
     """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title and variables.
 
@@ -214,6 +215,9 @@ def provenance(
         attributes["atlas_frequency_bound"] = "numeric"
     if limits := std_tolerances(system, settings.std_tolerance, settings.rate_tolerance):
         attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit}" for name, limit in limits.items())
+    transient = transient if scene is None else scene.transient
+    if transient.amount:
+        attributes[TRANSIENT] = str(transient)
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)
     return attributes

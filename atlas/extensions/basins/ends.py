@@ -85,7 +85,7 @@ class Ends(Instrument):
             nearest, angle = wells.nearest(frames, row)
             near, damped = finite & (angle <= SETTLED), finite & (run.points["damping"] > 0)
             energy = np.where(damped, wells.energy(frames, rates, row) + MARGIN * error, np.inf)
-            w, alpha, gamma = run.system.vectors(run.ensemble.state)
+            w, alpha, gamma = run.system.vectors(run.ensemble.origin)
             start = wells.energy(frames_of(alpha, gamma), w - wells.body.turn[row, None] * gamma, row)
             well = wells.proved(frames, energy, row, nearest, near)
             known = [well >= 0, near & (length(rates) <= SETTLED * wells.rate[row])]
@@ -161,7 +161,8 @@ class Settling(Instrument):
         own = levels == measured[LEVEL]
         nodes = NODES_PER_LEVEL * counts[own.argmax(0), np.arange(own.shape[1])]
         reached = (measured[END] >= 0) & own.any(0) & (nodes <= run.integration.intervals)
-        return {TIME: np.where(reached, nodes * run.step_sizes.sample_spacing, np.nan)}
+        time = run.step_sizes.transient + nodes * run.step_sizes.sample_spacing
+        return {TIME: np.where(reached, time, np.nan)}
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {TIME: np.where(columns[END] >= 0, run.measured[TIME], np.nan)}

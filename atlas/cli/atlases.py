@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     option_with_default(
         "--duration", "T", str(Duration()), 'time units, or as in a scene: "20 orbits", "50 turns", "60 / Omega"'
     ),
+    option_with_default("--transient", "T", "0", "time before statistics and labels begin, likewise"),
     option_with_default("--method", "NAME", DEFAULTS.method, "rk4 or rk8"),
     [
         option_with_default("--tolerance", "E", DEFAULTS.tolerance, "as in a scene"),
@@ -90,7 +91,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     duration: float | str = options.duration
     with suppress(ValueError):  # such as 20 orbits
         duration = float(options.duration)
-    same = ("step", "tolerance", "method", "rate_tolerance", "threads", "keep")
+    same = ("transient", "step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     arguments = {name: getattr(options, name) for name in same}
     ds = atlas.label_points(system.name, columns, duration=duration, progress=not options.quiet, **arguments)
     (_write_csv if out.suffix.lower() == ".csv" else netcdf.write)(ds, out)

@@ -179,7 +179,8 @@ def check_scene(options: argparse.Namespace) -> None:
     shape = " x ".join(f"{name} {count}" for name, count in zip(scene.axes, scene.shape, strict=True))
     say(
         printable(scene.title, MAX_TEXT),
-        f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}",
+        f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
+        + f" after a transient of {scene.transient}" * bool(scene.transient.amount),
         *grid.settings_lines(scene, plan.sample),
         *plan.method_lines(),
         *plan.statistics_lines(),

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..systems.base import Array, Mask, Points, System
-from . import blocks, observe
-from .generated import WIDTH
+from . import blocks
 from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
@@ -76,7 +75,7 @@ class Ensemble:
     scales: Array  # reciprocal sizes of the first integrals; see `integral_scales`, (integrals, points)
     frequency_bound: Array  # upper bound of the fastest frequency, rad per time unit
     given: Array  # constants of the plugged instruments, (rows, points)
-    origin: Array  # initial state, before the transient, (states, points)
+    origin: Array  # initial state, before a transient, (states, points)
     change: Array  # largest relative change of a first integral in the transient, (points,)
 
     @classmethod
@@ -86,33 +85,14 @@ class Ensemble:
             state = np.ascontiguousarray(system.initial_state(points))
             constants = np.ascontiguousarray(system.constants(points))
             scales = integral_scales(system, state, constants, system.integral_scales(points))
-            none, change = np.empty((0, state.shape[1])), np.zeros(state.shape[1])
-            start = cls(state, constants, scales, system.frequency_bound(points), none, state, change)
-            return start._with_given(system, points, plugs)
+            bound, none = system.frequency_bound(points), np.empty((0, state.shape[1]))
+            start = cls(state, constants, scales, bound, none, state, np.zeros(state.shape[1]))
+            return start.with_given(system, points, plugs)
 
-    def _with_given(self, system: System, points: Points, plugs: Sequence[Plug]) -> Ensemble:
+    def with_given(self, system: System, points: Points, plugs: Sequence[Plug]) -> Ensemble:
         """The ensemble with the constants of instruments that begin at its state."""
         given = [plug.constants(system, points, self) for plug in plugs]
         return replace(self, given=np.concatenate([np.empty((0, self.size)), *given]))
-
-    @np.errstate(all="ignore")
-    def after_transient(
-        self, system: System, points: Points, plugs: Sequence[Plug], kernel: ModuleType, step_sizes: StepSizes, **options: Any
-    ) -> Ensemble:  # fmt: skip
-        """The ensemble after transients from its origin; options: threads and progress of `blocks.integrate`."""
-        where = np.flatnonzero(step_sizes.transient_steps)
-        start = replace(self, state=self.origin)
-        if not where.size:
-            return start
-        steps, part = step_sizes.transient_steps[where], start.subset(where)
-        # Without statistics two nodes do; at others a long run may be interrupted.
-        intervals = -(-steps * WIDTH // blocks.CHUNK)
-        strides = -(-steps // intervals)
-        arrays = part.arrays(kernel, step_sizes.transient[where] / (strides * intervals))
-        blocks.integrate(kernel, blocks.pack_blocks(strides * intervals, strides), arrays, **options)
-        state, change = self.origin.copy(), np.zeros(self.size)
-        state[:, where], change[where] = arrays.state[: len(state)], arrays.sums[_change_row(kernel)]
-        return replace(start, state=state, change=change)._with_given(system, points, plugs)
 
     @property
     def size(self) -> int:
@@ -155,8 +135,7 @@ class Ensemble:
             blocks.integrate(kernel, blocks.schedule_of(step_sizes), arrays, **options)
         else:
             nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, **options)
-        intervals, row = np.maximum(nodes - 1, 1), _change_row(kernel)
-        arrays.sums[row] = np.maximum(arrays.sums[row], self.change)
+        intervals = np.maximum(nodes - 1, 1)
         with np.errstate(over="ignore"):  # a duration near the largest number
             duration = intervals * step_sizes.sample_spacing
         return Integration(
@@ -230,11 +209,6 @@ def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     """Node after a share of the nodes of runs; 0 where an interruption there is too early."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
-
-
-def _change_row(kernel: ModuleType) -> int:
-    """Row of the sums with the largest relative change of a first integral."""
-    return observe.CHANGE if kernel.OBSERVABLES else int(Row.DRIFT)
 
 
 def integral_scales(

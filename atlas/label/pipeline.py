@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..flags import Label, Status
-from ..kernel import numeric_bound
+from ..kernel import blocks, numeric_bound
 from ..kernel.ensemble import Ensemble
+from ..kernel.generated import WIDTH
+from ..kernel.statistics import Row
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..kernel.tableaux import METHODS
 from ..measure.circle import ANY_AXIS_THEORY
@@ -149,11 +152,8 @@ class _Runs:
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
         points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
-
-        def progress(point_steps: int) -> None:
-            self.progress(points * point_steps / total)
-
-        ensemble = self.after_transient(self.ensemble, self.tile.points, step_sizes, progress)
+        options: dict[str, Any] = {"threads": self.threads, "progress": lambda n: self.progress(points * n / total)}  # fmt: skip
+        ensemble = after_transient(self.plan, self.tile.points, self.ensemble, step_sizes, **options)
         stop_rate = None
         if self.plan.may_stop_early:
             with np.errstate(all="ignore"):
@@ -161,9 +161,8 @@ class _Runs:
                 stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
                 stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
         integration = ensemble.integrate(
-            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=self.threads,
-            progress=progress,
-        )  # fmt: skip
+            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, **options
+        )
         rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
             self.plan.system, settings, self.plan.instruments, ensemble, self.step_sizes, rates, growth,
@@ -172,19 +171,10 @@ class _Runs:
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
         """The points of a run integrated by other steps."""
-        ensemble = self.after_transient(run.ensemble, run.points, step_sizes, self.check)
-        integration = ensemble.integrate(
-            self.plan.kernel, step_sizes, run.settings.cylinder, threads=self.threads, progress=self.check
-        )  # fmt: skip
+        options: dict[str, Any] = {"threads": self.threads, "progress": self.check}
+        ensemble = after_transient(self.plan, run.points, run.ensemble, step_sizes, **options)
+        integration = ensemble.integrate(self.plan.kernel, step_sizes, run.settings.cylinder, **options)
         return replace(run, ensemble=ensemble, step_sizes=step_sizes, integration=integration).measure()
-
-    def after_transient(
-        self, ensemble: Ensemble, points: Points, step_sizes: StepSizes, progress: Callable[[int], None]
-    ) -> Ensemble:
-        plan = self.plan
-        return ensemble.after_transient(
-            plan.system, points, plan.plugs, plan.kernel, step_sizes, threads=self.threads, progress=progress
-        )
 
     def resolved(self, run: Run) -> Mask:
         """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
@@ -219,7 +209,7 @@ def _prepare(
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
     periods, duration = whole_periods(system, ensemble.constants, tile.duration)
-    transient = np.where(tile.before > 0, whole_periods(system, ensemble.constants, tile.before)[1], 0.0)
+    _, transient = whole_periods(system, ensemble.constants, np.broadcast_to(tile.transient, duration.shape))
     tile = replace(tile, duration=duration, transient=transient)
     bound, settled = numeric_bound.along_runs(
         system, plan.kernel, method, ensemble, tile.until, settings.max_steps, threads=threads
@@ -236,18 +226,30 @@ def _prepare(
         if plan.has_tangent:
             from ..measure.tangent_runs import TangentRuns
 
-            def tangent_runs(length: Array, has_chaos: bool) -> TangentRuns:
-                return TangentRuns.of(
-                    system, plan.tangent_kernel, ensemble, tile.points, length, settings, step_sizes,
-                    has_chaos=has_chaos,
-                )  # fmt: skip
-
-            tangent = growth = tangent_runs(duration if plan.has_chaos else tile.until, plan.has_chaos)
+            of = partial(TangentRuns.of, system, plan.tangent_kernel, ensemble, tile.points)
+            own = settings, step_sizes
+            tangent = growth = of(duration if plan.has_chaos else tile.until, *own, has_chaos=plan.has_chaos)
             if plan.has_chaos and transient.any():
-                growth = tangent_runs(tile.until, False)
-    return _Runs(
-        plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads, progress
-    )
+                growth = of(tile.until, *own, has_chaos=False)
+    return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads, progress)  # fmt: skip
+
+
+@np.errstate(all="ignore")
+def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, **options: Any) -> Ensemble:  # fmt: skip
+    """The ensemble at the end of transients from its origin; options: threads and progress of `blocks.integrate`."""
+    where, start = np.flatnonzero(step_sizes.transient_steps), replace(ensemble, state=ensemble.origin)
+    if not where.size:
+        return start
+    steps, state, change = step_sizes.transient_steps[where], start.state.copy(), np.zeros(start.size)
+    # Two nodes are enough; at others a long run may be interrupted.
+    intervals = -(-steps * WIDTH // blocks.CHUNK)
+    strides = -(-steps // intervals)
+    step_size = step_sizes.transient[where] / (strides * intervals)
+    arrays = start.subset(where).arrays(plan.kernel, step_size)
+    blocks.integrate(plan.kernel, blocks.pack_blocks(strides * intervals, strides), arrays, **options)
+    state[:, where] = arrays.state[: len(state)]
+    change[where] = arrays.sums[0 if plan.kernel.OBSERVABLES else Row.DRIFT]
+    return replace(start, state=state, change=change).with_given(plan.system, points, plan.plugs)
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:

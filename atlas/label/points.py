@@ -19,13 +19,13 @@ from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
 from ..scene import grid
 from ..scene.checks import MAX_THREADS, texts, typed, whole_number
-from ..scene.model import DEFAULTS, NO_TRANSIENT, Duration, Settings
-from ..scene.read import check_at_points, check_std_tolerance, parse_duration, parse_transient
+from ..scene.model import DEFAULTS, Duration, Settings
+from ..scene.read import check_at_points, check_std_tolerance, check_unit, parse_duration, parse_transient
 from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
 from ..store.progress import Progress
-from ..systems.base import Array, SharedValues, System, check_possible
+from ..systems.base import Array, SharedValues, System, check_possible, derived_variables
 from ..variables import POINT, default_variables, listed_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
@@ -43,11 +43,11 @@ def label_points(
     points: Table,
     *,
     duration: str | Values = Duration.amount,
-    transient: float | str = NO_TRANSIENT.amount,
     step: float | None = None,
     tolerance: float = DEFAULTS.tolerance,
     method: str = DEFAULTS.method,
     rate_tolerance: float | str = DEFAULTS.rate_tolerance,
+    transient: float | str = 0.0,
     variables: Sequence[str] | None = None,
     threads: int | None = None,
     progress: bool = False,
@@ -68,8 +68,6 @@ def label_points(
     duration : float, array_like, DataArray or str
         In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
         rate of each point.
-    transient : float or str
-        Time before statistics, labels and indicators of chaos begin, as `duration`; at first motions may settle in it.
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
@@ -78,6 +76,8 @@ def label_points(
         "rk4" or "rk8".
     rate_tolerance : float or str
         Variation of a rate that counts as none, rad per time unit: a number, or arithmetic as in `duration`.
+    transient : float or str
+        Time before the run, in which motions may settle: statistics, labels and indicators of chaos begin after it.
     variables : sequence of str, optional
         Names of the variables wanted; default: every one that is measured or predicted.
     threads : int, optional
@@ -133,10 +133,14 @@ def label_points(
                 raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
         outputs = listed_variables(description, variables)
     source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
-    every = description.parameters
-    text = parse_duration(duration, names=every, system=description) if isinstance(duration, str) else None
-    before = parse_transient(transient, names=every, system=description)
-    check_at_points("rate_tolerance", settings.rate_tolerance, every)
+    text = parse_duration(duration, names=description.parameters) if isinstance(duration, str) else None
+    before = parse_transient(description, transient, "transient", description.parameters)
+    check_at_points("rate_tolerance", settings.rate_tolerance, description.parameters)
+    if text is not None:
+        check_unit(description, text)
+    for name, derived in derived_variables(description).items():
+        if derived.from_start and before.amount and name in outputs:
+            raise BadInput(f"variables: {name}: it is of the motion from its start, not after a transient")
     names, (*arrays, lengths), name_columns = parameter_arrays(
         description, source, keep, duration=1.0 if text is not None else duration
     )
@@ -227,7 +231,7 @@ def _warnings(system: System, outputs: Sequence[str], points: grid.Grid, duratio
     warnings = grid.count_lines(counts, system, None, duration)
     computed = points if points.exists.all() else points.subset(points.exists)
     warnings += grid.system_warnings(system, computed.base)
-    warnings += grid.unit_warnings(system, outputs, computed)
+    warnings += grid.unit_warnings(system, outputs, computed) + grid.settling_warnings(system, computed)
     try:
         system.check(points.base)
     except BadInput as error:  # incomplete points

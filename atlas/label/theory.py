@@ -132,7 +132,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
             for name in predicted_frames(system, base):
                 variables[name][near] = Label.NOT_COMPUTED
         steady = family > 0 if motion is None else motion.answer == Existence.EXACT
-        may_settle = (tile.before > 0) & ~(steady & ~pushed)
+        may_settle = (tile.transient > 0) & ~(steady & ~pushed)
         forget_drifting(system, variables, may_settle, system.constants(points), system.initial_state(points))
     growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
     return Prediction(

@@ -186,7 +186,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
     title = f"{scene.title}: trajectory at {place}"
-    duration, settings = Duration(float(located.duration[0])), scene.settings
+    duration, settings = Duration(float(located.until[0])), scene.settings
     settings = settings.with_number(float(located.rate_tolerance[0]))
     return trajectory_of_point(scene.system, point, duration, samples, settings, title)
 

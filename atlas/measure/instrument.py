@@ -88,6 +88,7 @@ class RunSettings:
     drift_tolerance: float
     std_tolerance: Mapping[str, float] | None
     check_half_step: str
+    transient: Array | float = 0.0  # time before the runs, of each point, or one of all
 
     @property
     def rate_tolerance(self) -> Array | float:
@@ -100,7 +101,8 @@ class RunSettings:
 
     def subset(self, where: Any) -> RunSettings:
         """The settings of some of the points."""
-        return replace(self, tolerances=self.tolerances.subset(where))
+        transient = self.transient if isinstance(self.transient, float) else self.transient[where]
+        return replace(self, tolerances=self.tolerances.subset(where), transient=transient)
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,7 @@ class Run:
         measured: dict[str, Array] = {}
         for instrument in self.instruments:
             measured |= instrument.measurements(self, measured)
+            measured["integral_drift"] = np.maximum(measured["integral_drift"], self.ensemble.change)
         return replace(self, measured=measured)
 
     @cached_property

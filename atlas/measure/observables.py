@@ -208,16 +208,16 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Number of periods in each run, at least one, and their duration; None if no observable is measured once a period."""
+    """Number of periods in each run, at least one of any duration, which is theirs; None if no observable is measured once a period."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
     names = dict(zip(system.equations.CONSTANTS, constants, strict=True))
     with np.errstate(all="ignore"):
         period = np.abs(arithmetic.value("every", every, names))
-        periods = np.clip(np.floor(duration / period + MISSING), 1, MAX_PERIODS)
+        periods = np.clip(np.floor(duration / period + MISSING), duration > 0, MAX_PERIODS)
         periods = np.nan_to_num(periods, nan=1.0).astype(np.int64)
-        return periods, periods * period
+        return periods, np.where(periods > 0, periods * period, 0.0)
 
 
 def std_tolerances(

@@ -36,6 +36,7 @@ from ..analysis.metadata import (
 from ..errors import MAX_MESSAGE, attribute_text, printable
 from ..files import FIGURES, atomic_write, writable
 from ..scene.model import rate_text
+from ..store.dataset import TRANSIENT
 from ..systems.base import families_of
 from .options import Width, width_mm
 
@@ -349,6 +350,8 @@ def caption(ds: xr.Dataset) -> str:
             nudge = ", ".join(f"{name} by {value:g}" for name, value in scene.nudge.items())
             sentences.append(f"Starts displaced from there: {nudge}.")
         sentences.append(f"Duration {scene.duration}{'' if scene.duration.unit else ' time units'}.")
+    if TRANSIENT in attributes:
+        sentences.append(f"After a transient of {attribute_text(attributes, TRANSIENT)}.")
     step = number_attribute(ds, "atlas_step")
     accuracy = (
         f"step {step:g}"

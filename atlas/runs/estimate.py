@@ -151,7 +151,7 @@ def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
         return []
     part = plan.sample.subset(chosen)
     ended = evaluate(replace(labels, outputs=[*labels.names, "end_time"]), part, threads=threads)["end_time"]
-    share = np.minimum(np.nan_to_num(ended) / part.duration, 1.0)
+    share = np.minimum(np.nan_to_num(ended) / part.until, 1.0)
     left = (share * steps[chosen]).sum() / steps[chosen].sum()
     return [f"statistics: they need whole runs; without them about {left:.2g} of the integration"]
 
@@ -206,7 +206,8 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
             return plan
         # A limited number of steps does not depend on the duration: shorten both.
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
-        sample = replace(plan.sample, duration=plan.sample.duration * fraction)
+        duration, transient = fraction * plan.sample.duration, fraction * plan.sample.transient
+        sample = replace(plan.sample, duration=duration, transient=transient)
         plan = ScenePlan(replace(plan.scene, settings=settings), sample)
 
 

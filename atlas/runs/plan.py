@@ -67,13 +67,13 @@ class ScenePlan:
     def _bound(self) -> Array:
         """Frequency bound of the sample, known without integration."""
         with np.errstate(all="ignore"):
-            return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.duration)
+            return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.until)
 
     def step_sizes_by(self, settings: Settings) -> StepSizes:
         """Step sizes of the sample by these settings, with their expected errors."""
         with np.errstate(all="ignore"):
             settings_at_points = settings.at(self.sample.rate_tolerance)
-            return StepSizes.of(settings_at_points, self._bound, self.sample.duration)
+            return StepSizes.of(settings_at_points, self._bound, self.sample.until)
 
     @cached_property
     def step_sizes(self) -> StepSizes:
@@ -188,7 +188,12 @@ class ScenePlan:
         return method_lines(self.scene.settings.method, self.relative_costs)
 
     def statistics_lines(self) -> list[str]:
-        """A sentence on the runs that by theory would end early without statistics."""
+        """A sentence on the runs that by theory would end early without statistics, or on transients, in which none ends."""
+        before, until = np.sum(self.sample.transient), self.sample.until.sum()
+        if self.points.may_stop_early and before > 0:
+            return [
+                f"transient: {100 * before / until:.3g} % of the time of all runs, in which none ends early, however certain its label"
+            ]
         if self.points.without_statistics is None:
             return []
         from ..label.theory import predict_runs

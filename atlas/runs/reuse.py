@@ -116,13 +116,13 @@ def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
     some = np.unique(np.linspace(0, old.size - 1, SAMPLE).astype(np.int64))
     if (_indices_in(scene, old, some, grid.points_at_indices(old, some)) < 0).all():
         raise BadInput(
-            f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration and"
-            " rate tolerance and equal values of all parameters"
+            f"{path}: none of {some.size} points of it, evenly chosen, is a point of the scene, with the same duration,"
+            " transient and rate tolerance and equal values of all parameters"
         )
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """All that the bits of a point depend on, apart from its parameters, its duration and its rate tolerance."""
+    """All that the bits of a point depend on, apart from its parameters, duration, transient and rate tolerance."""
     return {
         "system": plan.system.name,
         **{f.name: getattr(plan.settings, f.name) for f in fields(Settings) if f.name != "rate_tolerance"},
@@ -155,7 +155,7 @@ def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Gr
     if candidates.size:
         ours, theirs = points.subset(candidates), grid.points_at_indices(other, result[candidates])
         columns, others = (
-            [g.duration, g.before, g.rate_tolerance, *g.base.values(), *g.points.values()]
+            [g.duration, np.asarray(g.transient), g.rate_tolerance, *g.base.values(), *g.points.values()]
             for g in (ours, theirs)
         )
         same = ours.reason == theirs.reason

@@ -30,6 +30,7 @@ from ..systems.base import (
     subset,
     within_range,
 )
+from ..systems.jacobian import changes_volume
 from ..systems.steady import lacks_theory
 from .checks import check_range
 from .expressions import Expression
@@ -83,17 +84,12 @@ class Grid:
     duration: Array  # length of the run in time units; float64 of shape (points,), nan where it has no value
     rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where it has no value
     step: Array | None = None  # length of a step in time units, in place of `settings.step`
-    transient: Array | None = None  # time before the run in time units; None: 0 everywhere
-
-    @property
-    def before(self) -> Array:
-        """Time from the start to the run, float64 of shape (points,)."""
-        return np.zeros(self.duration.shape) if self.transient is None else self.transient
+    transient: Array | float = 0.0  # time before the run in time units, (points,) or one of all
 
     @property
     def until(self) -> Array:
         """Time from the start to the end of the run."""
-        return self.before + self.duration
+        return self.transient + self.duration
 
     @property
     def exists(self) -> Mask:
@@ -103,9 +99,10 @@ class Grid:
     def subset(self, where: np.ndarray | slice) -> Grid:
         """Some of the points, by their indices, a mask or a slice."""
         base, points = subset(self.base, where), subset(self.points, where)
-        step, transient = (None if each is None else each[where] for each in (self.step, self.transient))
-        duration, rate_tolerance = self.duration[where], self.rate_tolerance[where]
-        return Grid(base, points, self.reason[where], duration, rate_tolerance, step, transient)
+        step = None if self.step is None else self.step[where]
+        transient = self.transient if isinstance(self.transient, float) else self.transient[where]
+        lengths = self.duration[where], self.rate_tolerance[where], step, transient
+        return Grid(base, points, self.reason[where], *lengths)
 
 
 def status_of(reason: Flags) -> Flags:
@@ -208,9 +205,7 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
-def at_points(
-    system: System, amount: float | str, points: Points, names: Points | None = None, *, zero: bool = False
-) -> Array:
+def at_points(system: System, amount: float | str, points: Points, names: Points | None = None, zero: bool = False) -> Array:  # fmt: skip
     """A number, or the values of arithmetic, at points, (points,); nan where they are not finite and above 0.
 
     names: values of every name in the arithmetic, by default of the parameters; zero: whether 0 is allowed.
@@ -284,12 +279,14 @@ def check(scene: Scene) -> Grid:
                 if (grid.reason == Reason.NO_DURATION).any()
                 else f"labels.rate_tolerance = {shown(str(scene.settings.rate_tolerance))}: at every point {_NO_NUMBER}"
                 if (grid.reason == Reason.NO_TOLERANCE).any()
-                else f"labels.transient = {shown(str(scene.transient))}: at no point a time"
+                else f"labels.transient = {shown(str(scene.transient))}: at no point a finite time of at least 0"
             )
         on_grid = grid.subset(grid.exists)
         for name, derived in derived_variables(scene.system).items():
             if name in scene.outputs:
                 try:
+                    if derived.from_start and scene.transient.amount:
+                        raise BadInput("it is of the motion from its start, not after a transient")
                     derived.check(on_grid.base, on_grid.duration)
                 except BadInput as error:
                     raise BadInput(f"outputs.variables: {name}: {error}") from None
@@ -342,7 +339,7 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
         Reason.NO_MOTION: f"the family {family} has no motion here",
         Reason.NO_DURATION: f"duration = {shown(str(duration))}, but {_NOTHING_TURNS[duration.unit]}",
         Reason.NO_TOLERANCE: "rate_tolerance is no finite number above 0",
-        Reason.NO_TRANSIENT: "transient is no finite time, at least 0",
+        Reason.NO_TRANSIENT: "transient is no finite time of at least 0",
     }[reason]
 
 
@@ -353,6 +350,7 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
         *not_computed(scene, sample),
         *system_warnings(scene.system, points.base),
         *unit_warnings(scene.system, scene.outputs, points, whole=sample.reason.size == scene.size),
+        *([] if scene.nudge else settling_warnings(scene.system, points)),
     ]
 
 
@@ -380,11 +378,24 @@ def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, who
     return messages
 
 
+def settling_warnings(system: System, points: Grid) -> list[str]:
+    """A warning about transients of motions that nothing damps or drives, near the start neither."""
+    if not np.any(points.transient):
+        return []
+    points = points.subset(_even_indices(points.duration.size, MAX_CHECKED_STARTS))
+    state, constants = system.initial_state(points.points), system.constants(points.points)
+    changes = [changes_volume(system.equations, factor * state, constants) for factor in (1.0, 1.1)]
+    share = 100 * float(((points.transient > 0) & ~np.any(changes, axis=0)).mean())
+    text = f"transient: nothing damps the motion at {share:.3g} % of the points, where it never settles"
+    return [text] if share else []
+
+
 def settings_lines(scene: Scene, sample: Grid) -> list[str]:
     """A sentence on what a duration and a rate tolerance that are arithmetic are in numbers."""
     settings = (
         ("duration", scene.duration.amount, sample.duration, "time units"),
         ("rate_tolerance", scene.settings.rate_tolerance, sample.rate_tolerance, "rad per time unit"),
+        ("transient", scene.transient.amount, np.asarray(sample.transient), "time units"),
     )
     texts = [
         f'{name} = "{amount}" is {_interval(values[sample.exists].min(), values[sample.exists].max())} {unit}'

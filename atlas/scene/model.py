@@ -91,11 +91,11 @@ class Settings:
         """The settings with a number in place of arithmetic, and the same cylinder."""
         return replace(self, rate_tolerance=rate_tolerance, cylinder_tolerance=self.cylinder)
 
-    def at(self, rate_tolerance: Array | float) -> RunSettings:
-        """The settings of points with these rate tolerances, (points,) or one of all, rad per time unit."""
+    def at(self, rate_tolerance: Array | float, transient: Array | float = 0.0) -> RunSettings:
+        """The settings of points with these rate tolerances, (points,) or one of all, rad per time unit, and transients."""
         return RunSettings(
             self.method, self.tolerance, self.step, self.max_steps, Tolerances(rate_tolerance, self.cylinder),
-            self.drift_tolerance, self.std_tolerance, self.check_half_step,
+            self.drift_tolerance, self.std_tolerance, self.check_half_step, transient,
         )  # fmt: skip
 
 
@@ -154,9 +154,6 @@ class Duration:
         unit = self.unit.removesuffix("s") if self.amount == 1 else self.unit
         amount = self.amount if isinstance(self.amount, str) else repr(self.amount).removesuffix(".0")
         return f"{amount} {unit}".strip()
-
-
-NO_TRANSIENT = Duration(0.0)
 
 
 @dataclass(frozen=True)
@@ -238,7 +235,7 @@ class Scene:
     solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order of their use
     nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
     duration: Duration = Duration()  # length of the runs
-    transient: Duration = NO_TRANSIENT  # time before statistics and labels begin
+    transient: Duration = Duration(0.0)  # time before statistics and labels begin
     settings: Settings = DEFAULTS  # integration and labels
     outputs: tuple[str, ...] = ()  # variables of the atlas
     map: str = ""  # default variable of its map and its page; empty: see `analysis.metadata.map_variable`

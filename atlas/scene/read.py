@@ -31,7 +31,6 @@ from .expressions import Expression, PointColumn, Tie, evaluation_order
 from .family import free_message
 from .model import (
     DURATION_UNITS,
-    NO_TRANSIENT,
     SCHEMA,
     About,
     Axis,
@@ -509,11 +508,12 @@ def _integration(
     if "step" in values and "tolerance" in values:
         raise BadInput("integration: step and tolerance are both given; a scene has one of them")
     duration = (
-        parse_duration(integration["duration"], "integration.duration", names, system)
+        parse_duration(integration["duration"], "integration.duration", names)
         if "duration" in integration
         else Duration()
     )
-    transient = parse_transient(labels.get("transient", 0), "labels.transient", names, system)
+    check_unit(system, duration, "integration.duration")
+    transient = parse_transient(system, labels.get("transient", 0), "labels.transient", names)
     check_std_tolerance(system, values.get("std_tolerance"), "labels.std_tolerance")
     settings = Settings(**values)
     check_at_points("labels.rate_tolerance", settings.rate_tolerance, names)
@@ -532,13 +532,8 @@ def check_std_tolerance(
             )
 
 
-def parse_duration(
-    value: object, key: str = "duration", names: Collection[str] = (), system: System | None = None
-) -> Duration:
-    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput.
-
-    system: in which the unit must have a meaning.
-    """
+def parse_duration(value: object, key: str = "duration", names: Collection[str] = ()) -> Duration:
+    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"([-+]?[0-9.][-+0-9.eE]*)\s*([A-Za-z]+)", value.strip())
@@ -561,15 +556,15 @@ def parse_duration(
         raise BadInput(f"{key} = {shown(value)}: {shown(match[1])} is not a number") from None
     if not (math.isfinite(amount) and amount > 0):
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
-    if system is not None:
-        check_unit(system, Duration(amount, unit), key)
     return Duration(amount, unit)
 
 
-def parse_transient(value: object, key: str = "transient", *arguments: Any, **options: Any) -> Duration:
-    """As `parse_duration`; 0 is allowed."""
-    is_zero = value in (0, "0") and not isinstance(value, bool)
-    return NO_TRANSIENT if is_zero else parse_duration(value, key, *arguments, **options)
+def parse_transient(system: System, value: object, key: str, names: Collection[str]) -> Duration:
+    """Time before runs of a system, as `parse_duration`; 0 is allowed."""
+    if value in (0, "0") and not isinstance(value, bool):
+        return Duration(0.0)
+    check_unit(system, transient := parse_duration(value, key, names), key)
+    return transient
 
 
 def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:

@@ -18,7 +18,7 @@ from .._version import __version__
 from ..errors import BadInput
 from ..measure.observables import std_tolerances
 from ..scene import grid
-from ..scene.model import NO_TRANSIENT, About, Duration, Scene, Settings
+from ..scene.model import About, Duration, Scene, Settings
 from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables
 
@@ -167,7 +167,7 @@ def history_text(reused: Mapping[str, int]) -> dict[str, str]:
 
 def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
-    title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration = NO_TRANSIENT,
+    title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title and variables.
 
@@ -216,7 +216,7 @@ def provenance(
     if limits := std_tolerances(system, settings.std_tolerance, settings.rate_tolerance):
         attributes["atlas_std_tolerance"] = ", ".join(f"{name} {limit}" for name, limit in limits.items())
     transient = transient if scene is None else scene.transient
-    if transient.amount:
+    if transient is not None and transient.amount:
         attributes[TRANSIENT] = str(transient)
     if warnings:
         attributes["atlas_warnings"] = "; ".join(warnings)

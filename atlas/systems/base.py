@@ -179,6 +179,7 @@ class DerivedVariable:
     check: Callable[[Points, Array], object] = lambda points, duration: None
     # of a variable of flags, int8: name -> sentence of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
+    from_start: bool = False  # whether it is of the motion from its start, refused with a transient
     # As `values`, of several variables by their names: the same function for all that share intermediate results.
     group_values: GroupValues | None = None
 

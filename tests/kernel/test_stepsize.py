@@ -219,3 +219,25 @@ def test_coarsened_step_sizes(method):
     ratio = fine.steps / coarse.steps
     np.testing.assert_allclose(coarse.rate_error, fine.rate_error * ratio**method.order)
     np.testing.assert_allclose(fine.halved(method).rate_error, fine.rate_error / 2**method.order)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_transient_and_a_run_take_the_steps_of_a_whole_run(method):
+    """No longer ones, hardly more of them, with the same errors; halved ones are twice as many."""
+    rng = np.random.default_rng(6)
+    bound, duration = 10 ** rng.uniform(-2, 2, 300), 10 ** rng.uniform(-1, 3, 300)
+    transient = 10 ** rng.uniform(-1, 3, 300) * (rng.uniform(size=300) > 0.2)
+    settings = Settings(method=method).at(1e-5)
+    whole = StepSizes.of(settings, bound, transient + duration)
+    sizes, none = whole.after(transient, duration), transient == 0
+    assert (sizes.transient_steps[none] == 0).all()
+    np.testing.assert_array_equal(sizes.step_size[none], whole.step_size[none])
+    np.testing.assert_array_equal(sizes.steps[none], whole.steps[none])
+    np.testing.assert_allclose(sizes.steps * sizes.step_size, duration, rtol=1e-12)
+    assert (sizes.step_size <= whole.step_size * (1 + 1e-9)).all()
+    assert (transient <= sizes.transient_steps * whole.step_size * (1 + 1e-9)).all()
+    assert (sizes.whole_steps <= whole.steps + 8 * whole.steps_per_sample).all()
+    assert (sizes.steps % sizes.steps_per_sample == 0).all()
+    np.testing.assert_array_equal(sizes.dispersion_error, whole.dispersion_error)
+    halved = sizes.halved(METHODS[method])
+    np.testing.assert_array_equal(halved.whole_steps, 2 * sizes.whole_steps)

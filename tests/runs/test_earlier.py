@@ -68,6 +68,22 @@ def test_an_extended_atlas_is_a_fresh_one_and_only_new_points_are_integrated(
         assert line.startswith(f"{shared} points of: small; Precession Atlas")
 
 
+def test_points_with_the_same_transient_are_taken(scene_text, tmp_path, evaluated):
+    """Of two transients that are arithmetic, equal along one half of an axis."""
+    changes = {"axes.sigma": {"values": SIGMA}, "labels.transient": "5 + 0 * sigma"}
+    atlas.run(load_scene(scene_text(changes)), tmp_path / "old.nc", progress=False).close()
+    scene = load_scene(scene_text(changes | {"labels.transient": "5 + abs(sigma - 0.9) + sigma - 0.9"}))
+    fresh = atlas.run(scene, progress=False)
+    some = int((fresh.status.where(fresh.sigma < 0.89, 0) > 0).sum())
+    every = int((fresh.status > 0).sum())
+    evaluated.clear()
+    extended = atlas.run(scene, reuse=tmp_path / "old.nc", progress=False)
+    assert 0 < sum(evaluated) < every
+    assert every - sum(evaluated) <= some
+    assert_same_bytes(fresh, extended)
+    assert extended.attrs["atlas_transient"] == "5 + abs(sigma - 0.9) + sigma - 0.9"
+
+
 def test_a_zero_with_another_sign_is_another_point(old, scene_text):
     """As starts and in the bits of results 0.0 and -0.0 differ."""
     scene = load_scene(scene_text({"axes.sigma": {"values": SIGMA}, "fixed.phi0": -0.0}))
@@ -150,6 +166,10 @@ def test_of_a_refined_atlas_only_integrated_points_are_taken(scene_text, tmp_pat
         ({"labels.rate_tolerance": 1e-4}, "differs in cylinder_tolerance"),
         ({"nudge": None}, r"nudge \(some in .*, none in the scene\)"),
         ({"integration.duration": 60.0}, "none of 63 points .* with the same duration"),
+        (
+            {"labels.transient": 3.0},
+            "none of 63 points .* with the same duration, transient and rate tolerance",
+        ),
         ({"fixed.m": 0.6}, "none of 63 points"),
         ({"axes.h1": {"values": [0.0, 0.5]}, "fixed.mu3": 0.5}, "differs in kernel"),
         ({"outputs": {"variables": ["label"]}}, "until the label is certain in the scene"),

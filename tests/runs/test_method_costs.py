@@ -83,6 +83,11 @@ def test_dry_run_measures_and_check_expects_what_statistics_cost():
     assert 0.2 <= float(share[1]) < 0.25
     table["outputs"] = {"variables": ["label", "predicted"]}
     assert ScenePlan.of(load_scene(table)).statistics_lines() == []
+    table["integration"]["duration"], table["labels"] = 10.0, {"transient": 30.0}
+    (line,) = ScenePlan.of(load_scene(table)).statistics_lines()
+    assert (
+        line == "transient: 75 % of the time of all runs, in which none ends early, however certain its label"
+    )
 
 
 def test_the_first_line_of_a_run_names_a_faster_method(small_scene, capsys):

@@ -47,6 +47,7 @@ VALID = [
     ("from = 0.3\nto = 1.7\ncount = 9", "values = [0.3, 1]"),
     ("[ties]", "[axes.k3]\nfrom = -0.1\nto = 0.1\ncount = 3\noffset_from_family = true\n[ties]"),
     ("[labels]", "[refine]\nlevels = 2\n[labels]"),
+    *(("[labels]", f"[labels]\ntransient = {value}") for value in ("0", "20.5", '"5 turns"', '"20 / Omega"')),
 ]
 
 
@@ -65,6 +66,8 @@ def test_a_sample_is_valid(validator):
 
 INVALID = [
     (SMALL, "schema = 1", "schema = 2"),
+    (SMALL, "[labels]", "[labels]\ntransient = -1.0"),
+    (SMALL, "[labels]", "[labels]\ntransient = true"),
     (SMALL, "schema = 1\n", ""),
     (SMALL, '"satellite"', '"sputnik"'),
     (SMALL, 'title = "small"', "colour = 3"),

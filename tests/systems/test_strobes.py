@@ -1,5 +1,7 @@
 """Observables that are measured once a period, against closed forms and SciPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy import cos, sin
@@ -86,6 +88,20 @@ def test_statistics_are_those_of_the_instants(forced):
     assert ds.v_mean.attrs["long_name"] == "mean of the v"
 
 
+def test_a_transient_is_of_whole_periods(forced):
+    given, amplitude = points()
+    ds = atlas.label_points("forced", given, duration=20.0, transient=9.0, tolerance=1e-9)
+    period = 2 * np.pi / given["w"]
+    before, count = (np.floor(time / period + 1e-3).astype(int) for time in (9.0, 20.0))
+    np.testing.assert_allclose(ds.end_time, (before + count) * period, rtol=1e-14)
+    for i in range(0, 40, 7):
+        t = (before[i] + np.arange(count[i] + 1)) * period[i]
+        x = amplitude[i] + (given["x0"][i] - amplitude[i]) * cos(t)
+        exact = {"mean": x.mean(), "std": x.std(), "min": x.min(), "max": x.max()}
+        for statistic, value in exact.items():
+            assert float(ds[f"strobed_x_{statistic}"][i]) == pytest.approx(value, abs=1e-7)
+
+
 def test_results_depend_on_no_neighbour_or_cut(forced, monkeypatch):
     from atlas.kernel import blocks
 
@@ -119,6 +135,11 @@ def test_reference_by_dop853_measures_at_the_same_instants(forced):
     exact = reference(forced, given, np.full(2, 12.0), settings)
     ds = atlas.label_points("forced", given, duration=12.0, tolerance=1e-9)
     for name, values in exact.statistics.items():
+        np.testing.assert_allclose(ds[name], values, atol=1e-8, err_msg=name)
+    period = 2 * np.pi / given["w"]
+    after = reference(forced, given, np.full(2, 12.0), replace(settings, transient=2 * period))
+    ds = atlas.label_points("forced", given, duration=12.0, tolerance=1e-9, transient="4 * pi / w")
+    for name, values in after.statistics.items():
         np.testing.assert_allclose(ds[name], values, atol=1e-8, err_msg=name)
 
 

@@ -46,7 +46,8 @@ def _errors(form: str) -> dict[str, DerivedVariable]:
         (names[0], "rad", f"largest error of gamma {text}"),
         (names[1], "1", f"largest error of p + i q {text}, over its largest magnitude"),
     )
-    return {row[0]: DerivedVariable.of_group(compute_group, *row, comment, check=check) for row in rows}
+    kept: dict[str, Any] = {"check": check, "from_start": True}
+    return {row[0]: DerivedVariable.of_group(compute_group, *row, comment, **kept) for row in rows}
 
 
 def periodic_solutions(system: System) -> dict[str, DerivedVariable]:

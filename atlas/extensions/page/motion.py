@@ -89,7 +89,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         reason, family, unit = grid.reasons(system, parameters), None, Duration()
     else:
         located = grid.points_at(scene, {axis.name: column(dim) for dim, axis in axes_of(scene).items()})
-        parameters, duration, settings = located.points, located.duration, scene.settings
+        parameters, duration, settings = located.points, located.until, scene.settings
         reason, rate_tolerance = located.reason, located.rate_tolerance
         family, unit = scene.family, scene.duration
     sentences = [grid.sentence(each, system, family, unit) if each else "" for each in grid.Reason]

@@ -13,7 +13,8 @@ from ...errors import BadInput, allowed_text, attribute_text, shown
 from ...flags import Status
 from ...label.points import label_points
 from ...plotting.maps import atlas_map
-from .section import AT, DIMS, LENGTH, TRANSIENT
+from ...store.dataset import TRANSIENT
+from .section import AT, DIMS, LENGTH
 
 LARGEST_DOT = 2.0  # square points
 
@@ -30,8 +31,8 @@ def section_map(
     x, y : str, optional
         What the section keeps, or time or error; default the first two.
     colour : str, optional
-        A parameter or variable of the points, or "regularity", which `label_points` measures over the duration of the section;
-        default black.
+        A parameter or variable of the points, or "regularity", which `label_points` measures over the duration of the section,
+        after its transient; default black.
     **options
         As of `map`, such as title, ax, legend and width.
 
@@ -45,12 +46,10 @@ def section_map(
     kept = [str(name) for name in ds if ds[name].dims == DIMS]
     axes = [name or default for name, default in zip((x, y), kept, strict=False)]
     if colour == "regularity" and colour not in ds:
-        transient = attribute_text(ds.attrs, TRANSIENT)
-        settings: dict[str, Any] = {} if transient == "0" else {"transient": transient}
         given = {name: ds[name].values for name in system_of(ds).parameters if name in ds.coords}
         labels = label_points(
             attribute_text(ds.attrs, "atlas_system"), given, duration=attribute_text(ds.attrs, LENGTH),
-            variables=["regularity", "label", "lyapunov"], **settings,
+            transient=attribute_text(ds.attrs, TRANSIENT), variables=["regularity", "label", "lyapunov"],
         )  # fmt: skip
         ds = ds.assign({colour: ("point", labels[colour].values.reshape(-1), labels[colour].attrs)})
     of_points = [

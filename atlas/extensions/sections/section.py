@@ -19,9 +19,10 @@ from ...label.plan import Plan
 from ...scene import grid
 from ...scene.checks import texts, typed, whole_number
 from ...scene.model import Settings
-from ...scene.read import check_unit, parse_duration
+from ...scene.read import check_unit, parse_duration, parse_transient
 from ...scene.tables import Table, flat_columns, parameter_arrays, table
 from ...store import dataset
+from ...store.dataset import TRANSIENT
 from ...systems.base import NATURAL_RATE, System, check_possible, subset
 from .crossings import crossings
 from .surface import ANGLES, BODY, Surface
@@ -29,7 +30,7 @@ from .surface import ANGLES, BODY, Surface
 DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
 DIMS = ("point", "crossing")
-AT, LENGTH, TRANSIENT = "atlas_section", "atlas_duration", "atlas_transient"  # attributes
+AT, LENGTH = "atlas_section", "atlas_duration"  # attributes
 MAX_VALUES = 10**8  # of each kept quantity
 SPREAD = 1e-6  # relative difference of first integrals among points from which on a warning follows
 
@@ -112,17 +113,15 @@ def section(
     columns = flat_columns(description, names, [array.values for array in arrays], (size,), source)
     description.check(columns)
     check_possible(description, columns)
-    later = np.zeros(size)
-    for key, value in (("transient", transient), ("duration", DURATION if duration is None else duration)):
-        if key == "duration" or value != 0:
-            length = parse_duration(value, key, description.parameters)
-            check_unit(description, length, key)
-            lengths = grid.durations(description, length, columns, key=key)
-            later = later if key == "duration" else lengths
+    before = parse_transient(description, transient, "transient", description.parameters)
+    length = parse_duration(DURATION if duration is None else duration, names=description.parameters)
+    check_unit(description, length)
+    later = grid.durations(description, before, columns, key="transient", zero=True)
+    lengths = grid.durations(description, length, columns)
     total = later + lengths
     rate_tolerance = grid.at_points(description, settings.rate_tolerance, columns)
     reason = grid.reasons(description, columns)
-    grid.without_settings(reason, total, rate_tolerance)
+    grid.without_settings(reason, lengths, rate_tolerance, later)
     if (reason != grid.Reason.NONE).all():
         raise BadInput(f"no motion: {grid.sentence(grid.Reason(reason.max()), description, None, length)}")
     plan, runner = Plan.of_points(description, settings, None, names), METHODS[method]
@@ -184,7 +183,7 @@ def section(
         description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings
     )
     ds.attrs |= {
-        AT: at, LENGTH: str(length), TRANSIENT: str(transient or 0),
+        AT: at, LENGTH: str(length), TRANSIENT: str(before),
         "atlas_integral_spread": max(spread.values(), default=0.0),
     }  # fmt: skip
     return ds

@@ -46,7 +46,7 @@ from ...systems.base import stress_cases_of
         "--vary",
         belongs=str.isidentifier,
         metavar="SETTING",
-        help="how labels depend on duration, rate_tolerance or tolerance instead; one or several",
+        help="how labels depend on duration, transient, rate_tolerance or tolerance instead; one or several",
     ),
 )
 def measure_accuracy(options: argparse.Namespace) -> None:

@@ -23,7 +23,9 @@ from ...store import dataset
 from ...store.progress import Progress
 
 # Setting -> factors of its value at which a changed flag counts on the map; other FACTORS are computed for the table alone.
-VARIED = {"duration": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5)}
+VARIED = {
+    "duration": (2.0, 4.0), "transient": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5),
+}  # fmt: skip
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
 MAX_POINTS = 10_000  # default
@@ -41,6 +43,8 @@ def convergence(
     for name in names:
         if name not in VARIED:
             raise BadInput(f"{name}: cannot be varied; {allowed_text(name, VARIED)}")
+        if name == "transient" and not scene.transient.amount:
+            raise BadInput("transient: the scene has none; labels.transient gives it one")
     flags = tuple(name for name in FLAGS if name == "label" or name in scene.outputs)
     if scene.refine is not None:
         factors = zip(scene.axes.items(), scene.coarsening, strict=True)
@@ -88,8 +92,9 @@ def convergence(
 
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
     """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
-    if name == "duration":
-        return replace(scene, duration=replace(scene.duration, amount=_times(factor, scene.duration.amount)))
+    if name in ("duration", "transient"):
+        length = getattr(scene, name)
+        return replace(scene, **{name: replace(length, amount=_times(factor, length.amount))})
     settings = scene.settings
     if name == "tolerance" and settings.step is not None:
         name = "step"

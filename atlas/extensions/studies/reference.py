@@ -78,7 +78,7 @@ def reference(
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
-        run, failed = _dop853(system, points, duration, settings.cylinder, rtol, advance)
+        run, failed = _dop853(system, points, duration, settings.cylinder, rtol, advance, settings.transient)
         if failed.any():
             raise ReferenceFailure(np.flatnonzero(failed))
         runs.append(run)
@@ -86,7 +86,7 @@ def reference(
     exact = np.zeros(duration.shape, bool)
     main = main_instrument(system)
     if main.has_theory:
-        closed, exact = _closed_forms(system, points, duration, settings.cylinder)
+        closed, exact = _closed_forms(system, points, settings.transient + duration, settings.cylinder)
         best = {name: np.where(exact, closed[name], runs[0][name]) for name in runs[0]}
         other = {name: np.where(exact, runs[0][name], runs[1][name]) for name in runs[0]}
     frame_rates: list[Array | float] = [0.0]
@@ -162,11 +162,12 @@ def _closed_forms(system: System, points: Points, duration: Array, cylinder: flo
 
 
 def _dop853(
-    system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance
-) -> tuple[Run, Mask]:
+    system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance,
+    transient: Array | float = 0.0,
+) -> tuple[Run, Mask]:  # fmt: skip
     """Runs by DOP853, NaN at the points where one fails, and a mask of these points."""
     with np.errstate(all="ignore"):
-        radians = system.frequency_bound(points) * duration
+        radians = system.frequency_bound(points) * (transient + duration)
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
     failed = ~usable
     run: Run = {}
@@ -181,10 +182,11 @@ def _dop853(
     while groups:
         group = groups.pop()
         members = subset(points, group)
+        start = _after_transient(system, members, np.broadcast_to(transient, duration.shape)[group], rtol)
         if main_instrument(system).has_theory:
-            part = _integrate_group(system, members, duration[group], cylinder, rtol, advance)
+            part = _integrate_group(system, members, duration[group], cylinder, rtol, advance, start)
         else:
-            part = integrate_observed_group(system, members, duration[group], rtol, advance)
+            part = integrate_observed_group(system, members, duration[group], rtol, advance, start)
         if part is None and group.size == 1:
             failed[group] = True
         elif part is None:  # halve the group until the point that fails is alone
@@ -196,6 +198,19 @@ def _dop853(
     return run, failed
 
 
+def _after_transient(system: System, points: Points, transient: Array | float, rtol: float) -> Array:
+    """States after transients, integrated as one system of equations; nan where that fails."""
+    start, constants, rhs = system.initial_state(points), system.constants(points), system.equations.rhs
+
+    def slope(_: float, flat: Array) -> Array:
+        return np.concatenate([transient * rate for rate in rhs(flat.reshape(start.shape), constants)])
+
+    if not np.any(transient):
+        return start
+    run = solve_ivp(slope, (0.0, 1.0), start.ravel(), "DOP853", rtol=rtol, atol=rtol)
+    return run.y[:, -1].reshape(start.shape) if run.success else np.full_like(start, np.nan)
+
+
 def _integrate_group(
     system: System,
     points: Points,
@@ -203,9 +218,11 @@ def _integrate_group(
     cylinder: float,
     rtol: float,
     advance: Advance = no_progress,
+    start: Array | None = None,
 ) -> Run | None:
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
-    equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
+    equations, constants = system.equations, system.constants(points)
+    start = system.initial_state(points) if start is None else start
     states, size = start.shape
     *first, _, theta0 = euler_rates(equations.frame_motion(start, constants), cylinder)
     rates0, wide, write_slopes = np.array(first), tuple(constants[:, :, None]), slope_kernel(system).integrate
@@ -287,11 +304,10 @@ def observe(system: System, state: Array, constants: Array) -> Array:
 
 
 def integrate_observed_group(
-    system: System, points: Points, duration: Array, rtol: float, advance: Callable[[float], None]
+    system: System, points: Points, duration: Array, rtol: float, advance: Advance, start: Array
 ) -> dict[str, Array] | None:
     """Integrate the points as one system of equations in the time t / duration; None if a step fails."""
-    equations, constants, start = system.equations, system.constants(points), system.initial_state(points)
-    states, size = start.shape
+    equations, constants, (states, size) = system.equations, system.constants(points), start.shape
     first = observe(system, start, constants)
     periods, duration = observables.whole_periods(system, constants, duration)
 

@@ -23,7 +23,7 @@ from ...kernel.specialization import kernel
 from ...kernel.stepsize import StepSizes
 from ...kernel.tableaux import METHODS
 from ...label.half_step import stratified_indices, upper_bound
-from ...label.pipeline import evaluate
+from ...label.pipeline import after_transient, evaluate
 from ...label.plan import Plan
 from ...measure.observables import whole_periods
 from ...measure.rates import state_distance
@@ -145,7 +145,8 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
     system, method, left_out = scene.system, METHODS[scene.settings.method], ""
     part = grid.points_at_indices(scene, indices)
     part = replace(part, duration=whole_periods(system, system.constants(part.points), part.duration)[1])
-    settings = scene.settings.at(part.rate_tolerance)
+    transient = whole_periods(system, system.constants(part.points), np.asarray(part.transient))[1]
+    part, settings = replace(part, transient=transient), scene.settings.at(part.rate_tolerance, transient)
     solution, where = reference_where_possible(system, part.points, part.duration, settings, advance)
     if where.size < indices.size:
         failed = np.delete(indices, where)
@@ -158,7 +159,7 @@ def _with_reference(scene: Scene, indices: np.ndarray, advance: Advance) -> _Sam
         raise BadInput(left_out)
     ensemble, kernel_of_scene = Ensemble.of(system, part.points), _kernel(scene, method.name)
     bound, _ = numeric_bound.along_runs(
-        system, kernel_of_scene, method, ensemble, part.duration, scene.settings.max_steps
+        system, kernel_of_scene, method, ensemble, part.until, scene.settings.max_steps
     )
     return _Sample(scene, indices, part, solution, bound, left_out)
 
@@ -171,7 +172,8 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     main = main_instrument(sample.scene.system)
     ensemble = Ensemble.of(sample.scene.system, part.points)
     periods, _ = whole_periods(sample.scene.system, ensemble.constants, part.duration)
-    step_sizes = [main.step_sizes(s.at(part.rate_tolerance), sample.bound, part.duration) for s in at_levels]
+    step_sizes = [main.step_sizes(s.at(part.rate_tolerance), sample.bound, part.until) for s in at_levels]
+    step_sizes = [each.after(np.asarray(part.transient), part.duration) for each in step_sizes]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
     # Among levels with equal steps the scene's own, or else the finest, unless it takes too long.
@@ -179,7 +181,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
         representative = own if own in equal else equal[-1]
-        if level == representative and (level == 0 or sizes.steps.sum() <= MAX_POINT_STEPS):
+        if level == representative and (level == 0 or sizes.whole_steps.sum() <= MAX_POINT_STEPS):
             selected.append(level)
     uncertainty = max(nanmedian(sample.reference.state_error), nanmedian(sample.rates_uncertainty))
     smallest_error, without_gain = math.inf, 0
@@ -200,8 +202,10 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
     system = sample.scene.system
     statistics = main_instrument(system).statistics(system)
     outputs = (*statistics, *(["integral_drift"] if system.equations.INTEGRALS else []), "label")
-    measured = evaluate(replace(Plan.of(sample.scene), settings=settings, outputs=outputs), sample.grid)
+    plan = replace(Plan.of(sample.scene), settings=settings, outputs=outputs)
+    measured = evaluate(plan, sample.grid)
     module = _kernel(sample.scene, settings.method)
+    ensemble = after_transient(plan, sample.grid.points, ensemble, step_sizes)
     final = ensemble.final_states(module, step_sizes.steps, step_sizes.step_size)
     solution, label = sample.reference, measured["label"]
     # No error is below the uncertainty of the reference.
@@ -254,7 +258,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
             ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
             times.append(process_time() - began)
         seconds[count] = median(times[1:]) / (steps * repeated.size)
-    return float((np.array([seconds[count] for count in counts]) * step_sizes.steps).mean())
+    return float((np.array([seconds[count] for count in counts]) * step_sizes.whole_steps).mean())
 
 
 def _kernel(scene: Scene, method: str) -> ModuleType:

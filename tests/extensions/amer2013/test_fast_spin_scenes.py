@@ -88,6 +88,16 @@ def test_errors_are_those_of_single_integrations(body, module):
             assert rate[i] == pytest.approx(rate_error, rel=1e-3, abs=3e-12)
 
 
+def test_after_a_transient_the_errors_are_refused():
+    table = tomllib.loads((CONFIGS / "first_order_error.toml").read_text())
+    table["labels"] = {**table.get("labels", {}), "transient": 2.0}
+    sentence = "it is of the motion from its start, not after a transient$"
+    with pytest.raises(atlas.BadInput, match=f"^outputs.variables: first_order_\\w+: {sentence}"):
+        grid.check(atlas.load_scene(table))
+    with pytest.raises(atlas.BadInput, match=f"^variables: first_order_error: {sentence}"):
+        atlas.label_points("fixed_point", {"m": 1.0}, transient=2.0, variables=["first_order_error"])
+
+
 def test_first_order_errors_are_of_second_order_and_of_lower_order_as_printed():
     """With eps and the rotor halved, the true error falls by 4, the printed one by 2 or not at all."""
     table = tomllib.loads((CONFIGS / "first_order_error.toml").read_text())

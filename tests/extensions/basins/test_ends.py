@@ -210,6 +210,26 @@ def test_ends_after_tumbling_are_those_of_another_integrator():
     np.testing.assert_array_equal(ds["end_equilibrium"].values[given], end)
 
 
+def test_ends_after_a_transient_are_those_of_the_whole_run():
+    """Undecided ones as well: errors grow from the start."""
+    body, duration = TUMBLING[0]
+    points = body | random_starts(np.random.default_rng(9), 40)
+    whole, ds = ends(points, duration), ends(points, 100.0, transient=duration - 100.0)
+    for name in ("end_equilibrium", "settled_by"):
+        np.testing.assert_array_equal(ds[name], whole[name], err_msg=name)
+    assert {SettledBy.PROVED, SettledBy.UNDECIDED} <= set(ds["settled_by"].values)
+
+
+def test_times_of_settling_count_from_the_start():
+    points = SKEW | random_starts(np.random.default_rng(3), 40)
+    whole = ends(points, 200.0)["settling_time"].values
+    transient = float(np.median(whole))
+    time = ends(points, 200.0 - transient, transient=transient)["settling_time"].values
+    assert np.abs(np.maximum(whole, transient) - time).max() < 8 * 0.5  # seen at every eighth node
+    assert (time[whole < transient - 4.0] == transient).all()
+    assert (time > transient + 1.0).any()
+
+
 def test_the_energy_decides_where_no_error_can_leave_the_well():
     """Errors of 0.05 may decide everything but the end of a body that starts below every saddle."""
     rest = {"theta0": np.array([0.3, 0.3]), "n": np.array([0.0, 2.0])}

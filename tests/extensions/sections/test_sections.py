@@ -245,6 +245,14 @@ def test_a_figure_has_a_dot_for_each_crossing():
         ]
 
 
+def test_regularity_is_measured_after_the_transient():
+    points = {**BODY, "theta0": [0.4, 0.9]}
+    ds = atlas.section("satellite", points, at="psi_dot = 0", duration=60.0, transient="20 / natural_rate")
+    assert ds.attrs["atlas_transient"] == "20 / natural_rate"
+    (dots,) = ds.atlas.section_map(colour="regularity").axes[0].collections
+    assert len(dots.get_offsets()) == ds["crossings"].sum() > 0
+
+
 SCENE = """
 schema = 1
 title = "Sections"

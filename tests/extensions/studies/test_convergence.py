@@ -64,6 +64,21 @@ def test_points_that_change_are_flagged_and_counted(study):
     )
 
 
+def test_twice_the_transient_shows_whether_it_is_over(scene_text):
+    """Damped satellites of which some have come to rest."""
+    changes = {"integration.duration": 6.0, "fixed.damping": 0.4, "labels.transient": "12 / Omega"}
+    changes |= {"family": None, "nudge": None}
+    scene = load_scene(scene_text(changes))
+    ds = convergence.convergence(scene, ["transient"], progress=False)
+    run = atlas.run(load_scene(scene_text(changes | {"labels.transient": 24.0})), progress=False)
+    np.testing.assert_array_equal(ds.label_of_transient.sel(transient_factor=2.0), run.label)
+    np.testing.assert_array_equal(ds.label_of_transient.sel(transient_factor=1.0), ds.label)
+    assert 0 < (ds[CHANGE] != 0).sum() < ds[CHANGE].size
+    assert "2 or 4 times the transient" in convergence.report(ds)
+    with pytest.raises(BadInput, match=r"^transient: the scene has none; labels.transient gives it one$"):
+        convergence.convergence(load_scene(scene_text({})), ["transient"])
+
+
 def test_a_large_grid_is_thinned_and_a_refined_one_taken_coarse(scene_text, monkeypatch):
     sizes = []
     columns = convergence.columns_of

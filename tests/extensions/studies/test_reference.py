@@ -58,6 +58,23 @@ def test_reference_of_a_libration():
     assert run["theta_max"].item() == pytest.approx(solution.statistics["theta_max"][0], abs=5e-9)
 
 
+def test_reference_after_a_transient():
+    """Its states are those of one whole run; its statistics those of the kernel, damped and free."""
+    given = {"B": 1.3, "C": 1.6, "theta0": 0.7, "psi0": 0.4, "n": 0.3, "damping": np.array([0.0, 0.1])}
+    points = default_points("satellite", **given)
+    settings, duration = Settings().at(1e-5, np.array([15.0, 8.0])), np.array([6.0, 7.0])
+    solution = reference.reference(SATELLITE, points, duration, settings)
+    whole = reference.reference(SATELLITE, points, duration + settings.transient, Settings().at(1e-5))
+    np.testing.assert_allclose(solution.state, whole.state, atol=1e-11)
+    for i in range(2):
+        lengths = {"duration": duration[i], "transient": settings.transient[i]}
+        run = atlas.label_points(
+            "satellite", {**given, "damping": given["damping"][i]}, tolerance=1e-11, **lengths
+        )
+        for name in RATES:
+            assert run[name].item() == pytest.approx(solution.statistics[name][i], abs=1e-9), name
+
+
 def test_extremes_are_those_of_the_trajectory():
     points = default_points("satellite", A=1.0, B=1.2, C=0.8, theta0=0.4, psi0=0.3, n=0.3, m=0.5)
     solution = reference.reference(SATELLITE, points, np.array([6.0]), Settings().at(1e-5))

@@ -82,7 +82,7 @@ def evaluate(
     for name, values in plan.proofs(tile).items():
         columns[name] = np.where(values != 0, values, columns[name]) if name in columns else values
     added = dict[str, np.ndarray]()
-    if runs.tangent is not None and plan.has_chaos:
+    if runs.tangent is not None:
         tangent = replace(runs.tangent, ensemble=run.ensemble)
         added |= tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
@@ -138,8 +138,8 @@ class _Runs:
     step_sizes: StepSizes
     settled: Mask  # whether the frequency bound holds for the whole run
     theory: Theory
-    tangent: TangentRuns | None  # after the transient, if they are for the indicators of chaos
-    growth: TangentRuns | None  # from the start
+    tangent: TangentRuns | None  # after the transient, for the indicators of chaos
+    growth: TangentRuns | None  # from the start, for the growth of errors
     threads: int | None
     progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
 
@@ -151,7 +151,8 @@ class _Runs:
         """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
-        points = self.ensemble.size * (1.0 - (self.tangent.share if self.tangent else 0.0))
+        further = self.tangent or self.growth
+        points = self.ensemble.size * (1.0 - (further.share if further else 0.0))
         options: dict[str, Any] = {"threads": self.threads, "progress": lambda n: self.progress(points * n / total)}  # fmt: skip
         ensemble = after_transient(self.plan, self.tile.points, self.ensemble, step_sizes, **options)
         stop_rate = None
@@ -180,7 +181,7 @@ class _Runs:
         """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
         with np.errstate(all="ignore"):
             resolved = self.step_sizes.resolved & self.settled & run.main.resolved(run)
-            if self.tangent is not None and self.plan.has_chaos:
+            if self.tangent is not None:
                 resolved = resolved & self.tangent.steps.resolved
             return resolved
 
@@ -190,7 +191,7 @@ class _Runs:
         if self.growth is None or not needed:
             return run
         # With chaos, the runs for it count as the work.
-        progress = self.check if self.plan.has_chaos else self.progress
+        progress = self.check if self.tangent else self.progress
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), self.threads, progress))
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
@@ -227,10 +228,10 @@ def _prepare(
             from ..measure.tangent_runs import TangentRuns
 
             of = partial(TangentRuns.of, system, plan.tangent_kernel, ensemble, tile.points)
-            own = settings, step_sizes
-            tangent = growth = of(duration if plan.has_chaos else tile.until, *own, has_chaos=plan.has_chaos)
-            if plan.has_chaos and transient.any():
-                growth = of(tile.until, *own, has_chaos=False)
+            if plan.has_chaos:
+                tangent = of(duration, settings, step_sizes, has_chaos=True)
+            if plan.needs_growth:
+                growth = of(tile.until, settings, step_sizes, has_chaos=False)
     return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads, progress)  # fmt: skip
 
 

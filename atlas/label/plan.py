@@ -92,7 +92,12 @@ class Plan:
     @property
     def has_tangent(self) -> bool:
         """Whether some points may be integrated with tangent vectors."""
-        return self.has_chaos or any(each.needs_growth for each in self.instruments)
+        return self.has_chaos or self.needs_growth
+
+    @property
+    def needs_growth(self) -> bool:
+        """Whether an instrument may need the growth of errors along a run."""
+        return any(each.needs_growth for each in self.instruments)
 
     @property
     def may_stop_early(self) -> bool:

@@ -108,13 +108,13 @@ class TangentArrays(NamedTuple):
     sums: Array  # (tangent.SUMS, points)
 
 
-def rate_unit(system: System, points: Points) -> Array:
-    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: of the frame, else natural_rate.
+def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
+    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: the rate of the frame, or another.
 
     A finite Lyapunov exponent depends a little on it, its limit does not.
     """
     rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
-    return np.where(rate > 0, rate, system.natural_rate(points))
+    return np.where(rate > 0, rate, without_frame)
 
 
 class Separation:
@@ -210,7 +210,8 @@ class TangentRuns:
         with np.errstate(all="ignore"):
             error = None if has_chaos else tolerated_error(settings, step_sizes, bound)
             steps = TangentSteps.of(bound, duration, settings.step, settings.max_steps, error)
-            unit = rate_unit(system, points)
+            # The growth decides words, which depend on no unit of time.
+            unit = rate_unit(system, points, 1.0 if has_chaos else system.natural_rate(points))
         own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().whole_steps.sum())
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))

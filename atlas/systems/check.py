@@ -26,7 +26,7 @@ REPLACED = {
     "growth_about_vertical": "it follows from the equations and their FRAME_VECTORS",
     "rough_stability": "rough_stability of a Family says which growth rates need few digits",
     "log_growth": "growth over a run is the growth rate of linear_stability times its duration, or more of a Gyrostat",
-    "rate_unit": "the unit of rates in tangent vectors is the frame_rate, or the natural_rate",
+    "rate_unit": "the unit of rates in tangent vectors is the frame_rate, or 1",
     "geometry": "`geometries` contains objects of Geometry, which say by `holds` which motions have it",
     "published": "the rows of a paper are `published` of an extension",
     "possible_body": "moments_of_inertia names the parameters that the triangle inequality is about",

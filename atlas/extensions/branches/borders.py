@@ -22,6 +22,7 @@ from ...scene.checks import typed
 from ...scene.model import Duration, Scene
 from ...systems.base import Array, Mask, Points, check_possible, possible_body
 from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.body import length
 from ..equilibria.algebra import attitudes, frames_of
 from ..equilibria.dataset import attributes
 from .branches import empty_dataset, scene_of
@@ -30,6 +31,9 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
+_TURNS = (
+    1e-6  # rates of the parameters at cusps; folds go straight on through bodies with circles of equilibria
+)
 
 
 class SpecialKind(Flag):
@@ -109,7 +113,7 @@ class Borders(NamedTuple):
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
         lines = _possible(lines, shown) if lines else []
-        kept = [line.points.solves() for line in lines]
+        kept = [line.sound() for line in lines]
         for line, own in zip(lines, kept, strict=True):
             gaps = np.flatnonzero(~own)
             beside = np.clip(gaps[:, None] + [-1, 0, 1], 0, len(line.tangents) - 1).ravel()
@@ -213,7 +217,8 @@ def borders(
     -----
     Between two vertices a curve is the cubic through both with the tangents there times the difference of arc. Of equilibria
     alpha and -alpha, where nothing acts along alpha, a curve is given once; other symmetries give a curve several times. A closed curve of
-    a satellite may be missed inside a cell that counts as explained.
+    a satellite may be missed inside a cell that counts as explained. Where curves are nearer to one another than 1e-6 of the ranges, or
+    1e-5 beside bodies whose equilibria are not isolated, their order is not certain, and with it the changes between them.
     """
     if len(ranges) != 2:
         raise BadInput(
@@ -321,8 +326,9 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
             return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):
-            at = line.points.take(np.flatnonzero(zero[: zero.size - line.closed]))
-            at = at.take(at.solves())
+            own = np.flatnonzero(zero[: zero.size - line.closed])
+            at, rates = line.points.take(own), length(line.tangents[own, -3:-1])
+            at = at.take(at.solves() & (at.pitchfork | (rates < _TURNS)))
             points = Degenerate.joined([points, at])
             curve += [n] * len(at.kind)
             kind += list(np.where(at.pitchfork, SpecialKind.MEETING, SpecialKind.CUSP))

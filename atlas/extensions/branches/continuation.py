@@ -54,6 +54,11 @@ class Curve(NamedTuple):
     closed: bool
     lost: bool  # an end is not on the border of the box
 
+    def sound(self) -> Mask:
+        """Which vertices are on the curve and not between pitchforks at which nothing bifurcates."""
+        flat = np.r_[True, self.points.flat(), True]
+        return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
+
     def runs(self, kept: Mask) -> list[Curve]:
         """The parts of two vertices or more that are all kept."""
         if kept.all():

@@ -41,6 +41,9 @@ _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # which it may be one; least singular value of regular points, relative, and their last step, and force at pitchforks.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
+_ROUNDING = (
+    1e-13  # of its discriminant, over the sum of its terms: two exponents may be the same on a whole curve
+)
 # Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box
@@ -170,18 +173,20 @@ class Potential(NamedTuple):
             values[:, -1], slopes[:, -1] = 0.0, 0.0
         return values, slopes
 
-    def stability_margin(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Numbers that are positive where all exponents are imaginary and different, (N,); left_out: where a pair vanishes, without it."""
+    def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
+        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where a pair vanishes, without it."""
         c = coefficients.copy()
         if self.size == 2:  # both gamma and the axis of symmetry can be turned about, but where they are one
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
         out = np.broadcast_to(left_out, len(c))
         c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
-        discriminant = (c[:, 1] * c[:, 2]) ** 2 - 4 * c[:, 1] ** 3 * c[:, 3] - 4 * c[:, 0] * c[:, 2] ** 3
-        discriminant += 18 * c.prod(1) - 27 * (c[:, 0] * c[:, 3]) ** 2
+        squares = (c[:, 1] * c[:, 2]) ** 2, -27 * (c[:, 0] * c[:, 3]) ** 2
+        terms = *squares, -4 * c[:, 1] ** 3 * c[:, 3], -4 * c[:, 0] * c[:, 2] ** 3, 18 * c.prod(1)
+        discriminant, size = np.sum(terms, 0), np.abs(terms).sum(0)
+        discriminant[np.abs(discriminant) < _ROUNDING * size] = 0.0
         degree = 3 - self.cyclic - out
         conditions = np.concatenate([c[:, :3], discriminant[:, None]], 1)
-        return np.where(degree[:, None] > [0, 1, 2, 1], conditions, np.inf).min(1)
+        return np.where(degree[:, None] > [0, 1, 2, 1], conditions, 1.0)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
         """Gradients of the conditions on x, and what gives the multipliers of a vector with the sign changed, (N, m, n) each."""
@@ -397,22 +402,23 @@ class Degenerate(NamedTuple):
         n, (*_, moved), (values, slopes) = self.potential.size, self.response(), self.characteristic()
         return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
-    def margin(self) -> tuple[Array, Array]:
-        """Numbers that are positive where exponents that do not vanish are imaginary, and by how many stable solutions curves change, (N,).
+    def margins(self) -> Array:
+        """Numbers that are all positive where exponents that do not vanish are imaginary, (N, 4)."""
+        x, _, _, _, position, _ = self.parts
+        coefficients, _ = self.potential.characteristic(x, position)
+        left_out = self.pitchfork | self.limit | (not self.potential.cyclic)
+        margins = self.potential.stability_margins(coefficients, left_out)
+        return np.where(self.limit[:, None], -self.largest_square()[:, None], margins)
+
+    def stable_change(self) -> NDArray[np.int64]:
+        """By how many stable solutions curves change where these margins are positive, (N,).
 
         Of two solutions that merge one is stable, but both if the exponents that vanish do so at another momentum.
         """
-        x, _, _, _, position, _ = self.parts
-        both, fork = self.potential.cyclic & ~self.limit, self.pitchfork
-        vanishes = fork | ~both
-        coefficients, _ = self.potential.characteristic(x, position)
-        margin = np.where(
-            self.limit, -self.largest_square(), self.potential.stability_margin(coefficients, vanishes)
-        )
-        change = np.where(both, 2, 1)
+        change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
             change[fork] = self.take(fork)._change_at_pitchforks()
-        return margin, change
+        return change
 
     def _change_at_pitchforks(self) -> NDArray[np.int64]:
         """By how many the stable solutions are more on the side with more solutions, from the first of these beside a pitchfork, (N,)."""
@@ -504,6 +510,11 @@ class Degenerate(NamedTuple):
         """Which are on their curves, in the box."""
         return np.asarray((np.abs(self.equations()[0]).max(1) < _EXACT) & self.inside())
 
+    def flat(self) -> Mask:
+        """At which pitchforks no other solutions bifurcate: equilibria of the body form a line."""
+        _, (product, bend), _ = self.character()
+        return np.asarray(self.pitchfork & (np.abs(bend) <= _EXACT * np.abs(product)))
+
     def regular(self) -> tuple[Degenerate, Array]:
         """The points at which curves are regular, polished, and their unit tangents."""
         residual, slopes = self.equations()
@@ -515,9 +526,7 @@ class Degenerate(NamedTuple):
         onto, step = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
         good[beyond] = step < _EXACT
-        forks = np.flatnonzero(points.pitchfork)
-        _, (product, flat), _ = points.take(forks).character()
-        good[forks] &= np.abs(flat) > _EXACT * np.abs(product)  # else equilibria form a line
+        good &= ~points.flat()
         limits = np.flatnonzero(points.limit)  # Newton's method is as fast at singular ones
         sizes = np.linalg.svd(points.take(limits).equations()[1], compute_uv=False)
         good[limits] &= sizes[:, -1] > _REGULAR * sizes[:, 0]

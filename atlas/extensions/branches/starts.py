@@ -123,7 +123,8 @@ def near_solutions(
     )
     if stability:
         limits = Degenerate.near_limits(potential, x[row, place], positions[row], reach)
-        stable = potential.stability_margin(potential.characteristic(x[row, place], positions[row])[0]) > 0
+        coefficients, _ = potential.characteristic(x[row, place], positions[row])
+        stable = np.asarray((potential.stability_margins(coefficients) > 0).all(1))
     numbers = np.array([np.bincount(row, weight * chosen, len(positions)) for chosen in (1, stable)])
     numbers[:, ~np.isin(listed["completeness"], certain)] = np.nan
     return near, limits, numbers
@@ -148,12 +149,14 @@ def all_curves(
     seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
     # The sides of curves with more solutions, or more stable ones, change where these vanish.
-    tests: list[Callable[[Degenerate], Array]] = [lambda points: points.character()[1][1]]
+    tests: list[Callable[[Degenerate], Array]] = [
+        lambda points: points.character()[1][1],
+        lambda points: np.where(points.pitchfork, 1.0, points.character()[1][0]),
+    ]
     if stability:
-        tests += [
-            lambda points: np.where(points.limit, points.character()[1][0], 1.0),
-            lambda points: points.margin()[0],
-        ]
+        tests += map(_margin, range(4))
+        # Where limits cross one another nothing points to either side.
+        tests.append(lambda points: np.where(points.limit, points.character()[2] @ _ANY[:2], 1.0))
     unsure = [np.isnan(each[0]) for each in jumps]
     searched = unsure
     for attempt in range(_SEARCHES + 1):
@@ -161,7 +164,8 @@ def all_curves(
         if stability:
             # Extrema of the momentum end where other ones of the solutions that bifurcate are stable, or are close all along.
             lines, ends = with_zeros(
-                lines, lambda points: np.where(points.pitchfork, np.abs(points.margin()[1] - 1.0) - 1.0, 1.0)
+                lines,
+                lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
             )
             beside = [
                 line.points.take(end | (np.arange(end.size) % 2 == 0)).extremal_momenta().settled(reach)
@@ -201,6 +205,11 @@ def all_curves(
     return lines, axis, cells.astype(np.int8)
 
 
+def _margin(condition: int) -> Callable[[Degenerate], Array]:
+    """The margin to one of the conditions of stability, a function of points."""
+    return lambda points: points.margins()[:, condition]
+
+
 def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
     """Indices of the cells of a grid in which positions are, (N, 2), of the nearest ones at its rim."""
     return tuple(np.clip(np.searchsorted(axis, positions) - 1, 0, axis.size - 2).T)
@@ -212,14 +221,14 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
     These are of all and of the stable ones, (2, segments).
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
+    fork = middle.pitchfork  # off their curve others may seem to bifurcate on the wrong side
+    middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]
     (along, across) = (1.5 * chord - 0.25 * (parts.slopes[0] + parts.slopes[1])[:, -3:-1]).T
     sign = np.sign(covector[:, 1] * along - covector[:, 0] * across)
-    total = np.bincount(parts.curve, sign, 1)  # a fold has one sign, beside its cusps not certain
-    sign = np.where(middle.kind == BorderKind.FOLD, np.sign(total[parts.curve]), sign)
-    margin, change = middle.margin()
-    change = np.stack([np.where(middle.limit, 0, 2), np.where(margin > 0, change, 0)])
+    stable = np.where((middle.margins() > 0).all(1), middle.stable_change(), 0)
+    change = np.stack([np.where(middle.limit, 0, 2), stable])
     return index, (1 + middle.potential.mirrored) * sign * change
 
 

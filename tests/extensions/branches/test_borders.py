@@ -326,11 +326,60 @@ def test_limits_on_both_sides_of_a_plane_of_symmetry():
     assert (ds.cells == Cell.COUNTED).all()
     ends = np.array([-1.0, -0.15, 0.01, 0.15, 1.0])
     for C in (0.94, 1.03):
-        cuts = crossings(ds, "C", C, "l1", "stable_change")
-        _, stable = own_numbers("fixed_point", top | {"C": np.full(5, C), "l1": ends})
+        _, stable = assert_explained(ds, "fixed_point", top | {"C": C}, "C", "l1", ends, ["stable"])
         np.testing.assert_array_equal(stable, [2, 1, 2, 1, 2])
-        for i, change in enumerate(np.diff(stable)):
-            assert change == sum(cut[2] for cut in cuts if ends[i] < cut[0] < ends[i + 1])
+
+
+def assert_explained(ds, system, body, name, other, ends, kinds=("count", "stable")):
+    """On a line name = value the numbers, which are returned, change between values of the other parameter as the curves say."""
+    numbers = own_numbers(system, body | {name: np.full(ends.size, body[name]), other: ends})
+    for kind, own in zip(("count", "stable"), numbers, strict=True):
+        cuts = crossings(ds, name, body[name], other, f"{kind}_change")
+        sums = [sum(cut[2] for cut in cuts if low < cut[0] < high) for low, high in pairwise(ends)]
+        if kind in kinds:
+            np.testing.assert_array_equal(np.diff(own), sums)
+    return numbers
+
+
+def test_folds_through_a_sphere():
+    """At a body with equal moments and no rotor, whose equilibria form a circle, folds change their side and do not turn back."""
+    field = {"A": 1.0, "C": 1.0, "h1": 0.5, "h3": 1.0, "mu1": 0.25, "mu2": -0.47, "mu3": -0.47}
+    ds = atlas.borders("satellite", field, {"B": (0.9, 1.1), "k1": (-0.02, 0.02)})
+    assert (ds.cells == Cell.COUNTED).all()
+    ends = np.array([-0.019, -0.013, -0.0087, 0.0, 0.008, 0.0105, 0.0185])
+    for B in (0.95, 0.98, 1.02):
+        assert_explained(ds, "satellite", field | {"B": B}, "B", "k1", ends, ["count"])
+    assert not ds.sizes["special"]
+
+
+def test_a_limit_of_stability_ends_twice_on_a_fold():
+    """In between one of the two solutions that merge is stable, for 1e-9 of C, though neither is at the vertices beside."""
+    body = {"A": 1.000001, "B": 1.0, "h1": 0.5, "h3": 1.0, "mu1": 0.26, "mu2": 0.12, "mu3": 0.44, "k1": 0.05}
+    ds = atlas.borders("satellite", body, {"k3": (0.0, 0.5), "C": (0.9, 1.0)}, stability=True)
+    assert (ds.cells == Cell.COUNTED).all()
+    for k3 in (0.22, 0.2244, 0.2251, 0.2256, 0.23):
+        assert_explained(ds, "satellite", body | {"k3": k3}, "k3", "C", np.array([0.952, 0.963]))
+    fold = ds.isel(vertex=ds.kind.values == BorderKind.FOLD)
+    assert (fold.stable_change != 0).any()
+
+
+def test_limits_of_stability_cross():
+    """Beyond the crossing the other side of both has more stable solutions."""
+    body = {"A": 1.0, "B": 1.0, "C": 0.87}
+    ds = atlas.borders("satellite", body, {"k2": (1.0, 1.4), "k3": (-0.1, 0.1)}, stability=True)
+    ends = np.array([-0.009, 0.0, 0.009])
+    for k2 in (1.2232, 1.22366, 1.22382, 1.2245):
+        _, stable = assert_explained(ds, "satellite", body | {"k2": k2}, "k2", "k3", ends)
+        np.testing.assert_array_equal(stable, [2, 4, 2])
+
+
+def test_lines_of_equilibria_are_no_borders():
+    """Where equilibria of one body form a line, to rounding, nothing bifurcates, and curves that lead there are cut."""
+    body = {"A": 1.0, "C": 1.000001, "k2": 1.21}
+    ds = atlas.borders("satellite", body, {"k3": (-1.0, 0.01), "B": (0.7, 1.001)})
+    for k3 in (-0.9, -0.6, -0.35):
+        assert_explained(ds, "satellite", body | {"k3": k3}, "k3", "B", np.array([0.9, 1.0005]), ["count"])
+    assert not ds.sizes["special"]
 
 
 def test_limits_turn_back():

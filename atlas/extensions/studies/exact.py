@@ -350,7 +350,7 @@ GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
 
-def statistics(motion: Motion, duration: float) -> dict[str, float]:
+def statistics(motion: Motion, duration: float, cylinder: float | None = None) -> dict[str, float]:
     """Exact statistics over [0, duration], whole periods or not; nan for psi' and phi' on the vertical."""
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
@@ -368,13 +368,15 @@ def statistics(motion: Motion, duration: float) -> dict[str, float]:
     if turns:  # all whole periods are equal; the rest follows
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
-    result = moments(motion(time), weight / duration)
+    result = moments(motion(time), weight / duration, cylinder)
     return result | {"theta_min": float(theta.min()), "theta_max": float(theta.max())}
 
 
-def moments(motion: EulerMotion, weight: Array) -> dict[str, float]:
-    """Rms, deviations and means of the rates by a quadrature of unit weight, without the mean of theta'."""
+def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -> dict[str, float]:
+    """Rms, deviations and means of the rates by a quadrature of unit weight, without the mean of theta', and the share outside a cylinder."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
+    if cylinder is not None:
+        result["outside"] = float(weight @ (np.sin(motion.theta) >= cylinder))
     for name in ("theta_dot", "psi_dot", "phi_dot", "normal_rate"):
         rate = getattr(motion, name)
         mean = float(weight @ rate)

@@ -49,7 +49,7 @@ class Reference:
     """Reference solution of some points and its uncertainty."""
 
     state: Array  # at the end of the run, (state, points)
-    # By the names of the main instrument; NaN inside the cylinder, where psi' and phi' have no meaning
+    # By the names of the main instrument, "sine_max" and "outside"; NaN inside the cylinder, where psi' and phi' have no meaning
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
@@ -105,15 +105,14 @@ def reference(
     label, other_label = labels
     distance = state_distance(system, best["state"], other["state"], system.frequency_bound(points))
     return Reference(
-        state=best["state"],
-        statistics={name: best[name] for name in main.statistics(system)},
+        state=best.pop("state"),
+        statistics=best,
         label=label[0],
         label_inertial=label[1] if len(label) > 1 else None,
         exact=exact,
         state_error=np.maximum(SAFETY * distance, ROUNDING),
         statistics_error={
-            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING)
-            for name in main.statistics(system)
+            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in best
         },
         label_certain=(label == other_label).all(0),
     )

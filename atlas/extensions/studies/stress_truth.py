@@ -30,6 +30,8 @@ EXACT_STATISTICS = (
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
+# And that of the share of a run outside the cylinder: a node or two of the quadrature at each passage of its rim.
+SHARE_ACCURACY = 0.05
 # Uncertainty of an offset from an equilibrium: the rounding of the state.
 STATE_ROUNDING = 3e-16
 
@@ -106,13 +108,16 @@ def true_labels(system: System, part: CasePoints, settings: RunSettings) -> True
     if truth == "departure":
         rest, constants = system.initial_state(part.base), system.constants(points)
         offset = system.initial_state(points) - rest
-        runs = _departures(system, rest, offset, constants, duration)
+        runs = _departures(system, rest, offset, constants, duration, settings.cylinder)
         return _labels_of_runs(
             system, runs, settings, "departure", 1e-3 + STATE_ROUNDING / np.abs(offset).max(0)
         )
     if truth:
         motions = (exact.motion_of(system, truth, points, i) for i in range(duration.size))
-        runs = [exact.statistics(motion, T) for motion, T in zip(motions, duration, strict=True)]
+        runs = [
+            exact.statistics(motion, T, settings.cylinder)
+            for motion, T in zip(motions, duration, strict=True)
+        ]
         return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
         theory = predict(system, points, settings.tolerances, False, duration=duration)
@@ -158,7 +163,7 @@ def _labels_of_runs(
     departure_error: Array | None = None,
 ) -> TrueLabels:
     """Labels from the statistics of exact motions, or of departures with a relative error."""
-    measured = {name: np.array([run[name] for run in runs]) for name in EXACT_STATISTICS}
+    measured = {name: np.array([run[name] for run in runs]) for name in (*EXACT_STATISTICS, "outside")}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:
         error = {name: np.full(len(runs), EXACT_ACCURACY) for name in LABEL_STATISTICS}
@@ -167,6 +172,7 @@ def _labels_of_runs(
             name: np.abs(measured[name]) * np.where(name.endswith(("rms", "std")), departure_error, 1e-12)
             for name in LABEL_STATISTICS
         }
+    error["outside"] = np.where(np.abs(measured["outside"] - 0.5) < 0.5, SHARE_ACCURACY, 0.0)
     with np.errstate(invalid="ignore"):
         undecided = could_change(rule(settings.tolerances), measured, error)
         label = rule(settings.tolerances).label(measured)
@@ -183,7 +189,7 @@ def _labels_of_runs(
 
 
 def _departures(
-    system: System, rest: Array, offset: Array, constants: Array, duration: Array
+    system: System, rest: Array, offset: Array, constants: Array, duration: Array, cylinder: float
 ) -> list[dict[str, float]]:
     """Statistics of runs that start at tiny offsets from equilibria, integrated as one system in the time t / duration.
 
@@ -212,7 +218,7 @@ def _departures(
         u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(states[:, i], constants[:, i, None])
         motion = exact.euler_motion(np.array([u1, u2, u3]), np.array([g1, g2, g3]))
         ends = {"theta_min": float(motion.theta.min()), "theta_max": float(motion.theta.max())}
-        result.append(exact.moments(motion, weight) | ends)
+        result.append(exact.moments(motion, weight, cylinder) | ends)
     return result
 
 
@@ -248,12 +254,10 @@ def _labels_by_reference(
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))
     solution = reference(system, despun, duration * share, settings)
-    measured = dict(solution.statistics)
-    measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
+    measured, error = dict(solution.statistics), solution.statistics_error
     measured["phi_dot_mean"] = measured["phi_dot_mean"] - excess
     for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std"):
         measured[name] = measured[name] * np.sqrt(share)
-    error = solution.statistics_error | {"sine_max": solution.statistics_error["theta_max"]}
     tolerances = settings.tolerances
     with np.errstate(invalid="ignore"):
         label = rule(tolerances).label(measured)

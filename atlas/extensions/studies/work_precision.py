@@ -319,7 +319,8 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
         order[i, j + 1] = np.median(ratio[i, j][usable[i, j]])
     ds["order"] = dims[:2], order, {"long_name": "observed order from the level before"}
     uncertainties = {"state": solution.state_error, "rates": sample.rates_uncertainty}
-    for quantity, uncertainty in (uncertainties | solution.statistics_error).items():
+    uncertainties |= {name: solution.statistics_error[name] for name in main.statistics(sample.scene.system)}
+    for quantity, uncertainty in uncertainties.items():
         attributes = {"long_name": f"uncertainty of the reference: error_{quantity} is never less"}
         attributes["units"] = ds[f"error_{quantity}"].units
         ds[uncertainty_name(quantity)] = "sample", uncertainty, attributes

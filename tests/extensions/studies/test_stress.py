@@ -9,7 +9,7 @@ from strategies import default_points, evaluate
 from atlas import cli
 from atlas.extensions.studies import exact, stress, stress_truth
 from atlas.extensions.studies.stress import case_points
-from atlas.flags import Status
+from atlas.flags import Label, Status
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.systems.base import StressCase, stress_cases_of
@@ -112,6 +112,19 @@ def test_departures_of_large_offsets_agree_with_the_reference():
     whole = stress_truth.true_labels(system, replace(part, truth=""), Settings().at(1e-5))
     np.testing.assert_array_equal(departure.label, whole.label)
     np.testing.assert_allclose(departure.unsteadiness, whole.unsteadiness, rtol=1e-5)
+
+
+@pytest.mark.parametrize("truth", ["", "symmetric top"])
+def test_truth_at_the_rim_of_the_cylinder(truth):
+    """A hanging top between 0.0086 and 0.02 rad from the vertical: beyond half of its run in the cylinder it counts as inside."""
+    system = SYSTEMS["fixed_point"]
+    columns = {"C": 0.7, "z0": 1.0, "Mg": 1.0, "theta0": 0.02, "m": 0.3, "n": -0.5, "theta_dot0": 0.0}
+    part = case_points(system, StressCase("rim", "at the rim", 60.0, columns, truth=truth))
+    labels = []
+    for cylinder in (0.008, 0.0199, 0.021):
+        settings = replace(Settings(), rate_tolerance=0.05, cylinder_tolerance=cylinder).at(0.05)
+        labels += stress_truth.true_labels(system, part, settings).label.tolist()
+    assert labels == [Label.DRIFTING, Label.PERMANENT_ROTATION, Label.PERMANENT_ROTATION]
 
 
 def test_departures_grow_at_the_rate_of_theory():

@@ -51,7 +51,8 @@ REPLACED = {
     "what is computed, call by call": """
         analysis.boundary.theory_borders extensions.studies.convergence.columns_of extensions.certificate.energy.reach
         kernel.specialization.kernel runs.estimate._measure
-        runs.estimate.derived_values runs.estimate.evaluate runs.estimate.predict_runs runs.folder.evaluate_at
+        measure.tangent_runs.TangentRuns.of runs.estimate.derived_values runs.estimate.evaluate runs.estimate.predict_runs
+        runs.folder.evaluate_at
         systems.satellite.SATELLITE.?
     """,
     "a limit or the size of a piece that has no setting: at its value the test would take minutes or gigabytes": """

@@ -83,7 +83,8 @@ def _cost(plan: ScenePlan, processors: int) -> _Cost:
         from ..label.proved import proved_points
 
         proved = points * float(proved_points(plan.points, plan.sample.subset(exists))[0].mean())
-    seconds = (points - proved) * plan.mean_work * tile.seconds_per_step + theory_seconds
+    work = plan.mean_work + plan.growth_work
+    seconds = (points - proved) * work * tile.seconds_per_step + theory_seconds
     return _Cost(points - proved, proved, tile, seconds, theory_seconds)
 
 

@@ -9,6 +9,8 @@ import pytest
 import atlas
 from atlas import BadInput, load_scene
 from atlas.kernel import blocks
+from atlas.label.pipeline import evaluate
+from atlas.measure import tangent_runs
 from atlas.runs import estimate, memory
 from atlas.runs.estimate import CALIBRATION_STEPS, dry_run
 from atlas.runs.plan import ScenePlan
@@ -70,6 +72,27 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(estimate, "evaluate", no_values)
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
+
+
+def test_ends_are_priced_with_their_tangent_vectors(monkeypatch):
+    """By the steps that a run takes with them, if every point settles; without ends there are none."""
+    table = {
+        "schema": 1, "title": "ends", "system": "satellite", "fixed": {"C": 1.2, "damping": 0.2}, "axes": FEW_LONG,
+        "integration": {"duration": 50.0, "method": "rk4", "tolerance": 1e-8},
+    }  # fmt: skip
+    assert ScenePlan.of(scene_from(table)).growth_work == 0
+    ends = {"outputs": {"variables": ["label", "end_equilibrium"], "map": "end_equilibrium"}}
+    plan, runs, of = ScenePlan.of(scene_from(table | ends)), [], tangent_runs.TangentRuns.of
+
+    def noted(*arguments, **options):
+        runs.append(of(*arguments, **options))
+        return runs[-1]
+
+    monkeypatch.setattr(tangent_runs.TangentRuns, "of", noted)
+    evaluate(plan.points, plan.sample)
+    (run,) = runs
+    # The share of these runs in all work is w / (1 + w), w of the work of the runs with statistics.
+    assert plan.growth_work / (plan.mean_work + plan.growth_work) == pytest.approx(run.share)
 
 
 def test_numba_num_threads_limits_the_threads(monkeypatch):

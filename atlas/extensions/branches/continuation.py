@@ -314,15 +314,17 @@ class Segments(NamedTuple):
     def at(self, share: Array) -> tuple[Degenerate, Array]:
         """Points of the curves at these shares of the way, of the cubics where none is near, and their tangents."""
         guess, chord = self.cubic(share), self.end.place - self.start.place
-        reach = _ASTRAY * length(chord)
+        reach, directions = _ASTRAY * length(chord), self._directions(share)
         points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
-        with np.errstate(all="ignore"):  # they may be anywhere
-            astray = np.flatnonzero(~((step < _SETTLED) & (length(points.place - guess.place) < reach)))
+        with np.errstate(all="ignore"):  # they may be anywhere, and tangents too where another curve crosses
+            near = (step < _SETTLED) & (length(points.place - guess.place) < reach)
+            turn = _of_place(guess, tangents - directions)
+        astray = np.flatnonzero(~(near & (length(turn) < _BEND)))
         others = guess.take(astray)
         beside, step = others.nearest(_ITERATIONS)
         near = (step < _SETTLED) & (length(beside.place - others.place) < reach[astray])
         points.unknowns[astray] = np.where(near[:, None], beside.unknowns, others.unknowns)
-        tangents[astray] = self._directions(share)[astray]
+        tangents[astray] = directions[astray]
         return points, tangents
 
     def inserted(self, lines: Sequence[Curve], points: Degenerate, tangents: Array) -> list[Curve]:

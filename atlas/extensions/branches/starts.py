@@ -155,8 +155,7 @@ def all_curves(
     ]
     if stability:
         tests += map(_margin, range(4))
-        # Where limits cross one another nothing points to either side.
-        tests.append(lambda points: np.where(points.limit, points.character()[2] @ _ANY[:2], 1.0))
+        tests.append(_crossing)
     unsure = [np.isnan(each[0]) for each in jumps]
     searched = unsure
     for attempt in range(_SEARCHES + 1):
@@ -208,6 +207,12 @@ def all_curves(
 def _margin(condition: int) -> Callable[[Degenerate], Array]:
     """The margin to one of the conditions of stability, a function of points."""
     return lambda points: points.margins()[:, condition]
+
+
+def _crossing(points: Degenerate) -> Array:
+    """A function that vanishes where limits of stability cross, at which nothing points to either side, or have cusps."""
+    _, (bend, _), covector = points.character()
+    return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 
 
 def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:

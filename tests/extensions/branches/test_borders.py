@@ -285,12 +285,12 @@ def test_numbers_of_stable_solutions(system, body, ranges):
 
 
 EQUAL_MOMENTS = [
-    ("fixed_point", {"A": 1.0, "C": 1.0, "Mg": 1.0, "z0": -0.55, "N": -0.63, "l3": -0.7}, {"B": (0.75, 1.5), "n": (-3.0, -0.5)}),
+    ("fixed_point", {"A": 1.0, "C": 1.0, "Mg": 1.0, "z0": -0.55, "N": -0.63, "l3": -0.7}, {"B": (0.9, 1.2), "n": (-2.0, -0.5)}),
     ("fixed_point", {"A": 1.52, "B": 1.0, "C": 1.000000001, "Mg": 1.0, "y0": -0.77, "l2": 0.16}, {"n": (0.3, 3.0), "N": (-3.0, 3.0)}),
     ("fixed_point", {"A": 1.07, "B": 1.0, "C": 1.000001, "Mg": 1.0, "x0": 0.62}, {"l1": (-2.0, 2.0), "n": (0.3, 3.0)}),
-    ("satellite", {"A": 1.0, "C": 1.0, "k2": 0.5}, {"k3": (-0.7, 0.7), "B": (1.05, 1.55)}),
-    ("satellite", {"A": 1.0, "B": 1.0, "k3": -0.6, "h3": 1.0, "mu2": 0.87}, {"k1": (-2.0, 2.0), "C": (0.6, 1.6)}),
-    ("satellite", {"A": 1.0, "C": 1.000000000001, "k2": -1.29, "h3": 1.0, "mu3": 1.2}, {"k1": (-2.0, 2.0), "B": (0.6, 1.6)}),
+    ("satellite", {"A": 1.0, "C": 1.0, "k2": 0.5}, {"k3": (-0.1, 0.7), "B": (1.05, 1.55)}),
+    ("satellite", {"A": 1.0, "B": 1.0, "k3": -0.6, "h3": 1.0, "mu2": 0.87}, {"k1": (-0.5, 2.0), "C": (0.6, 1.6)}),
+    ("satellite", {"A": 1.0, "C": 1.000000000001, "k2": -1.29, "h3": 1.0, "mu3": 1.2}, {"k1": (-0.5, 2.0), "B": (0.6, 1.6)}),
 ]  # fmt: skip
 
 
@@ -363,13 +363,19 @@ def test_a_limit_of_stability_ends_twice_on_a_fold():
     assert (fold.stable_change != 0).any()
 
 
-def test_limits_of_stability_cross():
+@pytest.mark.parametrize(
+    ("body", "ranges", "values"),
+    [
+        ({"A": 1.0, "B": 1.0, "C": 0.87}, {"k2": (1.0, 1.4), "k3": (-0.1, 0.1)}, (1.2232, 1.22366, 1.22382, 1.2245)),
+        ({"A": 1.53, "B": 1.0, "C": 1.0, "k2": 0.74}, {"k3": (-1.2, -0.2), "k1": (-0.3, 0.3)}, (-0.674, -0.6723, -0.671)),
+    ],
+)  # fmt: skip
+def test_limits_of_stability_cross(body, ranges, values):
     """Beyond the crossing the other side of both has more stable solutions."""
-    body = {"A": 1.0, "B": 1.0, "C": 0.87}
-    ds = atlas.borders("satellite", body, {"k2": (1.0, 1.4), "k3": (-0.1, 0.1)}, stability=True)
+    ds, (first, second) = atlas.borders("satellite", body, ranges, stability=True), ranges
     ends = np.array([-0.009, 0.0, 0.009])
-    for k2 in (1.2232, 1.22366, 1.22382, 1.2245):
-        _, stable = assert_explained(ds, "satellite", body | {"k2": k2}, "k2", "k3", ends)
+    for value in values:
+        _, stable = assert_explained(ds, "satellite", body | {first: value}, first, second, ends)
         np.testing.assert_array_equal(stable, [2, 4, 2])
 
 

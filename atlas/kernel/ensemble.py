@@ -153,9 +153,14 @@ class Ensemble:
     ) -> Array:
         """States each time that so many steps have ended, (states, samples, points); step_sizes: (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
-        states = np.empty((len(self.state), *step_sizes.shape))
+        states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
+        direct = threads == 0 and schedule.point_steps <= blocks.CHUNK  # such calls are many and short
         for k, step_size in enumerate(step_sizes):
-            blocks.integrate(kernel, schedule, arrays._replace(step_size=step_size), threads=threads)
+            arrays = arrays._replace(step_size=step_size)
+            if direct:
+                kernel.integrate(schedule, arrays, 0, len(schedule.steps), *whole)
+            else:
+                blocks.integrate(kernel, schedule, arrays, threads=threads)
             states[:, k] = arrays.state[: len(self.state)]
             arrays.state[len(self.state) :] = 0.0  # losses, which no sample takes over
         return states

@@ -25,7 +25,7 @@ from ..scene.tables import Table, Values, flat_columns, parameter_arrays, table
 from ..store import dataset
 from ..store.dataset import log_warnings
 from ..store.progress import Progress
-from ..systems.base import Array, SharedValues, System, check_possible, derived_variables
+from ..systems.base import Array, System, check_possible, derived_variables
 from ..variables import POINT, default_variables, listed_variables
 from ..variables import variables as variable_registry
 from .pipeline import evaluate
@@ -199,18 +199,12 @@ class _Labels:
         """The outputs at the points."""
         system, shape = systems.get(self.system), np.broadcast_shapes(*(array.shape for array in arrays))
         points = flat_columns(system, self.names, arrays[:-1], shape, self.source)
-        durations, values = np.broadcast_to(arrays[-1], shape).ravel(), SharedValues(points)
-        if self.duration is not None:
-            durations = grid.durations(system, self.duration, values)
-        elif (bad := ~(np.isfinite(durations) & (durations > 0))).any():
+        durations = np.broadcast_to(arrays[-1], shape).ravel()
+        if (bad := ~(np.isfinite(durations) & (durations > 0))).any():
             raise BadInput(f"duration = {durations[bad][0]:g}: must be a finite number above 0")
-        reason = grid.reasons(system, points)
-        rate_tolerance = grid.at_points(system, self.settings.rate_tolerance, values)
-        transient = grid.durations(system, self.transient, values, key="transient", zero=True)
-        grid.without_settings(reason, durations, rate_tolerance, transient)
-        tile = grid.Grid(values, values, reason, durations, rate_tolerance, transient=transient)
+        tile = grid.of_points(system, self.settings, points, self.duration or durations, self.transient)
         if self.warnings is not None:
-            self.warnings.extend(_warnings(system, self.outputs, tile, self.duration or Duration()))
+            self.warnings.extend(warnings_of(system, self.outputs, tile, self.duration or Duration()))
             log_warnings(self.warnings)
         plan = Plan.of_points(system, self.settings, self.variables, self.names)
         if self.warnings is not None:
@@ -220,7 +214,7 @@ class _Labels:
         return results if len(results) > 1 else results[0]
 
 
-def _warnings(system: System, outputs: Sequence[str], points: grid.Grid, duration: Duration) -> list[str]:
+def warnings_of(system: System, outputs: Sequence[str], points: grid.Grid, duration: Duration) -> list[str]:
     """Warnings about points; BadInput if none can be computed."""
     check_possible(system, points.base)
     if not points.exists.any():

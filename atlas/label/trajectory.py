@@ -46,7 +46,6 @@ _VARIABLES = {
     "psi_dot": ("precession rate psi'", _RATE),
     "phi_dot": ("proper rotation rate phi'", _RATE),
     "normal_rate": ("rate about the vertical", _RATE),
-    "integral_drift": ("change of a first integral", "1"),
 }
 
 
@@ -243,21 +242,27 @@ def _dataset(
             total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    # The units of states that are no rates are unknown.
-    attributes = {name: {"long_name": f"state {name}"} for name in equations.STATE}
-    for name in system.rate_states:
-        attributes[name]["units"] = _RATE
-    texts = {name: text for name, text in _VARIABLES.items() if path or name == "integral_drift"}
-    for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
-        texts[name] = f"third axis along {axis.strip('$')}", "1"
-    texts |= {o.name: (o.long_name, o.unit) for o in system.observables}
-    attributes |= {name: {"long_name": text, "units": units} for name, (text, units) in texts.items()}
-    for name in texts.keys() & {"psi", "phi", "theta_dot", "psi_dot", "phi_dot"} if path else ():
+    attributes = attributes_of(system)
+    for name in ("psi", "phi", "theta_dot", "psi_dot", "phi_dot") if path else ():
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return xr.Dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
         coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
     )
+
+
+def attributes_of(system: System) -> dict[str, dict[str, str]]:
+    """Attributes of the quantities of a motion by name; the units of states that are no rates are unknown."""
+    attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
+    for name in system.rate_states:
+        attributes[name]["units"] = _RATE
+    texts = {"integral_drift": ("change of a first integral", "1")}
+    if main_instrument(system).has_theory:
+        texts |= _VARIABLES
+        for name, axis in zip(("axis_x", "axis_y", "axis_z"), system.frame_axes, strict=True):
+            texts[name] = f"third axis along {axis.strip('$')}", "1"
+    texts |= {o.name: (o.long_name, o.unit) for o in system.observables}
+    return attributes | {name: {"long_name": text, "units": units} for name, (text, units) in texts.items()}
 
 
 def _path(

@@ -35,7 +35,7 @@ from ..systems.steady import lacks_theory
 from .checks import check_range
 from .expressions import Expression
 from .family import ON_FAMILY, check_solution, solution
-from .model import Duration, Scene
+from .model import Duration, Scene, Settings
 
 # Most points of a tile, without the environment variable ATLAS_TILE_POINTS.
 MAX_POINTS_PER_TILE = 65536
@@ -203,6 +203,23 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
         indices.append(index)
     scene = replace(scene, axes=axes)
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
+
+
+def of_points(
+    system: System,
+    settings: Settings,
+    points: dict[str, Array],
+    duration: Duration | Array,
+    transient: Duration,
+) -> Grid:
+    """Points given one by one, whose runs last as long as a duration, or numbers, say."""
+    values = SharedValues(points)
+    lengths = durations(system, duration, values) if isinstance(duration, Duration) else duration
+    rate_tolerance = at_points(system, settings.rate_tolerance, values)
+    before = durations(system, transient, values, key="transient", zero=True)
+    reason = reasons(system, values)
+    without_settings(reason, lengths, rate_tolerance, before)
+    return Grid(values, values, reason, lengths, rate_tolerance, transient=before)
 
 
 def at_points(system: System, amount: float | str, points: Points, names: Points | None = None, zero: bool = False) -> Array:  # fmt: skip

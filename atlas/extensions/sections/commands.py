@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 
 from ...cli import options as cli
-from ...cli.atlases import write_or_draw
+from ...cli.atlases import file_of_scene, write_or_draw
 from ...errors import BadInput, allowed_text, say
-from ...files import FIGURES, writable
 
 MAX_POINTS = 4096
 
@@ -25,25 +25,21 @@ MAX_POINTS = 4096
 )
 def draw_section(options: argparse.Namespace) -> None:
     """Draw or write a Poincaré section of the motions of a scene."""
-    from ...scene.grid import Reason, points_at, sentence
+    from ...scene import grid
     from .section import section
 
-    name = options.out or f"{cli.default_name(options.scene)}_section.png"
-    out = writable(name, (".nc", *FIGURES), force=options.force, inputs=cli.input_files(options.scene))
-    scene, at = cli.read_scene(options.scene), cli.axis_values("--at", options.at)
-    for axis in at.keys() - scene.axes.keys():
-        raise BadInput(f"--at {axis}: no axis of the scene; {allowed_text(axis, [*scene.axes])}")
-    values = [[at[axis.name]] if axis.name in at else axis.values for axis in scene.axes.values()]
-    if (size := int(np.prod([len(each) for each in values], dtype=object))) > MAX_POINTS:
-        raise BadInput(f"{size} points; a section of a scene has at most {MAX_POINTS}: choose some by --at")
-    places = np.meshgrid(*values, indexing="ij")
-    tile = points_at(scene, dict(zip(scene.axes, (each.ravel() for each in places), strict=True)))
-    if not tile.exists.any():
-        reason = sentence(Reason(tile.reason.max()), scene.system, scene.family, scene.duration)
-        raise BadInput(f"no motion: {reason}")
-    points = {
-        name: values for name, values in tile.subset(tile.exists).points.items() if not np.isnan(values).all()
-    }
-    ds = section(scene.system.name, points, at=options.on, keep=options.keep, count=options.count)
+    out, scene = file_of_scene(options, "section"), cli.read_scene(options.scene)
+    for name, value in cli.axis_values("--at", options.at).items():
+        if name not in scene.axes:
+            raise BadInput(f"--at {name}: no axis of the scene; {allowed_text(name, [*scene.axes])}")
+        axis = replace(scene.axes[name], values=np.array([value]))
+        scene = replace(scene, axes={**scene.axes, name: axis})
+    if scene.size > MAX_POINTS:
+        raise BadInput(
+            f"{scene.size} points; a section of a scene has at most {MAX_POINTS}: choose some by --at"
+        )
+    points = grid.check(scene)
+    given = {name: v for name, v in points.subset(points.exists).points.items() if not np.isnan(v).all()}
+    ds = section(scene.system.name, given, at=options.on, keep=options.keep, count=options.count)
     write_or_draw(ds, out, "section_map")
     say(f"{ds.sizes['point']} points, {int(ds['crossings'].sum())} crossings; wrote {out}")

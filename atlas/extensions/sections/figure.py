@@ -49,28 +49,26 @@ def section_map(
         given = {name: ds[name].values for name in system_of(ds).parameters if name in ds.coords}
         labels = label_points(
             attribute_text(ds.attrs, "atlas_system"), given, duration=attribute_text(ds.attrs, LENGTH),
-            transient=attribute_text(ds.attrs, TRANSIENT), variables=["regularity", "label", "lyapunov"],
+            transient=attribute_text(ds.attrs, TRANSIENT, "0"), variables=[colour],
         )  # fmt: skip
-        ds = ds.assign({colour: ("point", labels[colour].values.reshape(-1), labels[colour].attrs)})
+        ds = ds.assign({colour: labels[colour].variable})
     of_points = [
         str(name) for name in ds.variables if ds[name].dims == DIMS[:1] and ds[name].dtype.kind in "if"
     ]
     if colour is None:
-        colour, legend = "status", {"colors": dict.fromkeys(Status.meanings(), "black"), "legend": False}
-        options = legend | options
+        colour, black = "status", dict.fromkeys(Status.meanings(), "black")
+        options = {"colors": black, "legend": False} | options
     for name, allowed in ((axes[0], kept), (axes[1], kept), (colour, [*of_points, "regularity"])):
         if name not in allowed:
             raise BadInput(f"section_map: {shown(name)}: {allowed_text(name, allowed)}")
-    dots = (
-        xr.broadcast(ds[[*axes, colour]].reset_coords())[0]
-        .stack(dot=DIMS)
-        .drop_vars(["dot", *DIMS], errors="ignore")
+    table = ds[[*axes, colour]].to_dataframe().dropna(subset=axes)
+    symbols = {o.name: o.symbol for o in system_of(ds).observables}
+    dots = xr.Dataset(
+        {name: ("point", table[name], ds[name].attrs) for name in (*axes, colour)}, attrs=ds.attrs
     )
-    dots = dots.dropna("dot", subset=axes).rename(dot="point").set_coords(axes)
-    for each in system_of(ds).observables:
-        if each.symbol and each.name in axes:
-            dots[each.name].attrs |= {"long_name": each.symbol}
-    figure = atlas_map(dots.assign_attrs(ds.attrs), colour, x=axes[0], y=axes[1], **options)
+    for axis in axes:
+        dots[axis].attrs |= {"long_name": symbols.get(axis) or axis}
+    figure = atlas_map(dots.set_coords(axes), colour, x=axes[0], y=axes[1], **options)
     drawn: Any = (options.get("ax") or figure.axes[0]).collections[-1]
     drawn.set(sizes=np.minimum(drawn.get_sizes(), LARGEST_DOT), linewidths=0.0)
     return figure

@@ -15,17 +15,20 @@ from ...kernel import numeric_bound
 from ...kernel.ensemble import Ensemble
 from ...kernel.stepsize import ROUNDING, StepSizes
 from ...kernel.tableaux import METHODS
+from ...label.pipeline import after_transient
 from ...label.plan import Plan
+from ...label.points import warnings_of
+from ...label.trajectory import attributes_of
 from ...scene import grid
 from ...scene.checks import texts, typed, whole_number
+from ...scene.expressions import Expression
 from ...scene.model import Settings
 from ...scene.read import check_unit, parse_duration, parse_transient
 from ...scene.tables import Table, flat_columns, parameter_arrays, table
 from ...store import dataset
-from ...store.dataset import TRANSIENT
-from ...systems.base import NATURAL_RATE, System, check_possible, subset
+from ...systems.base import NATURAL_RATE, System
 from .crossings import crossings
-from .surface import ANGLES, BODY, Surface
+from .surface import ANGLES, Surface
 
 DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
@@ -98,11 +101,15 @@ def section(
     if keep is None:
         keep = OF_BODY if description.frame else [each.name for each in description.observables]
     keep = list(dict.fromkeys(texts("keep", keep)))
-    kept = [surface.expression("keep", text) for text in keep]
+    kept = [surface.checked("keep", Expression("keep", text)) for text in keep]
     for text in keep:
         if text in description.parameters or text in ("time", "error", "crossings", "status", *DIMS):
             raise BadInput(f"keep: {shown(text)} is part of every section")
-    source = table(points, description.parameters)
+    every = description.parameters
+    length = parse_duration(DURATION if duration is None else duration, names=every)
+    check_unit(description, length)
+    before = parse_transient(description, transient, "transient", every)
+    source = table(points, every)
     names, arrays, name_columns = parameter_arrays(description, source)
     for dim in {str(dim) for array in arrays for dim in array.dims} - {"point"}:
         raise BadInput(
@@ -111,35 +118,26 @@ def section(
     size = max((array.size for array in (*arrays, *name_columns.values())), default=1)
     whole_number("count", count, 1, MAX_VALUES // size)
     columns = flat_columns(description, names, [array.values for array in arrays], (size,), source)
-    description.check(columns)
-    check_possible(description, columns)
-    before = parse_transient(description, transient, "transient", description.parameters)
-    length = parse_duration(DURATION if duration is None else duration, names=description.parameters)
-    check_unit(description, length)
-    later = grid.durations(description, before, columns, key="transient", zero=True)
-    lengths = grid.durations(description, length, columns)
-    total = later + lengths
-    rate_tolerance = grid.at_points(description, settings.rate_tolerance, columns)
-    reason = grid.reasons(description, columns)
-    grid.without_settings(reason, lengths, rate_tolerance, later)
-    if (reason != grid.Reason.NONE).all():
-        raise BadInput(f"no motion: {grid.sentence(grid.Reason(reason.max()), description, None, length)}")
+    part = grid.of_points(description, settings, columns, length, before)
+    warnings, status = warnings_of(description, (), part, length), grid.status_of(part.reason)
     plan, runner = Plan.of_points(description, settings, None, names), METHODS[method]
-    where = np.flatnonzero(reason == grid.Reason.NONE)
-    ensemble, total = Ensemble.of(description, subset(columns, where)), total[where]
+    part = part.subset(where := np.flatnonzero(part.exists))
+    ensemble = Ensemble.of(description, part.points)
     bound, settled = numeric_bound.along_runs(
-        description, plan.kernel, runner, ensemble, total, settings.max_steps
+        description, plan.kernel, runner, ensemble, part.until, settings.max_steps
     )
+    ensemble = replace(ensemble, frequency_bound=np.where(settled, bound, np.inf))
     with np.errstate(all="ignore"):
-        sizes = StepSizes.of(settings.at(rate_tolerance[where]), bound, total)
-        coarse = sizes.incommensurate(runner)
-    status = grid.status_of(reason)
-    status[where] = np.where(sizes.resolved & settled, Status.OK, Status.UNDER_RESOLVED)
-    resolved = np.flatnonzero(status[where] == Status.OK)
-    where, ensemble = where[resolved], replace(ensemble, frequency_bound=bound).subset(resolved)
+        sizes = StepSizes.of(settings.at(part.rate_tolerance), ensemble.frequency_bound, part.until)
+        sizes = sizes.after(part.transient + 0.0 * part.duration, part.duration)
+    status[where] = Status.UNDER_RESOLVED
+    resolved = np.flatnonzero(sizes.resolved)
+    part, ensemble, sizes = part.subset(resolved), ensemble.subset(resolved), sizes.subset(resolved)
+    where, coarse = where[resolved], sizes.incommensurate(runner)
     (rows, number, finite), (others, other_number, _) = (
         crossings(
-            surface, kept, plan.kernel, runner, ensemble, each.subset(resolved), later[where], lengths[where], count
+            surface, kept, plan.kernel, after_transient(plan, part.points, ensemble, each),
+            each, part.duration, count,
         )
         for each in (sizes, coarse)
     )  # fmt: skip
@@ -147,64 +145,44 @@ def section(
         [~finite, number != other_number], [Status.NOT_FINITE, Status.STEP_SENSITIVE], Status.OK
     )
     error = np.abs(rows - others)
+    rows[-1] += sizes.transient[:, None]
     for i, text in enumerate(keep):
-        if description.frame and text in ANGLES:
+        if description.frame and text in ANGLES[1:]:
             error[i] = np.abs((error[i] + np.pi) % (2 * np.pi) - np.pi)
     # The second run has the errors of the first times a power of the ratio of steps, as far as they are not of rounding.
-    sizes, coarse = sizes.subset(resolved), coarse.subset(resolved)
-    rounding = ROUNDING * np.sqrt(sizes.steps)
-    share = 1 / ((sizes.steps / coarse.steps) ** runner.order - 1) + rounding / np.maximum(
-        coarse.dispersion_error, ROUNDING
-    )
+    rounding = ROUNDING * np.sqrt(sizes.whole_steps)
+    share = 1 / ((sizes.steps / coarse.steps) ** runner.order - 1)
+    share += rounding / np.maximum(coarse.dispersion_error, ROUNDING)
     error = error * np.minimum(share, 1.0)[:, None] + np.spacing(np.abs(rows)) + rounding[:, None]
-    most = int(number.max(initial=0))
-    ds = xr.Dataset(coords=name_columns)
-    for name, values in zip([*keep, "time", "error"], [*rows, error.max(0)], strict=True):
-        every = np.full((size, most), np.nan)
-        every[where] = values[:, :most]
-        ds[name] = DIMS, every, _attributes(description, name)
-    numbers = np.zeros(size, np.int32)
-    numbers[where] = number
-    ds["crossings"] = "point", numbers, {"long_name": "number of crossings", "units": "1"}
-    ds["status"] = "point", status, dataset.variable_attributes(description, "status", ())
+    values = np.full((len(keep) + 2, size, number.max(initial=0)), np.nan)
+    values[:, where] = np.array([*rows, error.max(0)])[..., : values.shape[2]]
+    known, crossed = attributes_of(description), np.zeros(size, np.int32)
+    known["time"] = {"long_name": "time of the crossing", "units": "s"}
+    known["error"] = {"long_name": "largest error of what is kept and of the time", "units": "1"}
+    crossed[where] = number
+    ds = xr.Dataset(
+        {name: (DIMS, each, known.get(name, {"long_name": name})) for name, each in zip([*keep, "time", "error"], values, strict=True)}
+        | {"crossings": ("point", crossed, {"long_name": "number of crossings", "units": "1"})}
+        | {"status": ("point", status, dataset.variable_attributes(description, "status", ()))},
+        coords=name_columns,
+    )  # fmt: skip
     ds = dataset.with_parameters(ds, description, dict(zip(names, arrays, strict=True)))
-    counts = np.bincount(reason, minlength=len(grid.Reason))
     spread = _spread(description, ensemble)
-    warnings = [
-        *grid.count_lines(counts, description, None, length),
-        *grid.system_warnings(description, subset(columns, where)),
-        *(
-            f"the first integral {name} of the points differs by {value:.2g} of its size: motions of different ones share no section"
-            for name, value in spread.items() if value > SPREAD
-        ),
+    warnings += [
+        f"the first integral {name} of the points differs by {value:.2g} of its size: motions of different ones share no section"
+        for name, value in spread.items() if value > SPREAD
     ]  # fmt: skip
     dataset.log_warnings(warnings)
     ds.attrs = dataset.provenance(
-        description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings
-    )
-    ds.attrs |= {
-        AT: at, LENGTH: str(length), TRANSIENT: str(before),
-        "atlas_integral_spread": max(spread.values(), default=0.0),
-    }  # fmt: skip
+        description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings, transient=before
+    )  # fmt: skip
+    ds.attrs |= {AT: at, LENGTH: str(length), "atlas_integral_spread": max(spread.values(), default=0.0)}
     return ds
-
-
-def _attributes(system: System, name: str) -> dict[str, object]:
-    """Attributes of a variable over the crossings; the unit of an expression is unknown."""
-    known = {
-        "time": ("time of the crossing", "s"),
-        "error": ("largest error of what is kept and of the time", "1"),
-    }
-    known |= {each.name: (each.long_name, each.unit) for each in system.observables}
-    known |= {each: (each, "rad s-1") for each in (*system.rate_states, *(BODY[2:6] if system.frame else ()))}
-    known |= {each: (each, "rad") for each in (("theta", *ANGLES) if system.frame else ())}
-    long_name, *units = known.get(name, (name,))
-    return {"long_name": long_name, **dict(zip(["units"], units, strict=False))}
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
     """Differences among starts of the first integrals that are constant, over their sizes."""
-    equations, at, result = system.equations, (ensemble.state, ensemble.constants), {}
+    equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)
         if (scale > 0).all() and scale.size and not (loss and np.any(getattr(equations, loss)(*at))):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from functools import cached_property
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -15,129 +15,117 @@ from ...systems.base import Array, Mask, System
 from ...systems.jacobian import STEP
 
 DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
-ANGLES = ("psi", "phi")
-BODY = ("theta", "phi", "theta_dot", "psi_dot", "phi_dot", "normal_rate", "axis_z")
+ANGLES = ("theta", "psi", "phi")  # the last two jump by a turn
+RATES = ("theta_dot", "psi_dot", "phi_dot")
 FRAME = ("psi", "axis_x", "axis_y")  # those that need a vector at rest in the frame
+BODY = {*ANGLES, *RATES, *FRAME, "normal_rate", "axis_z"}
 
 
 def names_of(system: System) -> list[str]:
     """Names of the quantities that follow from a state and the constants."""
-    equations = system.equations
+    equations, body = system.equations, BODY if system.frame else set()
     names = [*equations.STATE, *(name for name in equations.CONSTANTS if name != TIME_UNIT)]
-    body = [*BODY, *(FRAME if hasattr(equations, "axis_in_frame") else ())] if system.frame else []
+    body = body if hasattr(equations, "axis_in_frame") else body - {*FRAME}
     return list(dict.fromkeys([*names, *(each.name for each in system.observables), *body]))
 
 
-class Quantities(dict[str, Any]):
-    """Quantities at states by name, each computed when it is asked for; states may be complex."""
-
-    def __init__(self, system: System, state: Any, constants: Array):
-        self.equations, self.at, self.of_body = system.equations, (state, constants), bool(system.frame)
-        super().__init__(zip(self.equations.CONSTANTS, constants, strict=True))
-        self.update(zip(self.equations.STATE, state, strict=True))
-
-    @cached_property
-    def motion(self) -> Any:
-        """Angular velocity and vertical in body axes."""
-        return self.equations.frame_motion(*self.at)
-
-    def __missing__(self, name: str) -> Any:
-        if self.of_body and name in (*FRAME, *BODY):
-            x, y = self.equations.axis_in_frame(*self.at) if name in FRAME else (0.0, 0.0)
-            u1, u2, u3, g1, g2, g3 = self.motion
-            sin2, along = g1 * g1 + g2 * g2, u1 * g1 + u2 * g2
-            # By name, so that no other is computed.
-            self[name] = {
-                "theta": lambda: _angle(np.sqrt(sin2), g3), "phi": lambda: _angle(g1, g2),
-                "psi": lambda: _angle(x, -y), "theta_dot": lambda: (u1 * g2 - u2 * g1) / np.sqrt(sin2),
-                "psi_dot": lambda: along / sin2, "phi_dot": lambda: u3 - along / sin2 * g3,
-                "normal_rate": lambda: along + u3 * g3, "axis_x": lambda: x, "axis_y": lambda: y, "axis_z": lambda: g3,
-            }[name]()  # fmt: skip
+def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
+    """These quantities, and the states and constants, at states, which may be complex."""
+    values = dict(zip(system.equations.CONSTANTS, constants, strict=True))
+    values |= zip(system.equations.STATE, state, strict=True)
+    for name in {*names} - values.keys():
+        if system.frame and name in BODY:
+            a, b = _parts(system, name, state, constants)
+            if name not in ANGLES:
+                values[name] = a / b
+            else:  # only theta is asked for at complex states
+                values[name] = np.arccos(b) if np.iscomplexobj(b) else np.arctan2(a, b)
         else:
-            self[name] = getattr(self.equations, name)(*self.at)
-        return self[name]
+            values[name] = getattr(system.equations, name)(state, constants)
+    return values
 
 
-def _angle(y: Any, x: Any) -> Any:
-    """The angle of a point, of complex ones to first order in the imaginary parts."""
-    angle = np.arctan2(np.real(y), np.real(x))
-    if not np.iscomplexobj(y):
-        return angle
-    return angle + 1j * (y.imag * x.real - x.imag * y.real) / (x.real**2 + y.real**2)
+def _parts(system: System, name: str, state: Any, constants: Array) -> tuple[Any, Any]:
+    """Numerator and denominator of a quantity of a body, of an angle sine and cosine times a factor."""
+    if name in FRAME:
+        x, y = system.equations.axis_in_frame(state, constants)
+        return {"psi": (x, -y), "axis_x": (x, 1.0), "axis_y": (y, 1.0)}[name]
+    u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(state, constants)
+    sin2, along = g1 * g1 + g2 * g2, u1 * g1 + u2 * g2
+    return {
+        "theta": (np.sqrt(sin2), g3), "phi": (g1, g2), "theta_dot": (u1 * g2 - u2 * g1, np.sqrt(sin2)),
+        "psi_dot": (along, sin2), "phi_dot": (u3 * sin2 - along * g3, sin2), "normal_rate": (along + u3 * g3, 1.0),
+        "axis_z": (g3, 1.0),
+    }[name]  # fmt: skip
 
 
 class Surface:
     """A surface from a text such as "psi_dot = 0 rising"; BadInput for any other text."""
 
     def __init__(self, system: System, at: str):
-        self.system, self.names, self.text = system, names_of(system), at
+        self.system, self.known, key = system, names_of(system), f"at = {shown(at)}"
         equation, _, word = at.strip().rpartition(" ")
         if word not in DIRECTIONS:
             equation, word = at, "rising"
         self.direction, (left, _, right) = DIRECTIONS[word], equation.partition("=")
         try:
-            sides = [Expression("at", side) for side in (left, right)]
+            self.left, self.right = (Expression("at", side) for side in (left, right))
         except BadInput:
             raise BadInput(
-                f'at = {shown(at)}: allowed: two expressions with = between them, then "rising", "falling" or "either", such as'
-                f' "{names_of(system)[0]} = 0 rising"'
+                f'{key}: allowed: two expressions with = between them, then "rising", "falling" or "either", such as'
+                f' "{self.known[0]} = 0 rising"'
             ) from None
-        self.left, self.right = (self.expression(f"at = {shown(at)}", each.text) for each in sides)
+        self.names = {*self.checked(key, self.left).names, *self.checked(key, self.right).names}
         if re.search(r"\babs\(", at):
-            raise BadInput(f"at = {shown(at)}: abs is not smooth; allowed: smooth functions")
-        variable = {*self.names} - {*system.equations.CONSTANTS}
-        if variable.isdisjoint(self.left.names | self.right.names):
-            raise BadInput(
-                f"at = {shown(at)}: no quantity of the motion; {allowed_text('', sorted(variable))}"
-            )
-        of_body = bool(system.frame) and self.left.text in (*ANGLES, *BODY[:5])
+            raise BadInput(f"{key}: abs is not smooth; allowed: smooth functions")
+        variable = {*self.known} - {*system.equations.CONSTANTS}
+        if variable.isdisjoint(self.names):
+            raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(variable))}")
         # The quantity alone on the left, whose equation is free of the division by sin(theta).
-        self.cleared = self.left.text if of_body and variable.isdisjoint(self.right.names) else ""
-        jumping = (self.left.names | self.right.names) & {*ANGLES} if system.frame else set()
-        if jumping - {self.cleared}:
+        alone = system.frame and variable.isdisjoint(self.right.names)
+        self.cleared = self.left.text if alone and self.left.text in (*ANGLES, *RATES) else ""
+        if system.frame and (jumping := self.names & {*ANGLES[1:]} - {self.cleared}):
             raise BadInput(
-                f"at = {shown(at)}: psi and phi jump by a turn; allowed: one of them alone, as in"
-                f' "{min(jumping)} = 0", or sines and cosines by axis_x, axis_y and states'
+                f'{key}: psi and phi jump by a turn; allowed: one of them alone, as in "{min(jumping)} = 0", or sines and'
+                " cosines by axis_x, axis_y and states"
             )
 
-    def expression(self, key: str, text: str) -> Expression:
-        """An expression of these quantities, else BadInput."""
-        expression = Expression(key, text)
-        for name in sorted(expression.names - {*self.names}):
-            raise BadInput(f"{key}: {shown(name)} is unknown; {allowed_text(name, sorted(self.names))}")
+    def checked(self, key: str, expression: Expression) -> Expression:
+        """The expression; BadInput if it has other names than these quantities."""
+        for name in sorted(expression.names - {*self.known}):
+            raise BadInput(f"{key}: {shown(name)} is unknown; {allowed_text(name, sorted(self.known))}")
         return expression
 
     def value(self, state: Any, constants: Array) -> Any:
         """The function that vanishes on the surface and increases in the direction "rising"."""
-        quantities = Quantities(self.system, state, constants)
-        c = self.right.value(quantities)
+        values = quantities(self.system, self.names - {self.cleared}, state, constants)
+        c = self.right.value(values)
         if not self.cleared:
-            return self.left.value(quantities) - c
-        u1, u2, u3, g1, g2, g3 = quantities.motion
-        sin2, along = g1 * g1 + g2 * g2, u1 * g1 + u2 * g2
-        return {
-            "theta": lambda: np.cos(c) * np.sqrt(sin2 + g3 * g3) - g3,  # whatever rounding makes of the unit vector
-            "theta_dot": lambda: u1 * g2 - u2 * g1 - c * np.sqrt(sin2), "psi_dot": lambda: along - c * sin2,
-            "phi_dot": lambda: (u3 - c) * sin2 - along * g3, "phi": lambda: g1 * np.cos(c) - g2 * np.sin(c),
-            "psi": lambda: quantities["axis_x"] * np.cos(c) + quantities["axis_y"] * np.sin(c),
-        }[self.cleared]()  # fmt: skip
+            return self.left.value(values) - c
+        a, b = _parts(self.system, self.cleared, state, constants)
+        if self.cleared == "theta":  # smooth on the vertical
+            return np.cos(c) * np.sqrt(a * a + b * b) - b
+        return a * np.cos(c) - b * np.sin(c) if self.cleared in ANGLES else a - c * b
 
-    def with_slope(self, state: Array, constants: Array) -> tuple[Array, Array]:
-        """The function and its derivative by time, over the places of the states."""
+    def with_slope(self, state: Array, constants: Array) -> tuple[Array, Array, Array]:
+        """The function and its derivative by time over the places of the states, and the derivatives of the states."""
         with np.errstate(all="ignore"):
-            slope = np.array(np.broadcast_arrays(*self.system.equations.rhs(state, constants), state[0])[:-1])
-            value, moved = (self.value(each, constants) for each in (state, state + 1j * STEP * slope))
-        return np.broadcast_to(value, state.shape[1:]), np.broadcast_to(
-            np.imag(moved) / STEP, state.shape[1:]
-        )
+            slopes = np.array(
+                np.broadcast_arrays(*self.system.equations.rhs(state, constants), state[0])[:-1]
+            )
+            moved = self.value(state + 1j * STEP * slopes, constants)
+            both = self.value(state, constants), np.imag(moved) / STEP
+        value, slope = (np.broadcast_to(each, state.shape[1:]) for each in both)
+        return value, slope, slopes
 
     def size(self, state: Array, constants: Array) -> Array:
         """About the change of the function where all states change by their sizes."""
         shares = np.cos(np.arange(len(state)))[:, None]  # not all alike, which unit vectors would not feel
         return np.asarray(np.abs(np.imag(self.value(state * (1 + 1j * STEP * shares), constants))) / STEP)
 
-    def contains(self, quantities: Quantities) -> Mask | bool:
+    def contains(self, state: Array, constants: Array) -> Mask | bool:
         """Whether a zero is on the surface: of a jumping angle, those half a turn away are not."""
-        if self.cleared not in ANGLES:
+        if self.cleared not in ANGLES[1:]:
             return True
-        return np.asarray(np.cos(quantities[self.cleared] - self.right.value(quantities)) > 0)
+        values = quantities(self.system, {*self.names, self.cleared}, state, constants)
+        return np.asarray(np.cos(values[self.cleared] - self.right.value(values)) > 0)

@@ -32,6 +32,9 @@ _AVERAGED = re.compile(
 )
 
 
+POSITIONS = "atlas_positions"  # attribute of a variable of positions in a list: words for -1 and for a member
+
+
 def system_of(ds: xr.Dataset) -> System:
     """The system of an atlas; BadInput if the dataset is none, or has texts where an atlas has numbers."""
     if "atlas_system" not in ds.attrs:
@@ -226,10 +229,12 @@ def _registry(system: System) -> Mapping[str, Variable]:
     return {}
 
 
-def _positions(name: str) -> tuple[str, str] | None:
-    """`Variable.positions` of the variable of this name."""
+def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
+    """`Variable.positions` of the variable of this name, or what its attribute POSITIONS says."""
+    own = attribute_text(ds[name].attrs, POSITIONS) if name in ds else ""
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
-    return next((variable.positions for variable in registered if variable and variable.positions), None)
+    named = (variable.positions for variable in registered if variable and variable.positions)
+    return own.split() if own else next(named, None)
 
 
 def has_flags(array: xr.DataArray) -> bool:
@@ -293,7 +298,7 @@ def is_averaged(array: xr.DataArray) -> bool:
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
     """The dataset with a variable of positions in a list, if this is one, as flags: none, then every position."""
-    names = _positions(variable)
+    names = _positions(ds, variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
     flags = ds[variable] + 1
@@ -344,7 +349,7 @@ def map_variable(ds: xr.Dataset) -> str:
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
     """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
     allowed = flag_names(flag_variable(ds, variable))
-    first = -1 if _positions(variable) else 0
+    first = -1 if _positions(ds, variable) else 0
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
     numbers = []
     for flag in flags if is_list else [flags]:  # type: ignore[union-attr]

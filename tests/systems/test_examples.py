@@ -438,6 +438,32 @@ def test_satellite_in_the_plane_of_its_orbit_is_the_pitch():
         np.testing.assert_allclose(whole, (rate, 0, 0, 1, planar[1], 0, 0, 0), atol=1e-13)
 
 
+def test_a_damped_satellite_is_captured_by_resonances():
+    """Rotations are those of DOP853, and in turns per orbit multiples of 1/4."""
+    from elliptic_orbit.rotation import Equations
+
+    psi, rate = (each.ravel() for each in np.meshgrid([0.4, 1.6], [0.1, 0.5, 1.1]))
+    begin, length, values = 2 * np.pi * 600, 2 * np.pi * 40, (0.2, 0.02, 0.002)
+    points = dict(zip(("e", "K", "damping"), values, strict=True)) | {"psi0": psi, "rate0": rate}
+    ds = atlas.label_points(
+        "damped_rotation", points, transient=begin, duration=length, method="rk8", tolerance=1e-4
+    )
+
+    def slope(nu, y):
+        state = *y.reshape(2, -1), np.cos(nu), np.sin(nu)
+        return np.concatenate(Equations.rhs(state, values)[:2])
+
+    run = solve_ivp(
+        slope, (0, begin + length), np.r_[psi, rate], "DOP853", [begin, begin + length], rtol=1e-9, atol=1e-10
+    )
+    turns = 1 + np.diff(run.y[:6])[:, 0] / length
+    ok = ds["status"].values == Status.OK
+    assert ok.sum() >= 4
+    assert np.abs(ds["rotation_mean"].values - turns)[ok].max() < 1e-3
+    assert np.abs(4 * turns - np.round(4 * turns))[ok].max() < 0.04
+    assert ds.atlas.ends("rotation_mean", 0.01)["which"].size >= 2
+
+
 def test_two_field_top_precesses_about_the_resultant():
     """The conditions give motions that DOP853 confirms, measured as regular about two axes, and small nutations as derived:
     A theta'' = f(theta) of the axis to the resultant has -f'/A = N^2 sin^2 + (b/A - 2 N cos)^2, b = C w3 + l3.

@@ -1,4 +1,4 @@
-"""Where damped gyrostats end, by the wells of their potential."""
+"""Where motions end: damped gyrostats by the wells of their potential, others by statistics that agree."""
 
 from ...extension import Extension
 
@@ -7,7 +7,7 @@ EXTENSION = Extension(
     __name__,
     "the equilibria in which damped motions end, how that is known, and times of settling",
     needs=("equilibria",),
-    questions={"basin_fractions": "fractions:basin_fractions"},
+    questions={"basin_fractions": "fractions:basin_fractions", "ends": "groups:ends"},
     instruments=dict.fromkeys(
         ("end_equilibrium", "end_theta0", "end_psi0", "end_phi0", "end_index", "settled_by"), "ends:ENDS"
     )

@@ -14,8 +14,10 @@ from ...flags import SettledBy
 from .ends import END, NO_END
 
 
-def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None = None) -> xr.Dataset:
-    """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`.
+def basin_fractions(
+    ds: xr.Dataset, over: str | Sequence[str] | None = None, variable: str = END
+) -> xr.Dataset:
+    """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`, or in each end of `ends`.
 
     Parameters
     ----------
@@ -23,32 +25,35 @@ def basin_fractions(ds: xr.Dataset, over: str | Sequence[str] | None = None) -> 
         The atlas; of the method `ds.atlas.basin_fractions` its dataset.
     over : str or sequence of str, optional
         The axes of starts; default all. Points of a list lie along "point".
+    variable : str
+        "end_equilibrium", or "end" of the result of `ends`.
 
     Returns
     -------
     Dataset
-        `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and `end_equilibrium`, whose
-        coordinate is the positions in `atlas.equilibria` and first -1, not settled or undecided; and `undecided`, the fraction
-        of starts of which an error of the size of the tolerance could change the end, nan in atlases that did not ask this.
+        `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and the variable, whose coordinate
+        is the positions in `atlas.equilibria`, or along `which`, and first -1, no end. Of equilibria `undecided` as well, the
+        fraction of starts of which an error of the size of the tolerance could change the end, nan in atlases that did not ask this.
 
     Raises
     ------
     BadInput
-        For an atlas without `end_equilibrium` or `settled_by`.
+        For an atlas without the variable, or with `end_equilibrium` but without `settled_by`.
     """
-    every = [str(dim) for dim in flag_variable(ds, END).dims]
-    if "settled_by" not in ds:
+    every = [str(dim) for dim in flag_variable(ds, variable).dims]
+    if variable == END and "settled_by" not in ds:
         raise BadInput(
             "settled_by: not in this atlas, so that undecided ends are unknown; run its scene again: it is written with end_equilibrium"
         )
-    result = probability(ds, END, every if over is None else over).rename(probability="fraction")
-    known, dims = (
-        "undecided" in flag_names(ds["settled_by"]),
-        [dim for dim in every if dim not in result.dims],
-    )
-    undecided = (ds["settled_by"] == SettledBy.UNDECIDED).mean(dims).where(known)
-    result["undecided"] = undecided.assign_attrs(
-        long_name="fraction of starts with an undecided end", units="1"
-    )
-    positions = np.arange(result.sizes[END]) + NO_END
-    return result.assign_coords({END: (END, positions, ds[END].attrs)})
+    result = probability(ds, variable, every if over is None else over).rename(probability="fraction")
+    if variable == END:
+        known, dims = (
+            "undecided" in flag_names(ds["settled_by"]),
+            [dim for dim in every if dim not in result.dims],
+        )
+        undecided = (ds["settled_by"] == SettledBy.UNDECIDED).mean(dims).where(known)
+        result["undecided"] = undecided.assign_attrs(
+            long_name="fraction of starts with an undecided end", units="1"
+        )
+    positions = np.arange(result.sizes[variable]) + NO_END
+    return result.assign_coords({variable: (variable, positions, ds[variable].attrs)})

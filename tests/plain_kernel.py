@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 
 from atlas.kernel import augmented, generated, integrate
-from atlas.kernel.assemble import MEASURING, generated_functions, generated_numbers, reachable
+from atlas.kernel.assemble import MEASURING, entries, generated_functions, generated_numbers, reachable
 from atlas.kernel.ensemble import Plug
 from atlas.kernel.tableaux import METHODS
 from atlas.systems import arithmetic
@@ -33,7 +33,7 @@ def plain_module(
     namespace = {"np": np, "axpy": _axpy, "aligned_empty": np.empty, **arithmetic.numpy_functions()}
     for name, text in generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():
         exec(compile(text, f"<{name} of {equations.__name__}>", "exec"), namespace)
-    objects, _, _ = reachable(of, plugs)
+    objects, _, _ = reachable(entries(of, plugs))
     namespace |= {plug.add_node.__name__: plug.add_node for plug in plugs if plug.add_node}
     namespace |= generated_numbers(equations, METHODS[method], of, plugs)
     for shared in {function.__module__ for function in objects.values()} - {of.__name__}:

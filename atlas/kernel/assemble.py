@@ -24,9 +24,9 @@ MEASURING = (integrate, observe)
 
 @cache
 def reachable(
-    of: ModuleType, plugs: tuple[Plug, ...] = (), absent: tuple[str, ...] = ()
+    functions: tuple[Any, ...], stubs: ModuleType = generated, absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """Functions, sources and numbers that `integrate` of a kernel with plugs needs, by name, callees first.
+    """Functions, sources and numbers that some functions need, by name, callees first, without what `stubs` declares.
 
     The sources contain numbers in place of the members of enumerations, and no blocks `if name:` of absent names.
     """
@@ -43,7 +43,7 @@ def reachable(
         objects[function.__name__] = function
         for name in arithmetic.names_in(node):
             value = vars(module).get(name)
-            if name in objects or hasattr(generated, name):
+            if name in objects or hasattr(stubs, name):
                 continue
             if isinstance(value, FunctionType):
                 visit(value)
@@ -51,9 +51,14 @@ def reachable(
                 numbers[name] = value
         sources[function.__name__] = ast.unparse(node)
 
-    for function in (*dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate):
+    for function in functions:
         visit(function)
     return objects, sources, numbers
+
+
+def entries(of: ModuleType, plugs: Sequence[Plug]) -> tuple[Any, ...]:
+    """The functions that a kernel with plugs calls from outside its file, and `integrate`."""
+    return *dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate
 
 
 class _Stripped(ast.NodeTransformer):
@@ -103,7 +108,7 @@ def source(
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
-    _, sources, numbers = reachable(of, plugs, absent)
+    _, sources, numbers = reachable(entries(of, plugs), absent=absent)
     measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:

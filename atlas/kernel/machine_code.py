@@ -17,7 +17,6 @@ import pickle
 import shutil
 import stat
 import sys
-import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -42,7 +41,7 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from ..files import atomic_write, cache_folder, complain, is_private, read_private, remove_leftovers
-from ..systems.arithmetic import names_in
+from ..systems import arithmetic
 from .compiling import compilation
 
 # contract lets LLVM fuse multiply and add; anything more (nnan above all) would lose NaN checks.
@@ -56,12 +55,14 @@ from numba import njit
 from atlas.kernel.intrinsics import aligned_empty, full_vectors, axpy
 
 '''
-# Only `integrate` is called from Python; its callees need no wrappers for calls from Python and C.
+# Only the last function of a module is called from Python; its callees need no wrappers for calls from Python and C.
 INLINE = (
     "@njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True,"
     f" fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 )
 CALLED = INLINE.replace("forceinline=True, ", "")
+_FASTMATH = f" fastmath={OPTIONS['fastmath']!r},"
+UNFUSED = CALLED.replace(_FASTMATH, "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
 # Settings of Numba that change the machine code of a kernel, unlike threads, caches, messages, dumps, GPUs and profiling.
 MACHINE_CODE_SETTINGS = {
@@ -81,9 +82,6 @@ MACHINE_CODE_SETTINGS = {
 }
 # Intrinsics are compiled into every kernel without being in its source.
 _INTRINSICS = Path(__file__).with_name("intrinsics.py").read_bytes() + Path(__file__).read_bytes()
-# No other thread may see an unfinished module, or parse at the same time: Python 3.11 keeps one depth of recursion for all
-# threads, and raises SystemError where two conversions of syntax trees overlap.
-PARSING = threading.RLock()
 
 
 def cpu() -> str:
@@ -98,11 +96,15 @@ def settings() -> dict[str, str]:
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
 
 
-def module_text(values: Mapping[str, str], functions: Mapping[str, str], callee: str) -> str:
-    """Text of a kernel module: values and functions as text by name; callee: decorator of all functions but `integrate`."""
+def module_text(
+    values: Mapping[str, str], functions: Mapping[str, str], callee: str, imports: str = ""
+) -> str:
+    """Text of a kernel module: values and functions as text by name; callee: decorator of all functions but the last."""
     lines = [f"{name} = {value}" for name, value in values.items()]
-    parts = [f"{KERNEL if name == 'integrate' else callee}\n{text}" for name, text in functions.items()]
-    return "\n\n\n".join([HEADER + "\n".join(lines), *parts]) + "\n"
+    kernel = KERNEL if _FASTMATH in callee else KERNEL.replace(_FASTMATH, "")
+    parts = [f"{callee}\n{text}" for text in functions.values()]
+    parts[-1] = parts[-1].replace(callee, kernel, 1)
+    return "\n\n\n".join([HEADER + imports + "\n".join(lines), *parts]) + "\n"
 
 
 class _Statement(NamedTuple):
@@ -116,7 +118,7 @@ class _Statement(NamedTuple):
 @functools.lru_cache(maxsize=8)
 def _statements(source: str) -> tuple[_Statement, ...]:
     """The statements of a kernel, parsed once for the hashes of the kernel and of its functions."""
-    with PARSING:
+    with arithmetic.PARSING:
         body = ast.parse(source).body
     statements = []
     for node in body:
@@ -155,39 +157,44 @@ def check_compiler() -> None:
 
 
 def load(source: str) -> ModuleType:
-    """Make the generated module; its function `integrate` is compiled, or taken from the cache, when first called."""
+    """Make the generated module; its last function is compiled, or taken from the cache, when first called."""
     check_compiler()
-    with PARSING:
+    with arithmetic.PARSING:
         name = f"atlas_kernel_{digest(source)}"
         if name not in sys.modules:
             module = ModuleType(name)
             _define(source, module, functions=False)
-            module.integrate._cache = _MachineCode(name)  # as the option `cache` of njit does
-            compiler = module.integrate._compiler
+            kernel = _kernel(module, source)
+            kernel._cache = _MachineCode(name)  # as the option `cache` of njit does
+            compiler = kernel._compiler
             compiler.compile = functools.partial(_compile, source, module, compiler.compile)
             sys.modules[name] = module  # Numba finds the globals of a cached kernel by the name of its module
         return sys.modules[name]
 
 
+def _kernel(module: ModuleType, source: str) -> Any:
+    """The function that is called from Python."""
+    return getattr(module, _statements(source)[-1].name)
+
+
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """Execute a part of a source: the callees of `integrate`, whose decorators take a tenth of a second, or the rest."""
-    body = [
-        node
-        for name, node, _ in _statements(source)
-        if functions == (isinstance(node, ast.FunctionDef) and name != "integrate")
-    ]
+    """Execute a part of a source: the callees of its last function, whose decorators take a tenth of a second, or the rest."""
+    *callees, kernel = _statements(source)
+    body = [node for _, node, _ in callees if functions == isinstance(node, ast.FunctionDef)]
+    body += [] if functions else [kernel.node]
     exec(compile(ast.Module(body, []), f"<{module.__name__}>", "exec"), vars(module))
 
 
 def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arguments: Any) -> Any:
-    """Compile `integrate`, which is not in the cache; the time is measured and announced."""
+    """Compile the kernel, which is not in the cache; the time is measured and announced."""
     # Few of the millions of objects of a compilation are in cycles of references, which may wait.
     enabled = gc.isenabled()
     gc.disable()
     try:
         with compilation():
             _define(source, module, functions=True)
-            module.integrate._cache.modules = _share_functions(source, module)
+            kernel = _kernel(module, source)
+            kernel._cache.modules = _share_functions(source, module)
             return compiler(*arguments)
     finally:
         if enabled:
@@ -197,12 +204,12 @@ def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arg
 def _share_functions(source: str, module: ModuleType) -> list[str]:
     """Cache each function of a kernel under a hash of all that it uses, so that kernels share it; returns these names."""
     definitions = {statement.name: statement for statement in _statements(source) if statement.name}
-    uses = {name: names_in(each.node) & definitions.keys() for name, each in definitions.items()}
+    uses = {name: arithmetic.names_in(each.node) & definitions.keys() for name, each in definitions.items()}
     config: Any = numba.config
     environment, names = _environment(), []
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
     for name, function in dispatchers.items():
-        if name != "integrate":
+        if function is not _kernel(module, source):
             needed, queue = {name}, [name]
             while queue:
                 new = uses[queue.pop()] - needed

@@ -8,6 +8,7 @@ from functools import cache
 from types import ModuleType
 from typing import Any
 
+from ..systems import arithmetic
 from ..systems.base import System
 from . import assemble, integrate, observe, quadratures, tangent
 from .ensemble import Plug
@@ -41,7 +42,7 @@ def source(
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
     of = of or (observe if system.observables else integrate)
     zero, equal = specialization.zero, dict(specialization.equal)
-    with _jit().PARSING:
+    with arithmetic.PARSING:
         return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
 
 

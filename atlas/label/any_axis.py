@@ -11,8 +11,10 @@ from ..measure.circle import label as circle_label
 from ..measure.instrument import Tolerances
 from ..systems.base import FAMILY_TOLERANCE, Array, Mask, Points, System, TwoAxes, within_range
 from ..systems.jacobian import derivatives
-from ..systems.steady import ROUNDING, Existence, SteadyMotion
+from ..systems.steady import ROUNDING
 from ..systems.vectors import cross, length
+from ..theory.motions import SteadyMotion
+from ..theory.steady import Existence
 from .theory import (
     after_nudge,
     exact_starts,
@@ -37,6 +39,7 @@ def predict_any_axis(
     nudged: bool,
     duration: Array | float = np.inf,
     motion: SteadyMotion | None = None,
+    in_machine_code: bool = False,
 ) -> dict[str, np.ndarray]:
     """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
 
@@ -47,12 +50,12 @@ def predict_any_axis(
     names = {own: own.replace("predicted", "predicted_any_axis") for own in predicted_frames(system, base)}
     times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
     with np.errstate(all="ignore"):
-        motion = steady_motions_of(system, base, times, tolerances) if motion is None else motion
+        motion = motion or steady_motions_of(system, base, times, tolerances, in_machine_code)
         if motion is None:
             known = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
             return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
         elsewhere = turns_elsewhere(system, base, motion)
-        pushed = elsewhere & ~exact_starts(system, points, elsewhere) if nudged else False
+        pushed = elsewhere & ~exact_starts(system, points, elsewhere, in_machine_code) if nudged else False
         # Beside a stable motion about the third axis a nudge may lead to one about other axes.
         beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
         decided = ((motion.answer == Existence.EXACT) & beside) | ~within_range(system, base)

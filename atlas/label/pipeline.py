@@ -91,6 +91,7 @@ def evaluate(
         columns |= predict_any_axis(
             plan.system, tile.base, tile.points, columns, run.settings.tolerances,
             nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,
+            in_machine_code=plan.in_machine_code,
         )  # fmt: skip
     start, may_settle = run.ensemble, runs.theory.prediction.may_settle
     forget_drifting(plan.system, columns, may_settle, start.constants, start.origin, start.state)

@@ -21,6 +21,7 @@ from ..measure.instrument import Instrument, MainInstrument
 from ..scene.grid import Grid
 from ..scene.model import MAX_STEPS, Scene, Settings, zero_and_equal
 from ..systems.base import Array, System, derived_variables
+from ..theory.compiled import FEW_POINTS
 from ..variables import default_variables, instruments, main_instrument
 
 
@@ -33,19 +34,29 @@ class Plan:
     outputs: Collection[str] | None = None  # variables wanted; None: `variables.default_variables`
     specialization: Specialization = GENERIC  # terms that the kernels leave out
     nudged: bool = False  # whether points were moved off a family's motions
+    in_machine_code: bool = (
+        False  # whether theory is compiled as well: plain Python is faster for a few points
+    )
 
     @classmethod
     def of(cls, scene: Scene) -> Plan:
         terms = Specialization.of(scene.system, *scene.zero_and_equal_parameters())
-        return cls(scene.system, scene.settings, scene.outputs, terms, bool(scene.nudge))
+        many = scene.size > FEW_POINTS
+        return cls(scene.system, scene.settings, scene.outputs, terms, bool(scene.nudge), many)
 
     @classmethod
     def of_points(
-        cls, system: System, settings: Settings, outputs: Collection[str] | None, given: Collection[str]
+        cls,
+        system: System,
+        settings: Settings,
+        outputs: Collection[str] | None,
+        given: Collection[str],
+        size: int = 1,
     ) -> Plan:
-        """The plan of points with some parameters of any values, the other parameters at their defaults."""
+        """The plan of so many points with some parameters of any values, the other parameters at their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
-        return cls(system, settings, outputs, Specialization.of(system, *zero_and_equal(defaults)))
+        terms = Specialization.of(system, *zero_and_equal(defaults))
+        return cls(system, settings, outputs, terms, in_machine_code=size > FEW_POINTS)
 
     def without_derived(self) -> Plan:
         """The plan without the variables from theory alone, which may take long."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from inspect import signature
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -158,10 +159,12 @@ def label_points(
     if lazy:  # numbers are checked now
         single = {name: array.values for name, array in zip(names, arrays, strict=True) if not array.ndim}
         flat_columns(description, [*single], [*single.values()], (), source)
-    plan = Plan.of_points(description, settings, None if variables is None else outputs, names)
+    sizes = {dim: n for array in (*arrays, lengths) for dim, n in array.sizes.items()}
+    size = prod(sizes.values())
+    plan = Plan.of_points(description, settings, None if variables is None else outputs, names, size)
     warnings, stopwatch = list[str](), Stopwatch()
     labels = _Labels(
-        system, settings, plan.outputs, outputs, names, text, before, 1 if lazy and threads is None else threads,
+        system, settings, plan.outputs, outputs, names, size, text, before, 1 if lazy and threads is None else threads,
         progress and not lazy, *((None, None) if lazy else (source, warnings)),
     )  # fmt: skip
     results = xr.apply_ufunc(
@@ -188,6 +191,7 @@ class _Labels:
     variables: Collection[str] | None  # see `Plan.outputs`
     outputs: Sequence[str]  # variables that it returns
     names: Sequence[str]  # of the parameters
+    size: int  # number of all points, of which the arrays may be a part
     duration: Duration | None  # in place of the last array
     transient: Duration
     threads: int | None
@@ -206,7 +210,7 @@ class _Labels:
         if self.warnings is not None:
             self.warnings.extend(warnings_of(system, self.outputs, tile, self.duration or Duration()))
             log_warnings(self.warnings)
-        plan = Plan.of_points(system, self.settings, self.variables, self.names)
+        plan = Plan.of_points(system, self.settings, self.variables, self.names, self.size)
         if self.warnings is not None:
             _advise(plan, tile)
         columns = _evaluate_in_tiles(plan, tile, self.outputs, self.threads, self.progress)

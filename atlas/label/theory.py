@@ -34,18 +34,10 @@ from ..systems.base import (
 )
 from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import changes_volume
-from ..systems.steady import (
-    FAR,
-    Existence,
-    SteadyMotion,
-    condition_residual,
-    departure,
-    growth_about_vertical,
-    lacks_theory,
-    polynomial_degree,
-    steady_motions,
-)
+from ..systems.steady import condition_residual, growth_about_vertical, lacks_theory, polynomial_degree
 from ..systems.vectors import length
+from ..theory.motions import SteadyMotion, departures, steady_motions
+from ..theory.steady import FAR, Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
@@ -94,7 +86,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     tolerances, nudged = plan.settings.at(tile.rate_tolerance).tolerances, plan.nudged
     with np.errstate(all="ignore"):
         residual = condition_residual(system, points)
-        motion = steady_motions_of(system, base, until, tolerances)
+        motion = steady_motions_of(system, base, until, tolerances, plan.in_machine_code)
         family, family_residual = np.zeros(duration.shape, np.int8), np.full(duration.shape, np.inf)
         # A start that is far from every steady motion is on no family, unless it is on the vertical, as motions in the plane are.
         where = np.arange(duration.size)
@@ -107,10 +99,11 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         if motion is not None:
             in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
             motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
-        pushed = nudged & ~exact_starts(system, points, nudged & (residual <= FAMILY_TOLERANCE))
+        beside = nudged & (residual <= FAMILY_TOLERANCE)
+        pushed = nudged & ~exact_starts(system, points, beside, plan.in_machine_code)
         variables = predict(system, base, tolerances, pushed, family, duration, motion=motion)
         if motion is not None and nudged:
-            _take_away(system, base, points, until, tolerances, variables)
+            _take_away(system, base, points, until, tolerances, variables, plan.in_machine_code)
         growth = log_growth(system, base, family, variables["growth_rate"], until)
         # What drifts in any case drifts however it grows.
         growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
@@ -225,12 +218,12 @@ def departure_changes(run: Run, fine: Run) -> Mask | bool:
 
 
 def steady_motions_of(
-    system: System, points: Points, duration: Array, tolerances: Tolerances
+    system: System, points: Points, duration: Array, tolerances: Tolerances, in_machine_code: bool = False
 ) -> SteadyMotion | None:
     """Whether each start is a steady motion by the equations of its system; None where these are no polynomials."""
     if isinstance(polynomial_degree(system), str):
         return None
-    motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle)
+    motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle, in_machine_code)
     decided = within_range(system, points) & (
         (motion.answer == Existence.EXACT) | ~lacks_theory(system, points)
     )
@@ -358,6 +351,7 @@ def _take_away(
     duration: Array,
     tolerances: Tolerances,
     theory: Mapping[str, np.ndarray],
+    in_machine_code: bool,
 ) -> None:
     """Take labels away from starts that a nudge from base moves further than the tolerances allow, (points,).
 
@@ -369,7 +363,7 @@ def _take_away(
     where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & within_range(system, points))
     part, tolerances = subset(points, where), tolerances.subset(where)
     (u, vertical), (before, _) = frame_motion(system, part), frame_motion(system, subset(base, where))
-    moved = departure(system, part, duration[where], (tolerances.rate, tolerances.angle))
+    moved = departures(system, part, duration[where], tolerances.rate, tolerances.angle, in_machine_code)
     sine = np.hypot(*vertical[:2])
     change = np.where(sine < tolerances.angle, length(u - before) / tolerances.rate, moved / sine)
     for label in (theory[name] for name in names):
@@ -377,7 +371,7 @@ def _take_away(
         label[where[moved > FAR]] = Label.DRIFTING
 
 
-def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:
+def exact_starts(system: System, points: Points, candidates: Mask, in_machine_code: bool = False) -> Mask:
     """Which candidates are on a steady motion as exactly as rounding allows.
 
     A nudge along a family or a symmetry leads to such a start again.
@@ -386,7 +380,8 @@ def exact_starts(system: System, points: Points, candidates: Mask) -> Mask:
     where = np.flatnonzero(candidates)
     if where.size:
         part = subset(points, where)
-        motion = steady_motions_of(system, part, np.ones(where.size), Tolerances(np.inf, np.inf))
+        anything = Tolerances(np.inf, np.inf)
+        motion = steady_motions_of(system, part, np.ones(where.size), anything, in_machine_code)
         if motion is None:
             flag, residual = system.identify_family(part)
             exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)

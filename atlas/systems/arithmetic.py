@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
+import threading
 from collections.abc import Callable, Collection, KeysView, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -26,6 +27,9 @@ FUNCTIONS = {
 }  # fmt: skip
 # Constant that is added to equations without `scaled`: the unit of time of a kernel, in time units.
 TIME_UNIT = "time_unit"
+# No other thread may see an unfinished module, or parse at the same time: Python 3.11 keeps one depth of recursion for all
+# threads, and raises SystemError where two conversions of syntax trees overlap.
+PARSING = threading.RLock()
 _ALLOWED = f"allowed: the state, the constants, names assigned before, {', '.join(FUNCTIONS)}"
 _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.join(FUNCTIONS)}"
 

@@ -31,7 +31,9 @@ from atlas.systems.satellite.initial import (
     frequency_bound,
     initial_state,
 )
-from atlas.systems.steady import Existence, condition_residual, growth_about_vertical, steady_motions
+from atlas.systems.steady import condition_residual, growth_about_vertical
+from atlas.theory.motions import steady_motions
+from atlas.theory.steady import Existence
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 

@@ -1,5 +1,6 @@
 """Steady motions by the equations alone: against families, measured labels, motions known exactly, and systems without theory."""
 
+from math import sin, sqrt
 from types import MappingProxyType
 
 import numpy as np
@@ -14,8 +15,10 @@ from atlas import systems
 from atlas.flags import Label, Status
 from atlas.systems import Parameter, System, steady
 from atlas.systems.base import families_of
-from atlas.systems.steady import Existence, polynomial_degree, steady_motions
+from atlas.systems.steady import polynomial_degree
 from atlas.systems.vectors import cross, length
+from atlas.theory.motions import steady_motions
+from atlas.theory.steady import Existence
 
 KINDS = [(system, kind) for system, kinds in STARTS.items() for kind in kinds]
 
@@ -215,6 +218,45 @@ def test_motions_of_another_system_that_are_known(top):
     assert (motion.answer == Existence.FAR).all()
     moved = points | {"z0": points["z0"] * 1.01, "c": points["c"] + 0.01 * size}
     assert (steady_motions(top, moved, 30.0 / size, 1e-5 * size, 1e-5).answer != Existence.EXACT)[2::3].all()
+
+
+class WithFunctions(HeavyTop):
+    """The heavy top with a rotor about its third axis of sin(c) + sqrt(q * q)."""
+
+    name = "heavy_top_with_functions_of_tests"
+
+    class equations:
+        STATE = HeavyTop.equations.STATE
+        FRAME_VECTORS = HeavyTop.equations.FRAME_VECTORS
+        CONSTANTS = HeavyTop.equations.CONSTANTS
+
+        def rhs(state, constants):
+            v1, v2, v3, x, y, z = state
+            J1, J2, J3, r1, r2, r3, p, q, c = constants
+            L1, L2, L3 = J1 * x + p, J2 * y, J3 * z + sin(c) + sqrt(q * q)
+            return (
+                v2 * z - v3 * y, v3 * x - v1 * z, v1 * y - v2 * x,
+                (L2 * z - L3 * y + r3 * v2 - r2 * v3) / J1,
+                (L3 * x - L1 * z + r1 * v3 - r3 * v1) / J2,
+                (L1 * y - L2 * x + r2 * v1 - r1 * v2) / J3,
+            )  # fmt: skip
+
+        def frame_motion(state, constants):
+            v1, v2, v3, x, y, z = state
+            return x, y, z, v1, v2, v3
+
+
+def test_equations_with_functions_of_constants():
+    points = tops(np.random.default_rng(9), 60)
+    # Every other one turns about its third axis upright, with its weight and its rotor along it.
+    for key in ("r1", "r2", "p", "x0", "y0", "v1", "v2"):
+        points[key][::2] = 0.0
+    points["v3"][::2] = 1.0
+    with registry():
+        system = systems.register(WithFunctions())
+        motion = steady_motions(system, points, 30.0, 1e-5, 1e-5)
+    assert (motion.answer[::2] == Existence.EXACT).all()
+    assert (motion.answer[1::2] == Existence.FAR).all()
 
 
 class Resonant(System):

@@ -1,0 +1,135 @@
+"""The theory of one point with the equations of a system: its functions as plain Python or in machine code."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from functools import cache
+from math import gcd
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from ..kernel.assemble import reachable
+from ..kernel.differentiate import differential
+from ..systems import arithmetic
+from ..systems.base import System
+from ..systems.steady import polynomial_degree
+from . import generated, point
+
+# Points up to which compiled code would take longer to load than plain Python to run.
+FEW_POINTS = 100
+
+
+@cache
+def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
+    """A function of the theory for a system of a `polynomial_degree`."""
+    with arithmetic.PARSING:
+        objects, sources, numbers = reachable((function,), generated)
+        values, texts = numbers | _numbers(system), _equations(system)
+    if in_machine_code:
+        from ..kernel import machine_code  # here, because plain Python needs no compiler
+
+        lines = {name: repr(value) for name, value in values.items()}
+        lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
+        # The cache knows a named tuple by its name alone.
+        lines |= {f"{each.__name__}_FIELDS": repr(each._fields) for each in (point.Motion, point.Start)}
+        imports = f"import math\nfrom {point.__name__} import Motion, Start\n"
+        text = machine_code.module_text(lines, texts | sources, machine_code.UNFUSED, imports)
+        return getattr(machine_code.load(text), function.__name__)
+    namespace: dict[str, Any] = {}
+    for each in objects.values():
+        namespace |= each.__globals__
+    namespace |= arithmetic.numpy_functions() | values
+    for name, text in texts.items():
+        exec(compile(text, f"<{name} of {system.name}>", "exec"), namespace)
+    # The code of a file with other names around it, so that a debugger steps through the file.
+    namespace |= {name: FunctionType(each.__code__, namespace, name) for name, each in objects.items()}
+    return np.errstate(all="ignore")(namespace[function.__name__])
+
+
+def _numbers(system: System) -> dict[str, Any]:
+    """The numbers that `generated` declares."""
+    degree = polynomial_degree(system)
+    assert isinstance(degree, int)
+    pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
+    return {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
+
+
+def _equations(system: System) -> dict[str, str]:
+    """Source of the functions that `generated` declares, and of what they call, by name."""
+    equations, texts = system.equations, arithmetic.functions(system.equations)
+    places = {name: i for i, name in enumerate(equations.STATE)}
+    of_w = [places[name] for name in system.rate_states]
+    of_vectors = [[places[name] for name in triple] for triple in equations.FRAME_VECTORS]
+    component = {k: f"w[{i}]" for i, k in enumerate(of_w)}
+    component |= {
+        k: f"vectors[{j}][{i}]" for j, triple in enumerate(of_vectors) for i, k in enumerate(triple)
+    }
+    states = [component[k] for k in range(len(places))]
+    changes = [text.replace("vectors", "changes").replace("w[", "dw[") for text in states]
+    sizes = [text.replace("w[", "size[") if text.startswith("w") else "1.0" for text in states]
+
+    def items(form: str, values: Any) -> str:
+        return f"({', '.join(form.format(value) for value in values)},)"
+
+    def rows(triple: list[int], form: str) -> str:
+        return items(form, triple)
+
+    every = range(len(of_vectors))
+    constants = items("abs(constants[{}])", range(len(equations.CONSTANTS)))
+    bodies = {
+        "load_state(block, i)": [
+            f"return {rows(of_w, 'block[{}, i]')}, {items('{}', [rows(each, 'block[{}, i]') for each in of_vectors])}"
+        ],
+        "load_constants(block, i)": [f"return {items('block[{}, i]', range(len(equations.CONSTANTS)))}"],
+        "derivatives(w, vectors, constants)": [
+            f"d = rhs({items('{}', states)}, constants)",
+            f"return {rows(of_w, 'd[{}]')}, {items('{}', [rows(each, 'd[{}]') for each in of_vectors])}",
+        ],
+        "derivatives_change(w, vectors, constants, dw, changes)": [
+            f"d = rhs_change({items('{}', states)}, constants, {items('{}', changes)})",
+            f"return {rows(of_w, 'd[{}]')}",
+        ],
+        "magnitudes(w, vectors, constants, size)": [
+            f"sizes, constants = {items('abs({})', states)}, {constants}",
+            f"a, b = rhs_sum(sizes, constants), rhs_sum_change(sizes, constants, {items('{}', sizes)})",
+            f"return {items('a[{0}] + b[{0}]', of_w)}",
+        ],
+        "frame_motion(w, vectors, constants)": [
+            f"x = motion_in_frame({items('{}', states)}, constants)",
+            "return (x[0], x[1], x[2]), (x[3], x[4], x[5])",
+        ],
+        "rotate_all(vectors, nu, back, s, around)": [
+            f"return {items('rotate(rotate(vectors[{}], nu, back[0], back[1]), s, around[0], around[1])', every)}"
+        ],
+        "turn_all(vectors, u)": [f"return {items('cross(vectors[{}], u)', every)}"],
+    }
+    sums = ast.unparse(_Sum().visit(ast.parse(texts["rhs"].replace("def rhs(", "def rhs_sum(", 1))))
+    sources = {
+        "rhs": texts["rhs"],
+        "rhs_change": differential(texts["rhs"], "rhs_change"),
+        "rhs_sum": sums,
+        "rhs_sum_change": differential(sums, "rhs_sum_change"),
+        "motion_in_frame": texts["frame_motion"].replace("def frame_motion(", "def motion_in_frame(", 1),
+    }
+    for head, lines in bodies.items():
+        sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *lines])
+    return sources
+
+
+class _Sum(ast.NodeTransformer):
+    """Differences become sums and values of functions magnitudes: arithmetic of magnitudes gives the sum of those of its terms."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        self.generic_visit(node)
+        return ast.BinOp(node.left, ast.Add() if isinstance(node.op, ast.Sub) else node.op, node.right)
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
+        self.generic_visit(node)
+        return node.operand
+
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        self.generic_visit(node)
+        return ast.Call(ast.Name("abs"), [node], [])

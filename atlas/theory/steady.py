@@ -1,0 +1,299 @@
+"""Steady motions by the equations of motion alone: whether a start is one, about which axes and at which rates.
+
+A body in a frame has as states an angular velocity w and vectors v at rest in the frame, v' = v x u, where u is the rotation
+relative to the frame and w - u that of the frame. A steady motion u = n nu + m s has an axis s at rest in the body and an
+axis nu at rest in the frame. Seen from the body nu turns about s at -m, so that u' = n m nu x s and u'' = m u' x s:
+
+- with s known, m = u'.(u x s) / |u x s|^2 and n nu = u - m s;
+- with nu known, n = u'.(nu x u) / |nu x u|^2 and m s = u - n nu;
+- with neither, s is along u' x u''.
+
+**Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate every state is a
+trigonometric polynomial of degree 1 in each of the phases n t and m t, and the residual of the equations, w' less what the
+candidate needs, is one of degree d: a sum of the frequencies k n + l m, |k|, |l| <= d. Where n : m = p : q in lowest terms, with
+|p|, |q| <= 2 d, the motion is periodic, the residual is of degree d (|p| + |q|) in its phase, and it vanishes for all time exactly
+if it does at N = 2 d (|p| + |q|) + 1 equidistant instants, a discrete Fourier transform of condition 1. At any other n : m no two
+frequencies coincide, so that it must vanish on the whole torus of the phases. There the line of direction 1 : 2 d + 1 is as good:
+the numbers k + (2 d + 1) l differ, and its N = (2 d + 1)^2 instants decide. Where n or m is 0, or every vector is along nu, one phase
+is left, p or q is 0. Between the nodes the residual is at most 3.6 times its largest value at them for d = 2.
+
+A ratio counts as p : q within RATIO. What the torus would find beside it grows from what the instants find
+in a time of 1 / (RATIO n) only.
+
+The residual vanishes where each component is at most ROUNDING of the magnitudes of its terms, those of the right-hand side with
+every difference replaced by a sum, and of what errors of the states change: fast spins are no scale of it. Axes from derivatives
+have errors of their own, by the cancellation in u'.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from ..systems.steady import GATE, ROUNDING
+from .generated import (
+    DEGREE,
+    PERIODS,
+    derivatives,
+    derivatives_change,
+    frame_motion,
+    magnitudes,
+    rotate_all,
+    turn_all,
+)
+from .point import (
+    THIRD,
+    Motion,
+    Start,
+    cross,
+    cross_sum,
+    dot,
+    fmax,
+    fmin,
+    length,
+    magnitude,
+    minus,
+    plus,
+    rotate,
+    scaled,
+    unit,
+)
+
+# Parts of rates within this share of what they are differences of are rounding.
+UNIT_ERROR = 2.0**-51
+RATIO = 1e-9
+# Largest error of axes from derivatives, in units of rounding, with which they may be a motion's.
+MAX_ERROR = 1e4
+# A start is far from every steady motion where rates change to first order by more than this, in tolerances: of 30 000
+# starts beside steady motions none with a steady label changed by more than 2.4.
+FAR = 5.0
+CANDIDATES = 4
+
+
+class Existence(IntEnum):
+    """Whether a start is a steady motion."""
+
+    NEAR = 0  # as near one as rounding or the tolerances of labels cannot tell from it
+    EXACT = 1  # as exactly as rounding allows
+    FAR = 2  # its rates vary by more than the tolerance
+
+
+def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
+    """Whether a start is a steady motion, a value of Existence, and which; about the third axis and the vertical if it is none.
+
+    rates: (sin theta, n, m) of System.steady_rates; bound: of frequencies.
+    """
+    start = start_on_axis(w, vectors, constants, rates)
+    about_third = motion_about_third(start, rates)
+    if is_beside(start, about_third, bound) and is_steady(start, constants, about_third, bound, False):
+        return Existence.EXACT, about_third
+    if abs(dot(start.u, start.acceleration)) <= GATE * length(start.u) * bound**2:
+        second = second_derivative(start, constants)
+        for which in range(CANDIDATES):
+            motion = candidate(which, start, second, bound)
+            # Rates far beyond the bound cancel, and their errors are as large.
+            near = fmax(abs(motion.m), abs(motion.n)) <= 8 * bound and is_beside(start, motion, bound)
+            if near and is_steady(start, constants, motion, bound, True):
+                return Existence.EXACT, motion
+    change = departure(start, constants, about_third, bound, duration, rate_tolerance, angle_tolerance)
+    return Existence.FAR if change > FAR else Existence.NEAR, about_third
+
+
+def start_at(w, vectors, constants):
+    slope, slopes = derivatives(w, vectors, constants)
+    u, vertical = frame_motion(w, vectors, constants)
+    frame, slip = minus(w, u), 0.0
+    for i in range(len(vectors)):
+        slip += length(minus(slopes[i], cross(vectors[i], u)))
+    return Start(w, vectors, slip, u, frame, slope, minus(slope, cross(frame, u)), vertical)
+
+
+def start_on_axis(w, vectors, constants, rates):
+    """The start, without what a fast precession on the vertical to rounding leaves across it, which is rounding too."""
+    start, (sine, n, _) = start_at(w, vectors, constants), rates
+    if abs(sine) <= ROUNDING and np.hypot(start.u[0], start.u[1]) <= ROUNDING * abs(n):
+        return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
+    return start
+
+
+def motion_about_third(start, rates):
+    """The motion about the third axis and the vertical; its rates are 0 where they are rounding errors of the angular velocity."""
+    sine, n, m = rates
+    g = start.vertical
+    x, y, z = plus(magnitude(start.w), magnitude(start.frame))
+    upright = abs(sine) <= ROUNDING and np.hypot(start.u[0], start.u[1]) <= UNIT_ERROR * abs(n)
+    if upright or abs(n * sine) <= UNIT_ERROR * np.hypot(x, y):
+        n, m = 0.0, start.u[2]
+    if abs(m) <= UNIT_ERROR * (z + abs(n * g[2])):
+        m = 0.0
+    return Motion(THIRD, m, g, n)
+
+
+def candidate(which, start, second, bound):
+    """A motion that u, u' and u'' allow: 0 about one axis, 1 about the vertical, 2 about the third axis, 3 with neither known.
+
+    second: u''.
+    """
+    u, first, g = start.u, start.acceleration, start.vertical
+    least = ROUNDING * (length(u) + length(start.frame))
+    if which == 0:
+        axis = unit(u, THIRD)
+        return Motion(axis, length(u), axis, 0.0)
+    if which == 1:
+        n = rate_about(cross(g, u), u, first, least)
+        rest = minus(u, scaled(n, g))
+        s, m, nu = unit(rest, THIRD), length(rest), g
+    else:
+        s = THIRD
+        if which == 3:
+            s = unit(cross(second, first), THIRD)
+            if not length(cross(s, THIRD)) > GATE:
+                s = (np.nan, np.nan, np.nan)
+        m = rate_about(cross(u, s), u, first, least)
+        rest = minus(u, scaled(m, s))
+        nu, n = unit(rest, g), length(rest)
+        if not n > least:
+            n = 0.0
+    # Of a steady motion u'' is m u' x s.
+    if not length(minus(second, scaled(m, cross(first, s)))) <= GATE * bound**3:
+        m = np.nan
+    return Motion(s, m, nu, n)
+
+
+def rate_about(turn, u, first, least):
+    """The rate with which u' is along this turn, 0 where it is rounding; nan where u is along the axis."""
+    if not length(turn) > GATE * length(u):
+        return np.nan
+    value = dot(first, turn) / dot(turn, turn)
+    return 0.0 if abs(value) <= least else value
+
+
+def rest_of(start, motion):
+    """u and u' less what a motion needs."""
+    s, m, nu, n = motion
+    u = minus(minus(start.u, scaled(n, nu)), scaled(m, s))
+    return u, minus(start.acceleration, scaled(n * m, cross(nu, s)))
+
+
+def is_beside(start, motion, bound):
+    rate, change = rest_of(start, motion)
+    return fmax(length(rate) / bound, length(change) / bound**2) <= GATE
+
+
+def is_steady(start, constants, motion, bound, derived):
+    """Whether the residual vanishes along a candidate, by its nodes up to the first that fails.
+
+    derived: whether the axes come from derivatives, with their errors.
+    """
+    s, m, nu, n = motion
+    rate, _ = rest_of(start, motion)
+    frame = length(start.frame)
+    for i in range(3):
+        if not abs(rate[i]) <= ROUNDING * (abs(n) + frame + abs(m * s[i])):
+            return False
+    p, q = phases(start, motion)
+    nodes = 2 * DEGREE * (p + q) + 1
+    terms = (0.0, 0.0, 0.0)
+    # From the last node back: there both phases have changed, which is enough for most.
+    for j in range(1, nodes + 1):
+        angle = -2 * math.pi * j / nodes
+        residual = residual_at(start, constants, motion, np.sign(n) * p * angle, np.sign(m) * q * angle)
+        if j == 1:
+            if not length(residual) <= GATE * bound**2:
+                return False
+            terms = rounding(start, constants, motion)
+            if derived and p != 0 and m != 0:
+                error = length(terms) / length(start.acceleration) * fmax(abs(m / n), abs(n / m))
+                if error < MAX_ERROR:
+                    terms = scaled(1 + error, terms)
+        for i in range(3):
+            if not residual[i] <= ROUNDING * terms[i]:
+                return False
+    return True
+
+
+def phases(start, motion):
+    """p and q of the line on which the residual is tested."""
+    _, m, nu, n = motion
+    loose = 0.0
+    for i in range(len(start.vectors)):
+        loose = max(loose, length(cross(start.vectors[i], nu)))
+    p = 1 if n != 0 and loose > ROUNDING else 0
+    if m == 0:
+        return p, 0
+    if p == 0:
+        return 0, 1
+    q = 2 * DEGREE + 1
+    for i in range(len(PERIODS)):
+        a, b = PERIODS[i]
+        if abs(abs(n) * b - abs(m) * a) <= RATIO * abs(n) * b:
+            p, q = a, b
+    return p, q
+
+
+def residual_at(start, constants, motion, alpha, beta):
+    """Magnitude of the residual of the equations at phases of n t and m t; infinite where v' = v x u fails."""
+    s, m, nu, n = motion
+    back, around = (math.cos(alpha), -math.sin(alpha)), (math.cos(beta), -math.sin(beta))
+    fixed = rotate(nu, s, around[0], around[1])
+    frame = rotate(rotate(start.frame, nu, back[0], back[1]), s, around[0], around[1])
+    w = plus(frame, plus(scaled(n, fixed), scaled(m, s)))
+    node = start_at(w, rotate_all(start.vectors, nu, back, s, around), constants)
+    rate, change = rest_of(node, Motion(s, m, fixed, n))
+    if length(rate) + node.slip > 1e-9 * (length(node.u) + length(node.frame)):
+        return np.inf, np.inf, np.inf
+    return magnitude(change)
+
+
+def rounding(start, constants, motion):
+    """Sum of the magnitudes of the terms of a residual and of their changes by errors of the states, relative to 1 in unit vectors."""
+    s, nu, frame = magnitude(motion.s), magnitude(motion.nu), magnitude(start.frame)
+    m, n = abs(motion.m), abs(motion.n)
+    base = n + length(frame)
+    size = (base + m * s[0], base + m * s[1], base + m * s[2])
+    terms = plus(magnitudes(start.w, start.vectors, constants, size), scaled(n * m, cross_sum(nu, s)))
+    return plus(terms, cross_sum(frame, size))
+
+
+def second_derivative(start, constants):
+    """u''."""
+    bend = derivatives_change(
+        start.w, start.vectors, constants, start.slope, turn_all(start.vectors, start.u)
+    )
+    turn = plus(cross(cross(start.frame, start.u), start.u), cross(start.frame, start.acceleration))
+    return minus(bend, turn)
+
+
+def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
+    """Change of theta', psi' and phi' to first order, in tolerances; inside the cone that of the tilt and the rate about the vertical.
+
+    motion: about the third axis and the vertical. A change x of the start begins as x' = A x + f, and an oscillation at most as
+    fast as the bound changes rates by |f| / bound or more, unless damping takes that away.
+    """
+    s, m, g, n = motion
+    inside = np.hypot(g[0], g[1]) < angle_tolerance
+    if inside:  # n and m are any with this angular velocity: without n the axes rest in the frame
+        m, n = start.u[2], 0.0
+    offset, f = rest_of(start, Motion(s, m, g, n))
+    time = fmin(1 / bound, duration)
+    change = fmax(length(f) * time, length(offset))
+    result = change / rate_tolerance
+    if inside:
+        tilt = fmin(result, change * time / angle_tolerance)
+        result = fmax(tilt, abs(dot(f, g)) * time / rate_tolerance)
+    lasting = result * np.sqrt(time / duration)
+    if lasting <= FAR and result > lasting:
+        lasting = fmax(lasting, result * undamped(start, constants, duration))
+    return lasting
+
+
+def undamped(start, constants, duration):
+    """Root of the share of a run in which damping leaves an oscillation, by the divergence of the equations."""
+    still = turn_all(start.vectors, (0.0, 0.0, 0.0))
+    divergence = 0.0
+    for i in range(3):
+        axis = (1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0)
+        divergence += derivatives_change(start.w, start.vectors, constants, axis, still)[i]
+    return np.sqrt(1 / fmax(1.0, abs(divergence) * duration))

@@ -15,6 +15,9 @@ from ..variables import proofs_of_labels
 from .plan import Plan
 from .theory import predict_runs
 
+# Variables from theory alone, which proved points need only where they are wanted.
+PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}
+
 
 def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
     """Where all labels of a plan that can be proved are, and what its instruments say without a run, (points,)."""
@@ -32,13 +35,14 @@ def by_proof(
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}
-    tile = tile.subset(proved)
-    theory = predict_runs(plan, tile)
+    tile, predicted = tile.subset(proved), dict[str, NDArray[Any]]()
+    if plan.outputs is None or not PREDICTED.isdisjoint(plan.outputs):
+        theory = predict_runs(plan, tile)
+        predicted = {**theory.variables, "condition_residual": theory.residual}
     progress(float(tile.duration.size))
     return proved, {
-        **theory.variables,
+        **predicted,
         **derived_values(plan.system, plan.names, tile.base, tile.duration, lambda: progress(0.0)),
         **{name: values[proved] for name, values in columns.items()},
         "status": np.full(tile.duration.shape, Status.OK, np.int8),
-        "condition_residual": theory.residual,
     }

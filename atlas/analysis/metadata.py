@@ -231,10 +231,10 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
     """`Variable.positions` of the variable of this name, or what its attribute POSITIONS says."""
-    own = attribute_text(ds[name].attrs, POSITIONS) if name in ds else ""
+    own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
-    return own.split() if own else next(named, None)
+    return own if len(own) == 2 else next(named, None)
 
 
 def has_flags(array: xr.DataArray) -> bool:

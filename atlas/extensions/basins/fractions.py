@@ -47,10 +47,8 @@ def basin_fractions(
         )
     result = probability(ds, variable, every if over is None else over).rename(probability="fraction")
     if variable == END:
-        known, dims = (
-            "undecided" in flag_names(ds["settled_by"]),
-            [dim for dim in every if dim not in result.dims],
-        )
+        known = "undecided" in flag_names(ds["settled_by"])
+        dims = [dim for dim in every if dim not in result.dims]
         undecided = (ds["settled_by"] == SettledBy.UNDECIDED).mean(dims).where(known)
         result["undecided"] = undecided.assign_attrs(
             long_name="fraction of starts with an undecided end", units="1"

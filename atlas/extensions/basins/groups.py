@@ -50,11 +50,8 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
             "ends: no atlas with a transient; set [labels] transient, or label_points(transient=...)"
         )
     status = ds["status"]
-    numbers = [
-        str(name)
-        for name, v in ds.items()
-        if v.dims == status.dims and v.dtype.kind == "f" and not has_flags(v)
-    ]
+    alike = {str(name): v for name, v in ds.items() if v.dims == status.dims and not has_flags(v)}
+    numbers = [name for name, v in alike.items() if v.dtype.kind == "f"]
     for name in names or [""]:
         if name not in numbers:
             raise BadInput(
@@ -97,10 +94,8 @@ def groups(values: Array) -> NDArray[np.int64]:
     from scipy.spatial import cKDTree
 
     _, first, cell = np.unique(np.floor(values * CELLS), axis=0, return_index=True, return_inverse=True)
-    pairs = (
-        cKDTree(values[first]).query_pairs(1.0, np.inf, output_type="ndarray")
-        if first.size
-        else np.empty((0, 2), int)
-    )
+    pairs = np.empty((0, 2), int)
+    if first.size:
+        pairs = cKDTree(values[first]).query_pairs(1.0, np.inf, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), (first.size, first.size))
     return np.asarray(connected_components(graph)[1][cell], np.int64)

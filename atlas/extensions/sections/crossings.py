@@ -26,10 +26,8 @@ NODES, LONGEST = 2**15, 512  # of all motions in memory together, and of one
 # A cubic nearly touches 0 where a middle extremum is below this share of its ends, and less near the ends, where it is as exact as
 # they are. Of a motion twice as fast as the bound its error is a third of it.
 TOUCHING, SPLITS = 0.2, 6
-ATTEMPTS, CONVERGED = (
-    60,
-    1e-7,
-)  # largest last step of Newton's method, in distances of nodes: its square is rounding
+ATTEMPTS = 60
+CONVERGED = 1e-7  # largest last step of Newton's method, in distances of nodes: its square is rounding
 # A motion on which the function stays below this share of what its states could make of it stays on the surface.
 STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself

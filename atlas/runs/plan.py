@@ -214,7 +214,8 @@ class ScenePlan:
 
         places = np.linspace(0, (exists := np.flatnonzero(self.sample.exists)).size - 1, MAX_PREDICTED)
         part = self.sample.subset(exists[np.unique(places.astype(np.int64))])
-        drifting = predict_runs(self.points, part).variables["predicted"] == Label.DRIFTING
+        plan = replace(self.points, in_machine_code=False)  # `atlas check` loads no compiler
+        drifting = predict_runs(plan, part).variables["predicted"] == Label.DRIFTING
         if not drifting.any():
             return []
         return [

@@ -93,28 +93,26 @@ class ScenePlan:
     @cached_property
     def mean_work(self) -> float:
         """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors of chaos included."""
-        return self.mean_steps + (self._tangent_work(None) if self.has_chaos else 0.0)
+        return self.mean_steps + (self._tangent_work(self.sample.duration) if self.has_chaos else 0.0)
 
     @cached_property
     def growth_work(self) -> float:
         """And that of the tangent vectors that ends ask for, if every run settles."""
         from ..measure.rates import tolerated_error
 
-        if not any(each.needs_growth for each in self.points.instruments):
+        if not self.points.needs_growth:
             return 0.0
         settings = self.scene.settings.at(self.sample.rate_tolerance)
         error = tolerated_error(settings, self.step_sizes, self._bound)
-        return self._tangent_work(None if self.has_chaos else error)
+        return self._tangent_work(self.sample.until, error)
 
-    def _tangent_work(self, error: Array | None) -> float:
+    def _tangent_work(self, duration: Array, error: Array | None = None) -> float:
         """Integration of a point with a tangent vector, in steps of the scene's method, averaged over the sample."""
         from ..measure.tangent_runs import RELATIVE_COST, TangentSteps
 
         settings = self.scene.settings
         with np.errstate(all="ignore"):
-            sizes = TangentSteps.of(
-                self._bound, self.sample.duration, settings.step, settings.max_steps, error
-            )
+            sizes = TangentSteps.of(self._bound, duration, settings.step, settings.max_steps, error)
         cost = RELATIVE_COST * TANGENT_METHOD.step_cost / METHODS[settings.method].step_cost
         return float(np.where(sizes.resolved, cost * sizes.steps, 0.0)[self.sample.exists].mean())
 

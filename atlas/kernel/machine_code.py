@@ -208,8 +208,9 @@ def _share_functions(source: str, module: ModuleType) -> list[str]:
     config: Any = numba.config
     environment, names = _environment(), []
     dispatchers: dict[str, Any] = {k: v for k, v in vars(module).items() if isinstance(v, Dispatcher)}
+    kernel = _kernel(module, source)
     for name, function in dispatchers.items():
-        if function is not _kernel(module, source):
+        if function is not kernel:
             needed, queue = {name}, [name]
             while queue:
                 new = uses[queue.pop()] - needed

@@ -34,9 +34,8 @@ class Plan:
     outputs: Collection[str] | None = None  # variables wanted; None: `variables.default_variables`
     specialization: Specialization = GENERIC  # terms that the kernels leave out
     nudged: bool = False  # whether points were moved off a family's motions
-    in_machine_code: bool = (
-        False  # whether theory is compiled as well: plain Python is faster for a few points
-    )
+    # Whether theory is compiled as well: plain Python is faster for a few points.
+    in_machine_code: bool = False
 
     @classmethod
     def of(cls, scene: Scene) -> Plan:

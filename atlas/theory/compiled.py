@@ -25,9 +25,13 @@ FEW_POINTS = 100
 @cache
 def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
     """A function of the theory for a system of a `polynomial_degree`."""
+    degree = polynomial_degree(system)
+    assert isinstance(degree, int)
+    pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
+    values = {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
     with arithmetic.PARSING:
         objects, sources, numbers = reachable((function,), generated)
-        values, texts = numbers | _numbers(system), _equations(system)
+        values, texts = numbers | values, _equations(system)
     if in_machine_code:
         from ..kernel import machine_code  # here, because plain Python needs no compiler
 
@@ -49,14 +53,7 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
     return np.errstate(all="ignore")(namespace[function.__name__])
 
 
-def _numbers(system: System) -> dict[str, Any]:
-    """The numbers that `generated` declares."""
-    degree = polynomial_degree(system)
-    assert isinstance(degree, int)
-    pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
-    return {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
-
-
+@cache
 def _equations(system: System) -> dict[str, str]:
     """Source of the functions that `generated` declares, and of what they call, by name."""
     equations, texts = system.equations, arithmetic.functions(system.equations)
@@ -74,23 +71,20 @@ def _equations(system: System) -> dict[str, str]:
     def items(form: str, values: Any) -> str:
         return f"({', '.join(form.format(value) for value in values)},)"
 
-    def rows(triple: list[int], form: str) -> str:
-        return items(form, triple)
-
     every = range(len(of_vectors))
     constants = items("abs(constants[{}])", range(len(equations.CONSTANTS)))
     bodies = {
         "load_state(block, i)": [
-            f"return {rows(of_w, 'block[{}, i]')}, {items('{}', [rows(each, 'block[{}, i]') for each in of_vectors])}"
+            f"return {items('block[{}, i]', of_w)}, {items('{}', [items('block[{}, i]', each) for each in of_vectors])}"
         ],
         "load_constants(block, i)": [f"return {items('block[{}, i]', range(len(equations.CONSTANTS)))}"],
         "derivatives(w, vectors, constants)": [
             f"d = rhs({items('{}', states)}, constants)",
-            f"return {rows(of_w, 'd[{}]')}, {items('{}', [rows(each, 'd[{}]') for each in of_vectors])}",
+            f"return {items('d[{}]', of_w)}, {items('{}', [items('d[{}]', each) for each in of_vectors])}",
         ],
         "derivatives_change(w, vectors, constants, dw, changes)": [
             f"d = rhs_change({items('{}', states)}, constants, {items('{}', changes)})",
-            f"return {rows(of_w, 'd[{}]')}",
+            f"return {items('d[{}]', of_w)}",
         ],
         "magnitudes(w, vectors, constants, size)": [
             f"sizes, constants = {items('abs({})', states)}, {constants}",

@@ -32,8 +32,7 @@ def steady_motions(
     Of a system of a `polynomial_degree`. Inside a cone of angle_tolerance about the vertical, rad, only the tilt and the rate about
     the vertical count.
     """
-    with np.errstate(all="ignore"):
-        starts = _Starts.of(system, points, duration, rate_tolerance)
+    starts = _Starts.of(system, points, duration, rate_tolerance)
     axes, answer = np.empty((8, starts.bound.size)), np.empty(starts.bound.size, np.int8)
     of_system(find_motions, system, in_machine_code)(*starts, angle_tolerance, axes, answer)
     return SteadyMotion(TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), answer)
@@ -48,8 +47,7 @@ def departures(
     in_machine_code: bool = False,
 ) -> Array:
     """How far each start is from a steady motion about the third axis and the vertical, in tolerances of labels."""
-    with np.errstate(all="ignore"):
-        starts = _Starts.of(system, points, duration, rate_tolerance)
+    starts = _Starts.of(system, points, duration, rate_tolerance)
     change = np.empty(starts.bound.size)
     of_system(find_departures, system, in_machine_code)(*starts, angle_tolerance, change)
     return change
@@ -66,6 +64,7 @@ class _Starts(NamedTuple):
     rate_tolerance: Array
 
     @classmethod
+    @np.errstate(all="ignore")
     def of(
         cls, system: System, points: Points, duration: Array | float, rate_tolerance: Array | float
     ) -> _Starts:

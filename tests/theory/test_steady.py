@@ -1,6 +1,5 @@
 """Steady motions by the equations alone: against families, measured labels, motions known exactly, and systems without theory."""
 
-from math import sin, sqrt
 from types import MappingProxyType
 
 import numpy as np
@@ -13,7 +12,7 @@ from truth import cases, fixed_point_cases
 import atlas
 from atlas import systems
 from atlas.flags import Label, Status
-from atlas.systems import Parameter, System, steady
+from atlas.systems import Parameter, System, arithmetic, steady
 from atlas.systems.base import families_of
 from atlas.systems.steady import polynomial_degree
 from atlas.systems.vectors import cross, length
@@ -225,25 +224,14 @@ class WithFunctions(HeavyTop):
 
     name = "heavy_top_with_functions_of_tests"
 
-    class equations:
-        STATE = HeavyTop.equations.STATE
-        FRAME_VECTORS = HeavyTop.equations.FRAME_VECTORS
-        CONSTANTS = HeavyTop.equations.CONSTANTS
-
-        def rhs(state, constants):
-            v1, v2, v3, x, y, z = state
-            J1, J2, J3, r1, r2, r3, p, q, c = constants
-            L1, L2, L3 = J1 * x + p, J2 * y, J3 * z + sin(c) + sqrt(q * q)
-            return (
-                v2 * z - v3 * y, v3 * x - v1 * z, v1 * y - v2 * x,
-                (L2 * z - L3 * y + r3 * v2 - r2 * v3) / J1,
-                (L3 * x - L1 * z + r1 * v3 - r3 * v1) / J2,
-                (L1 * y - L2 * x + r2 * v1 - r1 * v2) / J3,
-            )  # fmt: skip
-
-        def frame_motion(state, constants):
-            v1, v2, v3, x, y, z = state
-            return x, y, z, v1, v2, v3
+    equations = arithmetic.module_of(
+        HeavyTop.equations,
+        {name: names for name, names in vars(HeavyTop.equations).items() if name.isupper()},
+        {
+            name: text.replace("J2 * y + q", "J2 * y").replace("z + c", "z + sin(c) + sqrt(q * q)")
+            for name, text in arithmetic.functions(HeavyTop.equations).items()
+        },
+    )
 
 
 def test_equations_with_functions_of_constants():

@@ -31,9 +31,8 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
-_TURNS = (
-    1e-6  # rates of the parameters at cusps; folds go straight on through bodies with circles of equilibria
-)
+# Largest rates of the parameters at cusps; folds go straight on through bodies with circles of equilibria.
+_TURNS = 1e-6
 
 
 class SpecialKind(Flag):

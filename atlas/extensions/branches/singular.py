@@ -41,9 +41,8 @@ _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # which it may be one; least singular value of regular points, relative, and their last step, and force at pitchforks.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
-_ROUNDING = (
-    1e-13  # of its discriminant, over the sum of its terms: two exponents may be the same on a whole curve
-)
+# Rounding of its discriminant, over the sum of its terms: two exponents may be the same on a whole curve.
+_ROUNDING = 1e-13
 # Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box

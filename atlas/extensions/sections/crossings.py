@@ -104,7 +104,7 @@ class _Intervals:
 
         Pieces of intervals are cut where their cubics touch 0, or else cross it, until Newton's method has found the zero.
         """
-        size, found = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((3 + len(self.ensemble.state), 0))]
+        size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((3 + len(self.ensemble.state), 0))]
         pieces = np.array([np.arange(f0.size), 0 * f0, f0, s0, 0 * f0 + 1, f1, s1])
         for attempt in range(ATTEMPTS):
             _, low, f0, s0, high, f1, s1 = pieces
@@ -122,11 +122,11 @@ class _Intervals:
             change = -value / slope
             ends = crosses & (np.abs(change) <= CONVERGED)
             is_zero = ends & (np.abs(value) <= size[place])  # and no pole
-            found.append(np.array([place, share + change, side, *(state + slopes * change)])[:, is_zero])
+            zeros.append(np.array([place, share + change, side, *(state + slopes * change)])[:, is_zero])
             halves = np.array([pieces, pieces])
             halves[0, 4:] = halves[1, 1:4] = share, value, slope
             pieces = np.concatenate([*halves[:, :, ~ends]], axis=1)
-        every = np.concatenate(found, axis=1)
+        every = np.concatenate(zeros, axis=1)
         every = every[:, np.lexsort(every[1::-1])]
         return every[0].astype(np.int64), every[1], every[2], every[3:]
 

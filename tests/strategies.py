@@ -7,17 +7,23 @@ Points are dictionaries of arrays of one length, as the package takes them.
 from __future__ import annotations
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
 
 from atlas.kernel.specialization import Specialization
 from atlas.label import pipeline
+from atlas.label.any_axis import predict_any_axis
 from atlas.label.plan import Plan
+from atlas.label.theory import predict_runs
 from atlas.scene.grid import Grid, at_points
+from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
+from atlas.systems.base import TwoAxes
 from atlas.systems.fixed_point.families import FAMILIES as FIXED_POINT_FAMILIES
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
+from atlas.theory.motions import find_motions
 
 Points = dict[str, np.ndarray]
 
@@ -173,6 +179,30 @@ def evaluate(system, base, points, duration, settings, *, halved=False, threads=
     """The variables of a `tile_of` these; plan: further fields of a Plan."""
     tile = tile_of(system, base, points, duration, settings)
     return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=threads)
+
+
+class SteadyMotion(NamedTuple):
+    """The steady motion that each start is, or would be."""
+
+    axes: TwoAxes
+    answer: np.ndarray  # values of Existence
+
+
+def steady_motions(system, points, duration, rate_tolerance, angle_tolerance, in_machine_code=False):
+    """The steady motions of starts without a nudge."""
+    settings = duration, rate_tolerance, angle_tolerance, in_machine_code
+    axes, found = find_motions(system, points, None, *settings)
+    return SteadyMotion(axes, found.answer)
+
+
+def predictions(system, base, points=None, duration=50.0, tolerances=(1e-5, 1e-5)):
+    """What theory predicts of starts, nudged to `points` unless that is None, as a Prediction; and about any axes."""
+    settings = Settings(rate_tolerance=tolerances[0], cylinder_tolerance=tolerances[1])
+    plan = Plan(system, settings, nudged=points is not None)
+    durations = np.broadcast_to(duration, base["A"].shape)
+    tile = tile_of(system, base, base if points is None else points, durations, settings)
+    prediction = predict_runs(plan, tile)
+    return prediction, predict_any_axis(plan, tile, prediction)
 
 
 def specialization_of(system, points):

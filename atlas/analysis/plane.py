@@ -125,7 +125,7 @@ class Plane:
         """Predictions for exact motions in the plane; without a motion only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
-            predicted = predict(system, points.base, Tolerances(ZERO_RATE, ZERO_RATE), False, rough=True)
+            predicted = predict(system, points.base, Tolerances(ZERO_RATE, ZERO_RATE), rough=True)
             _, n, m = system.steady_rates(points.base)
         frames = {"": (predicted["predicted"], {"n": n, "m": m})}
         if system.frame_rate is not None:

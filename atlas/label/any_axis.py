@@ -2,79 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from ..flags import Label, Stability
+from ..flags import Label
 from ..measure.circle import label as circle_label
-from ..measure.instrument import Tolerances
+from ..scene.grid import Grid
 from ..systems.base import FAMILY_TOLERANCE, Array, Mask, Points, System, TwoAxes, within_range
 from ..systems.jacobian import derivatives
 from ..systems.steady import ROUNDING
 from ..systems.vectors import cross, length
-from ..theory.motions import SteadyMotion
-from ..theory.steady import Existence
-from .theory import (
-    after_nudge,
-    exact_starts,
-    frame_motion,
-    on_other_axes,
-    predicted_frames,
-    steady_motions_of,
-    turns_elsewhere,
-)
+from ..theory.motions import predict_circles
+from .plan import Plan
+from .theory import Prediction, frame_motion, on_other_axes, predicted_frames
 
 # Rates that change at first by more tolerances than this leave every circle.
 _FAR_CIRCLE = 10.0
 
 
-def predict_any_axis(
-    system: System,
-    base: Points,
-    points: Points,
-    theory: Mapping[str, np.ndarray],
-    tolerances: Tolerances,
-    *,
-    nudged: bool,
-    duration: Array | float = np.inf,
-    motion: SteadyMotion | None = None,
-    in_machine_code: bool = False,
-) -> dict[str, np.ndarray]:
-    """Labels about any axes of starts from theory alone, in the system's frame and, if that turns, in space.
+@np.errstate(all="ignore")
+def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
+    """Labels about any axes of runs from theory alone, in the system's frame and, if that turns, in space.
 
-    `base` and `points` are the starts before and after a nudge, which along a family leads to another exact
-    start. Axes within the tolerance of angles count as parallel. Labels of starts that are no steady motion are drifting
-    where they are far from every circle of the angular velocity, else not_computed. motion: that of `base`, if it is known.
+    Axes within the tolerance of angles count as parallel. Labels of starts that are no steady motion are drifting where they are
+    far from every circle of the angular velocity, else not_computed.
     """
-    names = {own: own.replace("predicted", "predicted_any_axis") for own in predicted_frames(system, base)}
-    times = np.broadcast_to(np.asarray(duration, float), theory["family"].shape)
-    with np.errstate(all="ignore"):
-        motion = motion or steady_motions_of(system, base, times, tolerances, in_machine_code)
-        if motion is None:
-            known = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
-            return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
-        elsewhere = turns_elsewhere(system, base, motion)
-        pushed = elsewhere & ~exact_starts(system, points, elsewhere, in_machine_code) if nudged else False
-        # Beside a stable motion about the third axis a nudge may lead to one about other axes.
-        beside = elsewhere | (theory["stable"] != Stability.STABLE) if nudged else True
-        decided = ((motion.answer == Existence.EXACT) & beside) | ~within_range(system, base)
-        # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
-        s, m, fixed, n = motion.axes
-        across, error = np.abs(n) * length(cross(s, fixed)), ROUNDING * (np.abs(n) + np.abs(m)) ** 2
-        rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
-        result = {}
-        for own, frame_rate in predicted_frames(system, base).items():
-            circle = _circle(system, base, motion.axes, frame_rate, times)
-            label = circle_label(circle, theory[own], tolerances)
-            label[np.isnan(circle["spin"]) | rounded] = Label.NOT_COMPUTED
-            label = np.where(elsewhere, after_nudge(label, theory["stable"], pushed), theory[own])
-            close = (
-                ~decided
-                & (label == Label.DRIFTING)
-                & near_circle(system, points, times, tolerances.rate, frame_rate)
-            )
-            result[names[own]] = np.where(close, Label.NOT_COMPUTED, label)
+    system, base, theory = plan.system, tile.base, prediction.variables
+    frames = predicted_frames(system, base)
+    names = {own: own.replace("predicted", "predicted_any_axis") for own in frames}
+    if prediction.motion is None:
+        known = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
+        return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
+    tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
+    # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
+    s, m, fixed, n = prediction.motion
+    across, error = np.abs(n) * length(cross(s, fixed)), ROUNDING * (np.abs(n) + np.abs(m)) ** 2
+    rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
+    in_range, result = within_range(system, base), {}
+    for own, frame_rate in frames.items():
+        circle = _circle(system, base, prediction.motion, frame_rate, duration)
+        exact = circle_label(circle, theory[own], tolerances)
+        exact = np.where(np.isnan(circle["spin"]) | rounded, Label.NOT_COMPUTED, exact).astype(np.int8)
+        near = near_circle(system, tile.points, duration, tolerances.rate, frame_rate)
+        columns = theory[own], exact, prediction.answer, theory["stable"], near, in_range
+        result[names[own]] = predict_circles(
+            system, prediction.found, *columns, plan.nudged, plan.in_machine_code
+        )
     return result
 
 

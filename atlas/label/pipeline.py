@@ -88,11 +88,7 @@ def evaluate(
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         from .any_axis import predict_any_axis
 
-        columns |= predict_any_axis(
-            plan.system, tile.base, tile.points, columns, run.settings.tolerances,
-            nudged=plan.nudged, duration=tile.duration, motion=runs.theory.prediction.motion,
-            in_machine_code=plan.in_machine_code,
-        )  # fmt: skip
+        columns |= predict_any_axis(plan, tile, runs.theory.prediction)
     start, may_settle = run.ensemble, runs.theory.prediction.may_settle
     forget_drifting(plan.system, columns, may_settle, start.constants, start.origin, start.state)
     if "predicted" in columns:
@@ -352,7 +348,7 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
         "step": run.step_sizes.step_size,
         "step_ratio": run.step_sizes.step_ratio,
         "error_estimate": np.where(resolved, error, np.inf),
-        "condition_residual": runs.theory.prediction.residual,
+        "condition_residual": runs.theory.prediction.found.residual,
         "end_time": np.where(ended, integration.duration, runs.tile.duration) + transient,
     }
     return columns

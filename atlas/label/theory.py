@@ -34,25 +34,16 @@ from ..systems.base import (
 )
 from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import changes_volume
-from ..systems.steady import condition_residual, growth_about_vertical, lacks_theory, polynomial_degree
-from ..systems.vectors import length
-from ..theory.motions import SteadyMotion, departures, steady_motions
-from ..theory.steady import FAR, Existence
+from ..systems.steady import growth_about_vertical, lacks_theory, polynomial_degree
+from ..theory.motions import FoundStarts, KnownStarts, condition_residual, find_motions, predict_labels
+from ..theory.prediction import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
+from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of more overflows
 # A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
 # step is the same within this share.
 HALF_STEP_RTOL = 0.05
-# Relative rounding error of an initial state: an unstable motion amplifies it.
-ROUNDOFF = 1e-16
-# The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
-# larger distance from the motion, rounding errors change less than a hundredth.
-ROUNDING_RESIDUAL = 1e-13
-# Residual of a start about the third axis and the vertical beyond which it is on no family about these.
-_NEARBY = 1e-6
-# A nudged start keeps the label of a stable motion up to this change of its rates, in tolerances.
-_KEPT = 1 / 3
 # Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
@@ -61,11 +52,14 @@ _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 class Prediction:
     """What theory predicts of a set of runs; arrays of shape (points,)."""
 
-    variables: Mapping[str, np.ndarray]  # as `predict` returns them
-    motion: SteadyMotion | None  # of the start before the nudge; None where the equations do not decide
-    residual: Array  # of the conditions of a steady motion, at the start that is integrated
+    variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
+    # Of the start before the nudge, and the answers of the equations that `predict` leaves; None where the equations do not decide
+    motion: TwoAxes | None
+    found: FoundStarts
+    answer: Flags
     family_residual: Array  # of the conditions of the family, at the start before the nudge
-    # As `residual`, of the conditions of a motion about any axes or in the plane where `log_growth` is about such a motion
+    # Of the conditions of a steady motion at the start that is integrated, about any axes or in the plane where `log_growth` is
+    # about such a motion
     start_residual: Array
     # Whether `log_growth` is about a motion about other axes than the third and the vertical
     about_other_axes: Mask
@@ -75,62 +69,80 @@ class Prediction:
     may_settle: Mask  # whether a transient comes before the run, from a start that is no steady motion
 
 
+@np.errstate(all="ignore")
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
-    """Predictions for the runs of a plan.
+    """Predictions for the runs of a plan, in the order of `theory.prediction`.
 
-    A nudge along a family leads to another exact start. Where no labels about any axes are measured, a motion about other
-    axes than the third and the vertical drifts, however it grows.
+    Where no labels about any axes are measured, the growth of a motion about other axes than the third and the vertical does not
+    matter: it drifts.
     """
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
-    points = SharedValues(tile.points)
-    tolerances, nudged = plan.settings.at(tile.rate_tolerance).tolerances, plan.nudged
-    with np.errstate(all="ignore"):
-        residual = condition_residual(system, points)
-        motion = steady_motions_of(system, base, until, tolerances, plan.in_machine_code)
-        family, family_residual = np.zeros(duration.shape, np.int8), np.full(duration.shape, np.inf)
-        # A start that is far from every steady motion is on no family, unless it is on the vertical, as motions in the plane are.
-        where = np.arange(duration.size)
-        if motion is not None and not nudged:
-            upright = np.abs(system.steady_rates(base)[0]) <= FAMILY_TOLERANCE
-            where = np.flatnonzero((motion.answer != Existence.FAR) | (residual <= _NEARBY) | upright)
-        part = base if where.size == duration.size else subset(base, where)
-        family[where], family_residual[where] = _identify(system, part)
-        other = on_other_axes(system, family)
-        if motion is not None:
-            in_plane = unsteady(system, family) & (nudged | (family_residual <= ROUNDING_RESIDUAL))
-            motion.answer[in_plane] = Existence.EXACT  # no steady motion, but an exact one
-        beside = nudged & (residual <= FAMILY_TOLERANCE)
-        pushed = nudged & ~exact_starts(system, points, beside, plan.in_machine_code)
-        variables = predict(system, base, tolerances, pushed, family, duration, motion=motion)
-        if motion is not None and nudged:
-            _take_away(system, base, points, until, tolerances, variables, plan.in_machine_code)
-        growth = log_growth(system, base, family, variables["growth_rate"], until)
-        # What drifts in any case drifts however it grows.
-        growth[unsteady(system, family) & (variables["predicted"] == Label.DRIFTING)] = 0.0
-        start_residual, varying = residual.copy(), np.flatnonzero(unsteady(system, family))
-        start_residual[varying] = system.identify_family(subset(points, varying))[1]
-        if CIRCLES[0] in plan.instruments:
-            members = np.flatnonzero(other)
-            start_residual[members] = system.identify_family(subset(points, members))[1]
-            pushed[members] = nudged & (start_residual[members] > ROUNDING_RESIDUAL)
-        else:
-            growth, other = np.where(other, 0.0, growth), np.zeros_like(other)
-        if motion is not None and not nudged:
-            # A distance that rounding of the equations hides, and that grows beyond the tolerances, decides nothing.
-            is_exact = motion.answer == Existence.EXACT
-            near = np.flatnonzero(is_exact & (start_residual > ROUNDING_RESIDUAL) & (growth > 0))
-            bound = system.frequency_bound(subset(points, near))
-            near = near[growth[near] > rounding_limit(start_residual[near], bound, tolerances.subset(near))]
-            motion.answer[near] = Existence.NEAR
-            for name in predicted_frames(system, base):
-                variables[name][near] = Label.NOT_COMPUTED
-        steady = family > 0 if motion is None else motion.answer == Existence.EXACT
-        may_settle = (tile.transient > 0) & ~(steady & ~pushed)
-        forget_drifting(system, variables, may_settle, system.constants(points), system.initial_state(points))
-    growth = np.minimum(np.nan_to_num(growth, nan=0.0), MAX_LOG_GROWTH)
+    points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
+    tolerances, compiled = plan.settings.at(tile.rate_tolerance).tolerances, plan.in_machine_code
+    motion, found, family, family_residual = _found(system, base, points, until, tolerances, nudged, compiled)
+    stable, growth_rate = system.linear_stability(base, family)
+    varies, elsewhere = unsteady(system, family), on_other_axes(system, family)
+    members, nudged_residual = np.flatnonzero(varies | elsewhere), family_residual.copy()
+    if nudged and members.size:
+        nudged_residual[members] = system.identify_family(subset(points, members))[1]
+    growth = log_growth(system, base, family, growth_rate, until)
+    known = KnownStarts(varies, elsewhere, family_residual, nudged_residual, stable, growth)
+    frames = predicted_frames(system, base)
+    exact = exact_labels(system, base, family, motion, found.elsewhere, duration, tolerances)
+    own = exact["predicted"]
+    inertial = exact.get("predicted_inertial", own)
+    settings = system.frequency_bound(points), tolerances.rate, tolerances.angle, nudged, compiled
+    predicted = predict_labels(system, found, known, (own, inertial), *settings)
+    counts = elsewhere & (CIRCLES[0] in plan.instruments)
+    log_growths = np.minimum(np.where(elsewhere & ~counts, 0.0, predicted.growth), MAX_LOG_GROWTH)
+    start_residual = np.where(varies | counts, nudged_residual, found.residual)
+    pushed = np.where(counts, nudged & (nudged_residual > ROUNDING_RESIDUAL), found.pushed)
+    may_settle = (tile.transient > 0) & ~((predicted.answer == Existence.EXACT) & ~pushed)
+    labels = dict(zip(frames, (predicted.label, predicted.inertial), strict=False))
+    forget_drifting(system, labels, may_settle, system.constants(points), system.initial_state(points))
+    variables: dict[str, np.ndarray] = {
+        "family": family,
+        "stable": stable,
+        "growth_rate": growth_rate,
+        **labels,
+    }
     return Prediction(
-        variables, motion, residual, family_residual, start_residual, other, pushed, growth, may_settle
+        variables, motion, found, predicted.answer, family_residual, start_residual, counts, pushed, log_growths, may_settle
+    )  # fmt: skip
+
+
+def _found(
+    system: System,
+    base: Points,
+    points: Points,
+    duration: Array,
+    tolerances: Tolerances,
+    nudged: bool,
+    in_machine_code: bool,
+) -> tuple[TwoAxes | None, FoundStarts, Flags, Array]:
+    """What the equations say of starts, and their families with the residuals of their conditions.
+
+    Of a system of which the theorem says nothing the families decide: a start on one is exact, others have no label.
+    """
+    size = duration.size
+    family, residual = np.zeros(size, np.int8), np.full(size, np.inf)
+    if isinstance(polynomial_degree(system), str):
+        family, residual = _identify(system, base)
+        after = condition_residual(system, points)
+        kept = (system.identify_family(points)[0] > 0) & (after <= ROUNDING_RESIDUAL)
+        answer = np.where(family > 0, Existence.EXACT, Existence.NEAR).astype(np.int8)
+        zero, pushed = np.zeros(size), nudged & ~kept
+        found = FoundStarts(
+            answer, on_other_axes(system, family), family > 0, kept, pushed, after, zero, zero
+        )
+        return None, found, family, residual
+    motion, found = find_motions(
+        system, base, points if nudged else None, duration, tolerances.rate, tolerances.angle, in_machine_code
     )
+    where = np.flatnonzero(found.may_be_member)
+    part = base if where.size == size else subset(base, where)
+    family[where], residual[where] = _identify(system, part)
+    return motion, found, family, residual
 
 
 def forget_drifting(
@@ -163,7 +175,9 @@ class Theory:
         """Theory of the points of a plan."""
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
-            nothing = Prediction({}, None, zero, zero, zero, zero > 0, zero > 0, zero, zero > 0)
+            no, none = zero > 0, zero.astype(np.int8)
+            found = FoundStarts(none, no, no, no, no, zero, zero, zero)
+            nothing = Prediction({}, None, found, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
@@ -199,7 +213,8 @@ class Theory:
         growth = np.where(sine == 0.0, least, self.rounding_growth)
         measured = np.log(sine / np.fmax(residual, ROUNDOFF))  # of a tilt by as much as the residual
         growth = np.where(self.unknown_growth, measured, growth)
-        return growth, rounding_limit(residual, run.bound, run.settings.tolerances)
+        tolerances = run.settings.tolerances
+        return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)
 
     def departed(self, run: Run) -> Mask:
         """Which drifting motions may have left an unstable one by integration errors."""
@@ -217,60 +232,52 @@ def departure_changes(run: Run, fine: Run) -> Mask | bool:
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
 
-def steady_motions_of(
-    system: System, points: Points, duration: Array, tolerances: Tolerances, in_machine_code: bool = False
-) -> SteadyMotion | None:
-    """Whether each start is a steady motion by the equations of its system; None where these are no polynomials."""
-    if isinstance(polynomial_degree(system), str):
-        return None
-    motion = steady_motions(system, points, duration, tolerances.rate, tolerances.angle, in_machine_code)
-    decided = within_range(system, points) & (
-        (motion.answer == Existence.EXACT) | ~lacks_theory(system, points)
-    )
-    return motion._replace(answer=np.where(decided, motion.answer, Existence.NEAR))
-
-
 @np.errstate(all="ignore")
 def predict(
     system: System,
     points: Points,
     tolerances: Tolerances,
-    nudged: Mask | bool,
-    family: Flags | None = None,
     duration: Array | float = np.inf,
     rough: bool = False,
-    motion: SteadyMotion | None = None,
 ) -> dict[str, np.ndarray]:
-    """Labels of starts, given before any nudge, from theory alone, with family, stable and growth_rate.
+    """Labels of starts by their families alone, without a nudge, with family, stable and growth_rate.
 
-    A steady motion has the label of its exact statistics; nudged, it keeps it where it is linearly stable and drifts where it
-    is unstable. family, motion: those of each start, if they are known; without the motion a start on no family has no prediction.
     rough: whether growth_rate may have fewer digits.
     """
-    if family is None:
-        family, _ = _identify(system, points)
+    family, _ = _identify(system, points)
     stable, growth = (
         rough_stability(system, points, family) if rough else system.linear_stability(points, family)
     )
-    result: dict[str, np.ndarray] = {"family": family, "stable": stable, "growth_rate": growth}
-    times = np.broadcast_to(duration, family.shape)
-    if motion is None:
-        exact, others = family > 0, np.flatnonzero(on_other_axes(system, family))
-        otherwise = np.full(family.shape, Label.NOT_COMPUTED, np.int8)
-    else:
-        exact = motion.answer == Existence.EXACT
-        others = np.flatnonzero(turns_elsewhere(system, points, motion))
-        otherwise = np.where(motion.answer == Existence.FAR, Label.DRIFTING, Label.NOT_COMPUTED)
+    others, times = on_other_axes(system, family), np.broadcast_to(duration, family.shape)
+    exact = exact_labels(system, points, family, None, others, times, tolerances)
+    labels = {name: np.where(family > 0, label, Label.NOT_COMPUTED) for name, label in exact.items()}
+    return {"family": family, "stable": stable, "growth_rate": growth, **labels}
+
+
+def exact_labels(
+    system: System,
+    points: Points,
+    family: Flags,
+    motion: TwoAxes | None,
+    elsewhere: Mask,
+    duration: Array,
+    tolerances: Tolerances,
+) -> dict[str, Flags]:
+    """Labels of exact motions by their statistics, of which those about other axes are samples: none where their errors count.
+
+    elsewhere: motions about other axes, which drift where they are not known.
+    """
+    others = np.flatnonzero(elsewhere)
     sine, n, m = system.steady_rates(points)
     zero, theta = np.zeros(family.shape), np.arcsin(np.minimum(np.abs(sine), 1.0))
     measured = dict.fromkeys(("theta_dot_rms", "psi_dot_std", "phi_dot_std"), zero) | {
-        "psi_dot_mean": n, "phi_dot_mean": m, "normal_rate_std": rate_std(system, points, family, times),
+        "psi_dot_mean": n, "phi_dot_mean": m, "normal_rate_std": rate_std(system, points, family, duration),
         "theta_min": theta, "theta_max": theta, "sine_max": np.abs(sine),
     }  # fmt: skip
     if motion is not None and others.size:
-        sampled, error = _statistics(
-            system, subset(points, others), motion.axes.subset(others), times[others], tolerances.angle
-        )
+        of_others = subset(points, others), motion.subset(others), duration[others]
+        sampled, error = _statistics(system, *of_others, tolerances.angle)
+    labels: dict[str, Flags] = {}
     for name, frame_rate in predicted_frames(system, points).items():
         label = rates.rule(tolerances, frame_rate).label(measured)
         label[others] = Label.DRIFTING
@@ -278,16 +285,8 @@ def predict(
             rule = rates.rule(tolerances.subset(others), frame_rate[others])
             uncertain = could_change(rule, sampled, error)
             label[others] = np.where(uncertain, Label.NOT_COMPUTED, rule.label(sampled))
-        result[name] = np.where(exact, after_nudge(label, stable, nudged), otherwise)
-    return result
-
-
-def turns_elsewhere(system: System, points: Points, motion: SteadyMotion) -> Mask:
-    """Whether a start is a steady motion about other axes than the third and the vertical."""
-    others = (motion.axes.spin_axis[2] != 1.0) | (
-        motion.axes.fixed_axis != frame_motion(system, points)[1]
-    ).any(0)
-    return others & (motion.answer == Existence.EXACT)
+        labels[name] = label
+    return labels
 
 
 def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
@@ -335,68 +334,6 @@ def predicted_frames(system: System, points: Points) -> dict[str, Array]:
 def on_other_axes(system: System, family: Flags) -> Mask:
     """Whether a family's motion is about other axes than the third and the vertical."""
     return np.isin(family, [f.flag for f in families_of(system).values() if f.axes is not None])
-
-
-def after_nudge(label: Flags, stable: Flags, nudged: Mask | bool) -> Flags:
-    """Predicted label of a steady motion that is nudged or not, see `predict`."""
-    kept = np.logical_not(nudged) | (stable == Stability.STABLE) | (label == Label.DRIFTING)
-    moved = np.where(stable == Stability.UNSTABLE, Label.DRIFTING, Label.NOT_COMPUTED)
-    return np.where(kept, label, moved).astype(np.int8)
-
-
-def _take_away(
-    system: System,
-    base: Points,
-    points: Points,
-    duration: Array,
-    tolerances: Tolerances,
-    theory: Mapping[str, np.ndarray],
-    in_machine_code: bool,
-) -> None:
-    """Take labels away from starts that a nudge from base moves further than the tolerances allow, (points,).
-
-    The departure from a steady motion to first order is the least change of the rates; the oscillation may be some times as large,
-    that of psi' by 1 / sin(theta). Inside the cone the tilt is no measure of it, but the change of the angular velocity.
-    """
-    names = predicted_frames(system, points)
-    steady = np.any([theory[name] != Label.DRIFTING for name in names], axis=0)
-    where = np.flatnonzero(steady & ~unsteady(system, theory["family"]) & within_range(system, points))
-    part, tolerances = subset(points, where), tolerances.subset(where)
-    (u, vertical), (before, _) = frame_motion(system, part), frame_motion(system, subset(base, where))
-    moved = departures(system, part, duration[where], tolerances.rate, tolerances.angle, in_machine_code)
-    sine = np.hypot(*vertical[:2])
-    change = np.where(sine < tolerances.angle, length(u - before) / tolerances.rate, moved / sine)
-    for label in (theory[name] for name in names):
-        label[where[(change > _KEPT) & (label[where] != Label.DRIFTING)]] = Label.NOT_COMPUTED
-        label[where[moved > FAR]] = Label.DRIFTING
-
-
-def exact_starts(system: System, points: Points, candidates: Mask, in_machine_code: bool = False) -> Mask:
-    """Which candidates are on a steady motion as exactly as rounding allows.
-
-    A nudge along a family or a symmetry leads to such a start again.
-    """
-    exact = np.zeros(candidates.shape, bool)
-    where = np.flatnonzero(candidates)
-    if where.size:
-        part = subset(points, where)
-        anything = Tolerances(np.inf, np.inf)
-        motion = steady_motions_of(system, part, np.ones(where.size), anything, in_machine_code)
-        if motion is None:
-            flag, residual = system.identify_family(part)
-            exact[where] = (flag > 0) & (residual <= ROUNDING_RESIDUAL)
-        else:
-            exact[where] = motion.answer == Existence.EXACT
-    return exact
-
-
-def rounding_limit(residual: Array, frequency_bound: Array, tolerances: Tolerances) -> Array:
-    """Growth, as a logarithm, by which rounding errors reach a tolerance, by the residual of a steady start.
-
-    Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
-    """
-    tolerance = np.minimum(tolerances.rate / frequency_bound, tolerances.angle)
-    return np.asarray(np.log(tolerance / np.fmax(residual, ROUNDOFF)))
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:

@@ -1,4 +1,4 @@
-"""How far starts are from steady motions by the equations of motion, and of which systems the theorem of theory/steady.py speaks."""
+"""Of which systems the theorem of theory/steady.py speaks, and what rooms below the theory need of it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import numpy as np
 from ..flags import reserved_families
 from . import arithmetic
 from .base import FAMILY_TOLERANCE, Array, Mask, Points, System, families_of, shape_of, subset
-from .gyrostat.system import Gyrostat
 from .jacobian import STEP
-from .vectors import cross, dot, length, principal, ratio
+from .vectors import cross, dot, length, principal
 
 # Residuals within this many units of rounding of their terms vanish.
 ROUNDING = 64 * 2.0**-53
 # A start whose equations fail by more than this of the squared frequency bound is no steady motion, whatever rounding does.
 GATE = 1e-6
-_STEP = 2.0**-100
 
 
 @cache
@@ -128,30 +126,3 @@ def _start(system: System, points: Points) -> tuple[Array, Array]:
     places = [system.equations.STATE.index(name) for name in system.rate_states[:2]]
     state[places] -= np.where(upright, across, 0.0)
     return state, constants
-
-
-def condition_residual(system: System, points: Points) -> Array:
-    """How far each start is from a steady motion about the third axis and the vertical, (points,); 0 on an exact one.
-
-    The larger of |u' - n m gamma x e3| over the largest squared rate, u the angular velocity in the frame, and what of u across
-    e3 is not n gamma, over its root. Beside the vertical, if less, that of a rotation about e3. Of systems of which the theorem says
-    nothing that of the families, nan without any.
-    """
-    if isinstance(polynomial_degree(system), str):
-        return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
-    state, constants = system.initial_state(points), system.constants(points)
-    _, n, m = system.steady_rates(points)
-    slope = np.array(np.broadcast_arrays(*system.equations.rhs(state, constants)))
-    # With a power of 2 as the complex step no bit is lost where the motion is linear in the state.
-    stepped = np.imag(system.equations.frame_motion(state + 1j * _STEP * slope, constants)) / _STEP
-    u, gamma = np.split(np.array(system.equations.frame_motion(state, constants)), 2)
-    square = (
-        system.squared_unit(points) if isinstance(system, Gyrostat) else system.frequency_bound(points) ** 2
-    )
-    sine = np.hypot(gamma[0], gamma[1])
-    change = ratio(length(stepped[:3] - n * m * np.array([gamma[1], -gamma[0], np.zeros_like(n)])), square)
-    about_third = np.maximum(ratio(length(stepped[:3]), square), ratio(np.hypot(u[0], u[1]), np.sqrt(square)))
-    change = np.where(sine <= FAMILY_TOLERANCE, np.minimum(change, about_third), change)
-    rest = np.hypot(*(u - n * gamma)[:2])
-    rest[rest <= 2.0**-50 * (np.abs(n) * sine + np.hypot(*state[:2]))] = 0.0
-    return np.maximum(change, ratio(rest, np.sqrt(square)))

@@ -16,7 +16,7 @@ from ..kernel.differentiate import differential
 from ..systems import arithmetic
 from ..systems.base import System
 from ..systems.steady import polynomial_degree
-from . import generated, point
+from . import generated
 
 # Points up to which compiled code would take longer to load than plain Python to run.
 FEW_POINTS = 100
@@ -24,23 +24,29 @@ FEW_POINTS = 100
 
 @cache
 def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
-    """A function of the theory for a system of a `polynomial_degree`."""
+    """A function of the theory for a system; of one without a `polynomial_degree` it must not need the equations."""
     degree = polynomial_degree(system)
-    assert isinstance(degree, int)
-    pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
-    values = {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
     with arithmetic.PARSING:
-        objects, sources, numbers = reachable((function,), generated)
-        values, texts = numbers | values, _equations(system)
+        objects, sources, values = reachable((function,), generated)
+        texts = {} if isinstance(degree, str) else _equations(system)
+    if isinstance(degree, int):
+        pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
+        values |= {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
     if in_machine_code:
         from ..kernel import machine_code  # here, because plain Python needs no compiler
 
         lines = {name: repr(value) for name, value in values.items()}
         lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
+        names = {
+            name: each.__globals__.get(name) for each in objects.values() for name in each.__code__.co_names
+        }
+        tuples = {name: each for name, each in sorted(names.items()) if hasattr(each, "_fields")}
         # The cache knows a named tuple by its name alone.
-        lines |= {f"{each.__name__}_FIELDS": repr(each._fields) for each in (point.Motion, point.Start)}
-        imports = f"import math\nfrom {point.__name__} import Motion, Start\n"
-        text = machine_code.module_text(lines, texts | sources, machine_code.UNFUSED, imports)
+        lines |= {f"{name}_FIELDS": repr(each._fields) for name, each in tuples.items()}
+        imports = [f"from {each.__module__} import {name}\n" for name, each in tuples.items()]
+        text = machine_code.module_text(
+            lines, texts | sources, machine_code.UNFUSED, "".join(["import math\n", *imports])
+        )
         return getattr(machine_code.load(text), function.__name__)
     namespace: dict[str, Any] = {}
     for each in objects.values():
@@ -95,18 +101,24 @@ def _equations(system: System) -> dict[str, str]:
             f"x = motion_in_frame({items('{}', states)}, constants)",
             "return (x[0], x[1], x[2]), (x[3], x[4], x[5])",
         ],
+        "frame_motion_change(w, vectors, constants, dw, changes)": [
+            f"x = motion_in_frame_change({items('{}', states)}, constants, {items('{}', changes)})",
+            "return x[0], x[1], x[2]",
+        ],
         "rotate_all(vectors, nu, back, s, around)": [
             f"return {items('rotate(rotate(vectors[{}], nu, back[0], back[1]), s, around[0], around[1])', every)}"
         ],
         "turn_all(vectors, u)": [f"return {items('cross(vectors[{}], u)', every)}"],
     }
+    frame = texts["frame_motion"].replace("def frame_motion(", "def motion_in_frame(", 1)
     sums = ast.unparse(_Sum().visit(ast.parse(texts["rhs"].replace("def rhs(", "def rhs_sum(", 1))))
     sources = {
         "rhs": texts["rhs"],
         "rhs_change": differential(texts["rhs"], "rhs_change"),
         "rhs_sum": sums,
         "rhs_sum_change": differential(sums, "rhs_sum_change"),
-        "motion_in_frame": texts["frame_motion"].replace("def frame_motion(", "def motion_in_frame(", 1),
+        "motion_in_frame": frame,
+        "motion_in_frame_change": differential(frame, "motion_in_frame_change"),
     }
     for head, lines in bodies.items():
         sources[head.partition("(")[0]] = "\n    ".join([f"def {head}:", *lines])

@@ -35,6 +35,10 @@ def frame_motion(w, vectors, constants):
     """Angular velocity relative to the frame, and the frame's vertical."""
 
 
+def frame_motion_change(w, vectors, constants, dw, changes):
+    """Change of that angular velocity to first order in changes of w and of the vectors."""
+
+
 def rotate_all(vectors, nu, back, s, around):
     """Every vector after turns, each (cosine, sine), about nu and about s."""
 

@@ -1,4 +1,4 @@
-"""The steady motions that many starts are: the test of `steady` in a loop, arrays in and out."""
+"""What theory says of many starts: the functions of one start in loops, arrays in and out."""
 
 from __future__ import annotations
 
@@ -6,95 +6,196 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..systems.base import Array, Flags, Points, System, TwoAxes, shape_of
+from ..systems.base import Array, Flags, Mask, Points, System, TwoAxes, shape_of, within_range
+from ..systems.gyrostat.system import Gyrostat
+from ..systems.steady import lacks_theory, polynomial_degree
 from .compiled import of_system
 from .generated import load_constants, load_state
-from .steady import departure, motion_about_third, start_on_axis, steady_motion
+from .point import Body, Found, Known
+from .prediction import find, predict, predict_circle, residual_of
 
 
-class SteadyMotion(NamedTuple):
-    """The steady motion that each start is, or would be."""
-
-    axes: TwoAxes  # relative to the frame; the third axis and the vertical where it is none
-    answer: Flags  # values of Existence
-
-
-def steady_motions(
-    system: System,
-    points: Points,
-    duration: Array | float,
-    rate_tolerance: Array | float,
-    angle_tolerance: float,
-    in_machine_code: bool = False,
-) -> SteadyMotion:
-    """Whether each start is a steady motion about any axes, or drifts about the third axis and the vertical; see Existence.
-
-    Of a system of a `polynomial_degree`. Inside a cone of angle_tolerance about the vertical, rad, only the tilt and the rate about
-    the vertical count.
-    """
-    starts = _Starts.of(system, points, duration, rate_tolerance)
-    axes, answer = np.empty((8, starts.bound.size)), np.empty(starts.bound.size, np.int8)
-    of_system(find_motions, system, in_machine_code)(*starts, angle_tolerance, axes, answer)
-    return SteadyMotion(TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), answer)
-
-
-def departures(
-    system: System,
-    points: Points,
-    duration: Array | float,
-    rate_tolerance: Array | float,
-    angle_tolerance: float,
-    in_machine_code: bool = False,
-) -> Array:
-    """How far each start is from a steady motion about the third axis and the vertical, in tolerances of labels."""
-    starts = _Starts.of(system, points, duration, rate_tolerance)
-    change = np.empty(starts.bound.size)
-    of_system(find_departures, system, in_machine_code)(*starts, angle_tolerance, change)
-    return change
-
-
-class _Starts(NamedTuple):
-    """What the loops read of starts."""
+class Starts(NamedTuple):
+    """Bodies at the starts of runs, see Body, in columns."""
 
     states: Array  # (states, points)
     constants: Array  # (constants, points)
-    rates: Array  # of System.steady_rates, (3, points)
+    rates: Array  # (3, points)
     bound: Array
-    duration: Array
-    rate_tolerance: Array
+    square: Array
+    in_range: Mask
 
     @classmethod
     @np.errstate(all="ignore")
-    def of(
-        cls, system: System, points: Points, duration: Array | float, rate_tolerance: Array | float
-    ) -> _Starts:
-        columns = (system.frequency_bound(points), duration, rate_tolerance)
-        blocks = (system.initial_state(points), system.constants(points), system.steady_rates(points))
-        one = np.ones(shape_of(points))
-        return cls(
-            *(np.array([row * one for row in block]) for block in blocks),
-            *(column * one for column in columns),
+    def of(cls, system: System, points: Points) -> Starts:
+        bound, one = system.frequency_bound(points), np.ones(shape_of(points))
+        square = system.squared_unit(points) if isinstance(system, Gyrostat) else bound**2
+        states, constants, rates = (
+            np.array([row * one for row in block])
+            for block in (system.initial_state(points), system.constants(points), system.steady_rates(points))
         )
+        return cls(states, constants, rates, bound * one, square * one, within_range(system, points))
 
 
-def find_motions(states, constants, rates, bound, duration, rate_tolerance, angle_tolerance, axes, answer):
+class FoundStarts(NamedTuple):
+    """What the equations say of starts, see Found, in columns."""
+
+    answer: Flags
+    elsewhere: Mask
+    may_be_member: Mask
+    kept: Mask
+    pushed: Mask
+    residual: Array
+    change: Array
+    away: Array
+
+
+class KnownStarts(NamedTuple):
+    """What the families say of starts, see Known, in columns."""
+
+    varies: Mask
+    elsewhere: Mask
+    residual: Array
+    nudged_residual: Array
+    stable: Flags
+    growth: Array
+
+
+class Predictions(NamedTuple):
+    """What theory predicts of starts, see `predict`, in columns."""
+
+    label: Flags
+    inertial: Flags
+    answer: Flags
+    growth: Array
+
+
+def find_motions(
+    system: System,
+    base: Points,
+    points: Points | None,
+    duration: Array | float,
+    rate_tolerance: Array | float,
+    angle_tolerance: float,
+    in_machine_code: bool = False,
+) -> tuple[TwoAxes, FoundStarts]:
+    """The steady motion that each start is, or would be, and what the equations say of it, of a system of a `polynomial_degree`.
+
+    Before a nudge and, unless points is None, after it. Inside a cone of angle_tolerance about the vertical, rad, only the tilt
+    and the rate about the vertical count.
+    """
+    before = Starts.of(system, base)
+    after, one = before if points is None else Starts.of(system, points), np.ones_like(before.bound)
+    settings = duration * one, rate_tolerance * one, angle_tolerance, points is not None
+    axes = np.empty((8, one.size))
+    flags, numbers = np.empty((4, one.size), bool), np.empty((3, one.size))
+    found = FoundStarts(np.empty(one.size, np.int8), *flags, *numbers)
+    find_all = of_system(find_starts, system, in_machine_code)
+    find_all(before, after, *settings, lacks_theory(system, base), axes, found)
+    return TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), found
+
+
+def find_starts(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacking, axes, columns):
     """Rows of axes: s, m, nu, n."""
-    for i in range(bound.size):
-        w, vectors = load_state(states, i)
-        of_axes = rates[0, i], rates[1, i], rates[2, i]
-        answer[i], motion = steady_motion(
-            w, vectors, load_constants(constants, i), of_axes, bound[i], duration[i], rate_tolerance[i], angle_tolerance
-        )  # fmt: skip
+    for i in range(duration.size):
+        body, other = body_at(before, i), body_at(after, i)
+        motion, found = find(body, other, duration[i], rate_tolerance[i], angle_tolerance, nudged, lacking[i])
         for k in range(3):
             axes[k, i], axes[4 + k, i] = motion.s[k], motion.nu[k]
         axes[3, i], axes[7, i] = motion.m, motion.n
+        columns.answer[i], columns.elsewhere[i] = found.answer, found.elsewhere
+        columns.may_be_member[i] = found.may_be_member
+        columns.kept[i], columns.pushed[i] = found.kept, found.pushed
+        columns.residual[i], columns.change[i], columns.away[i] = found.residual, found.change, found.away
 
 
-def find_departures(states, constants, rates, bound, duration, rate_tolerance, angle_tolerance, change):
-    """Values of `departure`."""
+def body_at(starts, i):
+    w, vectors = load_state(starts.states, i)
+    rates = starts.rates[0, i], starts.rates[1, i], starts.rates[2, i]
+    return Body(
+        w, vectors, load_constants(starts.constants, i), rates, starts.bound[i], starts.square[i], starts.in_range[i]
+    )  # fmt: skip
+
+
+@np.errstate(all="ignore")
+def condition_residual(system: System, points: Points, in_machine_code: bool = False) -> Array:
+    """How far each start is from a steady motion about the third axis and the vertical, (points,); 0 on an exact one.
+
+    Of systems of which the theorem says nothing that of the families, nan without any.
+    """
+    if isinstance(polynomial_degree(system), str):
+        return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
+    starts = Starts.of(system, points)
+    residual = np.empty(starts.bound.size)
+    of_system(find_residuals, system, in_machine_code)(starts, residual)
+    return residual
+
+
+def find_residuals(starts, residual):
+    for i in range(residual.size):
+        residual[i] = residual_of(body_at(starts, i))
+
+
+def predict_labels(
+    system: System,
+    found: FoundStarts,
+    known: KnownStarts,
+    exact: tuple[Flags, Flags],
+    bound: Array,
+    rate_tolerance: Array | float,
+    angle_tolerance: float,
+    nudged: bool,
+    in_machine_code: bool = False,
+) -> Predictions:
+    """What theory predicts of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
+    one = np.ones_like(found.residual)
+    label, inertial, answer = np.empty((3, one.size), np.int8)
+    result = Predictions(label, inertial, answer, np.empty(one.size))
+    by_equations = isinstance(polynomial_degree(system), int)
+    settings = bound * one, rate_tolerance * one, angle_tolerance, nudged, by_equations
+    of_system(predict_starts, system, in_machine_code)(found, known, *exact, *settings, result)
+    return result
+
+
+def predict_starts(
+    found, known, exact, inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations, result
+):
     for i in range(bound.size):
-        w, vectors = load_state(states, i)
-        body, of_axes = load_constants(constants, i), (rates[0, i], rates[1, i], rates[2, i])
-        start = start_on_axis(w, vectors, body, of_axes)
-        motion = motion_about_third(start, of_axes)
-        change[i] = departure(start, body, motion, bound[i], duration[i], rate_tolerance[i], angle_tolerance)
+        of_family = Known(
+            known.varies[i], known.elsewhere[i], known.residual[i], known.nudged_residual[i], known.stable[i], known.growth[i]
+        )  # fmt: skip
+        settings = bound[i], rate_tolerance[i], angle_tolerance, nudged, by_equations
+        prediction = predict(found_at(found, i), of_family, exact[i], inertial[i], *settings)
+        result.label[i], result.inertial[i], result.answer[i], result.growth[i] = prediction
+
+
+def found_at(found, i):
+    return Found(
+        found.answer[i], found.elsewhere[i], found.may_be_member[i], found.kept[i], found.pushed[i],
+        found.residual[i], found.change[i], found.away[i],
+    )  # fmt: skip
+
+
+def predict_circles(
+    system: System,
+    found: FoundStarts,
+    own: Flags,
+    exact: Flags,
+    answer: Flags,
+    stable: Flags,
+    near: Mask,
+    in_range: Mask,
+    nudged: bool,
+    in_machine_code: bool = False,
+) -> Flags:
+    """Labels about any axes, see `predict_circle`."""
+    labels = np.empty(own.shape, np.int8)
+    label_all = of_system(label_circles, system, in_machine_code)
+    label_all(found, own, exact, answer, stable, near, in_range, nudged, labels)
+    return labels
+
+
+def label_circles(found, own, exact, answer, stable, near, in_range, nudged, labels):
+    for i in range(own.size):
+        of_start = own[i], exact[i], answer[i], stable[i], near[i], in_range[i]
+        labels[i] = predict_circle(found_at(found, i), *of_start, nudged)

@@ -20,6 +20,18 @@ class Motion(NamedTuple):
     n: float  # rate about it, rad per time unit
 
 
+class Body(NamedTuple):
+    """A body at the start of a run."""
+
+    w: Vector  # angular velocity
+    vectors: tuple[Vector, ...]  # at rest in the frame
+    constants: tuple[float, ...]  # of the equations
+    rates: Vector  # sin theta, n, m of System.steady_rates
+    bound: float  # of frequencies
+    square: float  # squared unit of rates
+    in_range: bool  # whether no formula of theory overflows
+
+
 class Start(NamedTuple):
     """A state and what the equations say of it."""
 
@@ -33,6 +45,30 @@ class Start(NamedTuple):
     vertical: Vector  # of the frame
 
 
+class Found(NamedTuple):
+    """What the equations say of a start, before a nudge where nothing else is said."""
+
+    answer: int  # value of Existence
+    elsewhere: bool  # whether it is a steady motion about other axes than the third and the vertical
+    may_be_member: bool  # whether it may be on a family
+    kept: bool  # whether the nudged start is a steady motion as exactly as rounding allows
+    pushed: bool  # whether a nudge moved the start off the motions about the third axis and the vertical
+    residual: float  # of the conditions of a steady motion, after a nudge
+    change: float  # by a nudge, of the rates of a steady motion, in tolerances
+    away: float  # departure of the nudged start from a steady motion, in tolerances
+
+
+class Known(NamedTuple):
+    """What the families say of a start."""
+
+    varies: bool  # whether its motion turns about the vertical at a varying rate
+    elsewhere: bool  # whether its motion is about other axes than the third and the vertical
+    residual: float  # of the conditions of its family before a nudge, inf on none
+    nudged_residual: float  # the same after a nudge
+    stable: int  # value of Stability
+    growth: float  # of a distance from the motion until the end of the run, as a logarithm; nan where it is unknown
+
+
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -44,6 +80,15 @@ def cross(a, b):
 def cross_sum(a, b):
     """Sum of the magnitudes of the terms of a vector product, of magnitudes."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
+
+
+def times(a, b):
+    """The products of the components."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+def divided(a, k):
+    return a[0] / k, a[1] / k, a[2] / k
 
 
 def plus(a, b):
@@ -82,6 +127,31 @@ def rotate(a, axis, cosine, sine):
         cosine * a[1] + sine * across[1] + along * axis[1],
         cosine * a[2] + sine * across[2] + along * axis[2],
     )
+
+
+def over(value, scale):
+    """value / scale, 0 where the scale is 0."""
+    return 0.0 if scale == 0 else value / scale
+
+
+def larger(a, b):
+    """The larger one, nan where one is nan."""
+    return a if a != a or a > b else b
+
+
+def smaller(a, b):
+    """The smaller one, nan where one is nan."""
+    return a if a != a or a < b else b
+
+
+def greatest(a):
+    """The largest component, nan where one is nan."""
+    return larger(a[0], larger(a[1], a[2]))
+
+
+def smallest(a):
+    """The smallest component, nan where one is nan."""
+    return smaller(a[0], smaller(a[1], a[2]))
 
 
 def fmax(a, b):

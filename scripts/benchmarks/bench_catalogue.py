@@ -15,7 +15,7 @@ import numpy as np
 
 from atlas.systems import get
 from atlas.systems.base import families_of
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 
 SATELLITE = get("satellite")
 

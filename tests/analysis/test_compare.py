@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from hypothesis import given
 from hypothesis.extra import numpy as hnp
+from strategies import predictions
 
 import atlas
 from atlas import BadInput, load_scene
@@ -14,7 +15,6 @@ from atlas.analysis import compare
 from atlas.analysis.summary import summary
 from atlas.flags import Agreement, Label, Stability
 from atlas.label import theory
-from atlas.measure.instrument import Tolerances
 
 flags = hnp.arrays(np.int8, 30, elements={"min_value": 0, "max_value": len(Label) - 1})
 
@@ -51,10 +51,7 @@ def test_off_the_families_a_satellite_drifts_with_and_without_an_orbit():
         "Omega": np.array([1.0, 0.0]),
         "theta_dot0": np.array([0.1, 0.1]),
     }
-    motion = theory.steady_motions_of(system, start, np.full(2, 50.0), Tolerances(1e-5, 1e-5))
-    predicted = theory.predict(
-        system, start, Tolerances(1e-5, 1e-5), False, duration=np.full(2, 50.0), motion=motion
-    )
+    predicted = predictions(system, start)[0].variables
     assert predicted["family"].tolist() == [0, 0]
     assert predicted["predicted"].tolist() == [Label.DRIFTING, Label.DRIFTING]
 
@@ -63,8 +60,9 @@ def test_the_prediction_for_a_nudged_start_depends_on_stability():
     system = load_scene('schema = 1\nsystem = "satellite"\n[axes.theta0]\nvalues = [0.5]\n').system
     start = {name: np.array([p.default, p.default]) for name, p in system.parameters.items()}
     start["C"] = np.array([1.2, 0.5])  # cylindrical: stable, unstable
-    for nudged, unstable in ((False, Label.PERMANENT_ROTATION), (True, Label.DRIFTING)):
-        predicted = theory.predict(system, start, Tolerances(1e-5, 1e-5), nudged)["predicted"]
+    nudged = start | {"theta_dot0": np.full(2, 1e-8)}
+    for points, unstable in ((None, Label.PERMANENT_ROTATION), (nudged, Label.DRIFTING)):
+        predicted = predictions(system, start, points)[0].variables["predicted"]
         assert predicted.tolist() == [Label.PERMANENT_ROTATION, unstable]
 
 

@@ -402,12 +402,11 @@ def test_a_nudge_along_free_rotations_leads_to_another_and_one_across_does_not()
         tile_of(system, base, nudged, np.full(2, 300.0), settings),
     )
     prediction = theory.predict_runs(plan, tile)
-    variables = dict(prediction.variables)
     assert prediction.about_other_axes.all()
     assert prediction.pushed.tolist() == [False, True]
     # m^2 = q0^2 (C - B)(B - A) / (A C)
     np.testing.assert_allclose(prediction.log_growth, 300.0 * 0.9 * np.sqrt(0.4 * 0.3 / 1.7), rtol=1e-6)
-    about_any = predict_any_axis(system, base, nudged, variables, Tolerances(1e-3, 1e-3), nudged=True)
+    about_any = predict_any_axis(plan, tile, prediction)
     assert list(about_any["predicted_any_axis"]) == [Label.PERMANENT_ROTATION, Label.DRIFTING]
     columns = pipeline.evaluate(plan, tile)
     # The first is left to rounding, the growth of the second is that of its nudge.

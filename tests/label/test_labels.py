@@ -122,7 +122,7 @@ def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance
     """Of a rate, relative to the frequency bound, or of the angle: whichever is reached first."""
     residual = np.array([0.0, np.nan, 1e-10, 1e-10])
     bound, tolerances = np.array([2.0, 2.0, 2.0, 1e-3]), Tolerances(1e-5, 1e-3)
-    limit = theory.rounding_limit(residual, bound, tolerances)
+    limit = theory.rounding_limit(residual, bound, tolerances.rate, tolerances.angle)
     error = np.array([1e-16, 1e-16, 1e-10, 1e-10]) * np.exp(limit)
     np.testing.assert_allclose(error[:3] * bound[:3], tolerances.rate)
     assert (error[:3] < tolerances.angle).all()

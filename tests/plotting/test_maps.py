@@ -27,7 +27,7 @@ from atlas.kernel.compiling import announced
 from atlas.plotting import cells, content, maps, style, trajectory
 from atlas.scene import grid
 from atlas.systems import SYSTEMS
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 import sympy as sp
 from family_starts import DRAWS, VECTORS, grioli_points, other_axes
-from strategies import default_points, fixed_points_on_family, random_fixed_points, select
+from strategies import default_points, fixed_points_on_family, predictions, random_fixed_points, select
 from truth import fixed_point_cases, jacobian_matrices, monodromy_matrix
 
 from atlas.flags import Agreement, Label, Stability, Status
-from atlas.label import theory
-from atlas.label.any_axis import predict_any_axis
 from atlas.label.points import label_points
-from atlas.measure.instrument import Tolerances
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, any_axis, equations, families, initial
 
@@ -245,12 +242,12 @@ def test_stability_of_free_and_of_relabelled_motions():
 
 def test_predictions_about_any_axes():
     points = grioli_points(np.random.default_rng(13), 40)
-    result = theory.predict(FIXED_POINT, points, Tolerances(1e-5, 1e-5), False)
+    prediction, exact = predictions(FIXED_POINT, points)
+    result = prediction.variables
     assert (result["predicted"] == Label.DRIFTING).all()
-    exact = predict_any_axis(FIXED_POINT, points, points, result, Tolerances(1e-5, 1e-5), nudged=False)
     assert (exact["predicted_any_axis"] == Label.REGULAR_PRECESSION).all()
     nudged = points | {"p0": points["p0"] + 1e-4}
-    moved = predict_any_axis(FIXED_POINT, points, nudged, result, Tolerances(1e-3, 1e-3), nudged=True)
+    _, moved = predictions(FIXED_POINT, points, nudged, tolerances=(1e-3, 1e-3))
     stable = result["stable"] == Stability.STABLE
     assert 0 < stable.sum() < stable.size
     expected = np.where(stable, Label.REGULAR_PRECESSION, Label.DRIFTING)
@@ -259,8 +256,8 @@ def test_predictions_about_any_axes():
 
 def test_predictions_agree_about_any_axes_where_the_motion_is_about_the_third():
     points = fixed_point_cases()
-    result = theory.predict(FIXED_POINT, points, Tolerances(1e-5, 1e-5), False)
-    about_any = predict_any_axis(FIXED_POINT, points, points, result, Tolerances(1e-5, 1e-5), nudged=False)
+    prediction, about_any = predictions(FIXED_POINT, points)
+    result = prediction.variables
     steady = result["predicted"] != Label.DRIFTING
     np.testing.assert_array_equal(about_any["predicted_any_axis"][steady], result["predicted"][steady])
 

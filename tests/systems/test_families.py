@@ -14,7 +14,7 @@ from atlas.systems.fixed_point import equations as fixed_point_equations
 from atlas.systems.satellite import SATELLITE
 from atlas.systems.satellite import equations as satellite_equations
 from atlas.systems.satellite import families as satellite_families
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 
 # The gyrostat at rest with m = 0 belongs to `rest` before `staude`, with m not 0 after `conical`.
 ORDER = {

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from strategies import (
     default_points,
     fixed_points_on_family,
+    predictions,
     random_fixed_points,
     select,
     symmetric_fixed_points,
@@ -25,7 +26,7 @@ from atlas.measure.rates import geometry
 from atlas.systems.base import on_family
 from atlas.systems.fixed_point import FIXED_POINT, equations, families, initial
 from atlas.systems.gyrostat import secular
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 
 FAMILIES = families.FAMILIES
 FLAG = {name: family.flag for name, family in FAMILIES.items()}
@@ -83,14 +84,9 @@ def test_every_case_has_its_stability():
 
 
 def test_every_case_has_its_label_and_geometry():
-    from atlas.label import theory
 
     points, durations = fixed_point_cases(), np.array([case["T"] for case in cases("fixed_point")])
-    motion = theory.steady_motions_of(FIXED_POINT, points, durations, Tolerances(1e-5, 1e-5))
-    predicted = theory.predict(
-        FIXED_POINT, points, Tolerances(1e-5, 1e-5), False, duration=durations, motion=motion
-    )
-    predicted = predicted["predicted"]
+    predicted = predictions(FIXED_POINT, points, duration=durations)[0].variables["predicted"]
     labels = [case["label"] for case in cases("fixed_point")]
     assert [Label(value).name.lower() for value in predicted] == labels
     _, n, m = families.steady_rates(points)

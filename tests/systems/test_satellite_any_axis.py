@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from family_starts import spheres
-from strategies import random_satellites, select
+from strategies import predictions, random_satellites, select
 
 from atlas.flags import Agreement, Label
-from atlas.label import theory
-from atlas.label.any_axis import predict_any_axis
 from atlas.label.points import label_points
+from atlas.label.theory import predict
 from atlas.measure.instrument import Tolerances
 from atlas.systems.base import on_family
 from atlas.systems.satellite import SATELLITE, any_axis, families
@@ -50,9 +49,11 @@ def test_measured_labels_about_any_axes_agree():
     assert (ds["label_any_axis"].values[unloaded] == Label.REGULAR_PRECESSION).all()
 
 
-def test_predictions_are_missing_where_the_catalogue_is_incomplete():
+def test_predictions_are_those_of_the_equations_where_the_catalogue_is_incomplete():
     points = random_satellites(np.random.default_rng(5), 9)
-    result = theory.predict(SATELLITE, points, Tolerances(1e-5, 1e-5), False)
-    about_any = predict_any_axis(SATELLITE, points, points, result, Tolerances(1e-5, 1e-5), nudged=False)
-    assert (about_any["predicted_any_axis"] == Label.NOT_COMPUTED).all()
-    assert (about_any["predicted_any_axis_inertial"] == Label.NOT_COMPUTED).all()
+    by_families = predict(SATELLITE, points, Tolerances(1e-5, 1e-5))
+    prediction, about_any = predictions(SATELLITE, points)
+    for name in ("predicted", "predicted_inertial"):
+        assert (by_families[name] == Label.NOT_COMPUTED).all()
+        assert (prediction.variables[name] == Label.DRIFTING).all()
+        assert (about_any[name.replace("predicted", "predicted_any_axis")] == Label.DRIFTING).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import simpson
-from strategies import default_points, random_satellites, satellite_on_family
+from strategies import default_points, random_satellites, satellite_on_family, steady_motions
 from truth import (
     exponents_along_runs,
     jacobian_matrices,
@@ -31,8 +31,8 @@ from atlas.systems.satellite.initial import (
     frequency_bound,
     initial_state,
 )
-from atlas.systems.steady import condition_residual, growth_about_vertical
-from atlas.theory.motions import steady_motions
+from atlas.systems.steady import growth_about_vertical
+from atlas.theory.motions import condition_residual
 from atlas.theory.steady import Existence
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

@@ -14,7 +14,7 @@ from atlas.systems.base import on_family, unsteady
 from atlas.systems.satellite import SATELLITE, equations
 from atlas.systems.satellite.families import FAMILIES, steady_motion
 from atlas.systems.satellite.initial import PARAMETERS, constants, initial_state
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 
 NAMES = ("cylindrical", "equilibrium", "perp_radius", "perp_velocity", "oblique", "transverse_magnet",
          "despun_transverse", "asymmetric_tilt", "spherical", "other_axis")  # fmt: skip

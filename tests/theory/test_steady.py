@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from family_starts import STARTS
 from plugins import registry
-from strategies import in_units, random_fixed_points, random_satellites
+from strategies import in_units, random_fixed_points, random_satellites, steady_motions
 from truth import cases, fixed_point_cases
 
 import atlas
@@ -16,7 +16,6 @@ from atlas.systems import Parameter, System, arithmetic, steady
 from atlas.systems.base import families_of
 from atlas.systems.steady import polynomial_degree
 from atlas.systems.vectors import cross, length
-from atlas.theory.motions import steady_motions
 from atlas.theory.steady import Existence
 
 KINDS = [(system, kind) for system, kinds in STARTS.items() for kind in kinds]

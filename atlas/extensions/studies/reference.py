@@ -17,7 +17,7 @@ from ...measure import observables, rates
 from ...measure.instrument import RunSettings
 from ...measure.rates import state_distance
 from ...systems.base import Array, Flags, Mask, Points, System, families_of, subset
-from ...systems.steady import condition_residual
+from ...theory.motions import condition_residual
 from ...variables import main_instrument
 
 # Sums of the rates, integrated beside the states in this order, which is that of `kernel.quadratures`.

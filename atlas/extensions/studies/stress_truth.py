@@ -10,14 +10,15 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from ...flags import Label
-from ...label.theory import predict, rounding_limit
+from ...label.theory import predict
 from ...measure.instrument import RunSettings, could_change
 from ...measure.rates import LABEL_STATISTICS, rule
 from ...scene.tables import point_columns
 from ...systems.base import Array, Flags, Mask, Points, StressCase, System, families_of, subset
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.system import log_growth
-from ...systems.steady import condition_residual
+from ...theory.motions import condition_residual
+from ...theory.prediction import rounding_limit
 from ...variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
@@ -120,11 +121,11 @@ def true_labels(system: System, part: CasePoints, settings: RunSettings) -> True
         ]
         return _labels_of_runs(system, runs, settings, "exact motion")
     with np.errstate(all="ignore"):
-        theory = predict(system, points, settings.tolerances, False, duration=duration)
+        theory = predict(system, points, settings.tolerances, duration)
         residual, bound = condition_residual(system, points), system.frequency_bound(points)
         is_exact = (theory["family"] > 0) & (residual <= EXACT_RESIDUAL)
         growth = log_growth(system, points, theory["family"], theory["growth_rate"], duration)
-        limit = rounding_limit(residual, bound, settings.tolerances)
+        limit = rounding_limit(residual, bound, settings.tolerances.rate, settings.tolerances.angle)
         despun, excess = (
             system.despun(points) if isinstance(system, Gyrostat) else (points, np.zeros(duration.shape))
         )

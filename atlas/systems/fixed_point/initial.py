@@ -228,6 +228,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
     return {"energy": potential, "length_gamma": zero, **scales}
 
 
+@shared
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency, as Body.frequency_bound; r is constant where C r + l3 is."""
     inertia, rotor, weight, N = bodies(points)

@@ -81,15 +81,23 @@ class Gyrostat(System):
         """From the linear equations, or by the family where these have no steady frame."""
         stable, growth = super().linear_stability(points, flags)
         remaining = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & (stable == Stability.UNKNOWN))
-        for first in range(0, remaining.size, _CHUNK):
-            chunk = remaining[first : first + _CHUNK]
-            stable[chunk], growth[chunk] = self.stability(subset(points, chunk))
+        if remaining.size:
+            part = points if remaining.size == flags.size else subset(points, remaining)
+            stable[remaining], growth[remaining] = self.stability(part)
         return stable, growth
 
     def stability(self, points: Points) -> tuple[Flags, Array]:
         """Stability and growth rate from eigenvalues or multipliers alone; the points start steady motions, (points,)."""
         body, start = self.body(points), self.start(points)
-        stable, growth = np.zeros(start[0].shape[0], np.int8), np.full(start[0].shape[0], np.nan)
+        stable, growth = np.zeros(body.turn.size, np.int8), np.full(body.turn.size, np.nan)
+        for first in range(0, body.turn.size, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            w, alpha, gamma = (vector[part] for vector in start)
+            stable[part], growth[part] = self._stability(body.subset(part), (w, alpha, gamma))
+        return stable, growth
+
+    def _stability(self, body: Body, start: tuple[Array, Array, Array]) -> tuple[Flags, Array]:
+        stable, growth = np.zeros(body.turn.size, np.int8), np.full(body.turn.size, np.nan)
         rest = Equilibria.of(body, *start)
         stable[rest.points], growth[rest.points] = rest.stability()
         moving = _turning_motions(rest, body, start)

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from ..base import Array, Points
+from ..base import Array, Points, shared
 from ..gyrostat.motions import Equation, relative_to
 from ..vectors import cross, dot, length, ratio
 from .initial import body_vectors, directions
@@ -21,21 +21,25 @@ def sine_cosine(angle: Array) -> tuple[Array, Array]:
     return np.where(np.abs(sine) < 1e-14, 0.0, sine), np.where(np.abs(cosine) < 1e-14, 0.0, cosine)
 
 
+@shared
 def tilt(p: Points) -> tuple[Array, Array]:
     """s and c."""
     return sine_cosine(p["theta0"])
 
 
+@shared
 def node(p: Points) -> tuple[Array, Array]:
     """sin psi0 and cos psi0."""
     return sine_cosine(p["psi0"])
 
 
+@shared
 def largest_inertia(p: Points) -> Array:
     """Largest moment of inertia J."""
     return np.maximum(np.maximum(p["A"], p["B"]), p["C"])
 
 
+@shared
 def rate_scale(p: Points) -> Array:
     """Sum of the magnitudes of all rates: of orbit and magnet, and of the body across and along its third axis."""
     across, along = p["n"] * np.sin(p["theta0"]), p["n"] * np.cos(p["theta0"]) + p["m"]
@@ -43,21 +47,25 @@ def rate_scale(p: Points) -> Array:
     return np.abs(p["Omega"]) + magnetic + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])
 
 
+@shared
 def momentum_scale(p: Points) -> Array:
     """Largest moment of inertia times the sum of the rates, and the rotor's momentum."""
     return largest_inertia(p) * rate_scale(p) + np.sqrt(p["k1"] ** 2 + p["k2"] ** 2 + p["k3"] ** 2)
 
 
+@shared
 def magnetic_moment(p: Points) -> Array:
     """Magnitude of the magnetic moment."""
     return np.sqrt(p["mu1"] ** 2 + p["mu2"] ** 2 + p["mu3"] ** 2)
 
 
+@shared
 def torque_scale(p: Points) -> Array:
     """Rate times momentum, and the largest torque of the magnet."""
     return rate_scale(p) * momentum_scale(p) + magnetic_moment(p) * np.hypot(p["h1"], p["h3"])
 
 
+@shared
 def node_field(p: Points) -> tuple[Array, Array, Array]:
     """H in the axes of the node: node, across it, third body axis."""
     (s, c), (sp, cp) = tilt(p), node(p)

@@ -102,6 +102,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
     return scales | {"axial_momentum": np.where(axial, points["C"] * rates, np.nan)}
 
 
+@shared
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 

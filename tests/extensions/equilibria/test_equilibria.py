@@ -12,7 +12,7 @@ import atlas
 from atlas.flags import Completeness, Stability
 from atlas.systems import SYSTEMS
 from atlas.systems.satellite import equations, initial
-from atlas.systems.steady import condition_residual
+from atlas.theory.motions import condition_residual
 
 BODY = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.1}
 TOP = {"A": 1.0, "B": 1.5, "C": 2.0, "Mg": 2.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l1": 0.4}

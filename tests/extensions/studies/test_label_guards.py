@@ -405,7 +405,7 @@ def test_whatever_counts_as_upright_is_predicted_to_rotate_about_the_vertical(
     upright = {"theta0": np.pi - tilt if upside_down else tilt, "n": n, "m": m}
     points, _ = point_columns(SYSTEMS[name], upright | ({"l3": 6.0} if name == "fixed_point" else {}))
     flag = SYSTEMS[name].identify_family(points)[0]
-    predicted = predict(SYSTEMS[name], points, Tolerances(1e-5, 1e-5), nudged=False)
+    predicted = predict(SYSTEMS[name], points, Tolerances(1e-5, 1e-5))
     upright_flags = [family.flag for family in families_of(SYSTEMS[name]).values() if family.axes is None]
     if flag[0] in upright_flags:
         assert predicted["predicted"][0] == Label.PERMANENT_ROTATION

@@ -91,7 +91,9 @@ class Plan:
     def proofs(self, tile: Grid) -> dict[str, NDArray[Any]]:
         """What the instruments say of points without a run, see `Instrument.proofs`."""
         tolerances = self.settings.at(tile.rate_tolerance).tolerances
-        each = (i.proofs(self.system, tile.points, tolerances) for i in self.instruments)
+        each = (
+            i.proofs(self.system, tile.points, tolerances, self.in_machine_code) for i in self.instruments
+        )
         return {name: values for proofs in each for name, values in proofs.items()}
 
     @property

@@ -281,7 +281,9 @@ class Instrument:
         """Whether a scene with these outputs needs it."""
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
 
-    def proofs(self, system: System, points: Points, tolerances: Tolerances) -> dict[str, NDArray[Any]]:
+    def proofs(
+        self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
+    ) -> dict[str, NDArray[Any]]:
         """Its variables that need no run, and of `proofs_of` the proved labels by their predicted names, 0 elsewhere."""
         return {}
 

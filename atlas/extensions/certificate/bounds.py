@@ -1,80 +1,124 @@
-"""What a motion never exceeds, and the label that follows for every duration."""
+"""What a motion never exceeds, and the label that follows for every duration: functions of numbers, see `theory.compiled`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ...flags import Label
-from ...measure.instrument import Tolerances
-from ...systems.base import Array, Flags
+from ...theory.point import Vector, larger, smaller
 
 # Rounding error of an energy over the magnitudes of its terms: each has fewer than 40 roundings.
 ROUNDING = 64 * 2.0**-53
-_KEPT = 1e-9  # share of a tolerance that is not used
+KEPT = 1e-9  # share of a tolerance that is not used
 # How often a limit is halved to find a distance, and then the interval in which it is.
-_DOWN, _WITHIN = 40, 34
+DOWN, WITHIN = 40, 34
+
+
+class Direction(NamedTuple):
+    """A direction at rest in the frame, and what acts along it, as `gyrostat.body.Direction`."""
+
+    gradient: float
+    field: Vector
+
+
+class GyrostatBody(NamedTuple):
+    """A gyrostat in its frame, as `gyrostat.body.Body`."""
+
+    inertia: Vector
+    rotor: Vector
+    turn: float
+    alpha: Direction
+    gamma: Direction
+    damping: float
+
+
+class Tolerances(NamedTuple):
+    """Tolerances of labels."""
+
+    rate: float
+    angle: float
 
 
 class Bounds(NamedTuple):
-    """Limits of theta and of the rates for all time, arrays (points,); nan where nothing is known."""
+    """Limits of theta and of the rates for all time; nan where nothing is known."""
 
-    sine: tuple[Array, Array]  # least and largest sin(theta)
-    theta_dot: Array  # largest magnitude
-    psi_dot: tuple[Array, Array]  # centre of the range and half its width
-    phi_dot: tuple[Array, Array]
-    normal_rate: Array  # half the width of the range of the rate about the vertical
-
-
-def label(bounds: Bounds, tolerances: Tolerances, frame_rate: Array | float) -> tuple[Flags, Array]:
-    """The label of every duration, 0 where none follows, and the largest deviation that a rate can have, (points,).
-
-    A standard deviation is at most half the width of the range, and a mean is in it.
-    """
-    (least, largest), (n, n_width), (m, m_width) = bounds.sine, bounds.psi_dot, bounds.phi_dot
-    rate, inside = tolerances.rate * (1 - _KEPT), largest < tolerances.angle * (1 - _KEPT)
-    n, away = n + frame_rate, least > tolerances.angle * (1 + _KEPT)
-    deviation = np.select(
-        [inside, away],
-        [bounds.normal_rate, np.maximum(bounds.theta_dot, np.maximum(n_width, m_width))],
-        np.nan,
-    )
-    zero = (np.abs(n) + n_width <= rate) | (np.abs(m) + m_width <= rate)
-    turning = np.minimum(np.abs(n) - n_width, np.abs(m) - m_width) > tolerances.rate * (1 + _KEPT)
-    kinds = [~(deviation <= rate), inside | zero, turning]
-    flags = np.select(kinds, [Label.NOT_COMPUTED, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION], 0)
-    return flags.astype(np.int8), deviation
+    least_sine: float
+    largest_sine: float
+    theta_dot: float  # largest magnitude
+    psi_dot: float  # centre of the range
+    psi_width: float  # half its width
+    phi_dot: float
+    phi_width: float
+    normal_rate: float  # half the width of the range of the rate about the vertical
 
 
-def reach(coefficients: Sequence[Array | float], limit: Array, start: Array | float = 0.0) -> Array:
+def unknown():
+    """No bounds."""
+    return Bounds(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
+
+
+def is_inside(bounds, tolerances):
+    return bounds.largest_sine < tolerances.angle * (1 - KEPT)
+
+
+def is_away(bounds, tolerances):
+    return bounds.least_sine > tolerances.angle * (1 + KEPT)
+
+
+def largest_deviation(bounds, tolerances):
+    """The largest deviation that a rate can have, nan where no label follows: at most half the width of its range."""
+    if is_inside(bounds, tolerances):
+        return bounds.normal_rate
+    if is_away(bounds, tolerances):
+        return larger(bounds.theta_dot, larger(bounds.psi_width, bounds.phi_width))
+    return np.nan
+
+
+def label_of(bounds, deviation, tolerances, frame_rate):
+    """The label of every duration, 0 where none follows; a mean is in the range of its rate."""
+    rate = tolerances.rate * (1 - KEPT)
+    if not deviation <= rate:
+        return Label.NOT_COMPUTED
+    n, m = abs(bounds.psi_dot + frame_rate), abs(bounds.phi_dot)
+    if is_inside(bounds, tolerances) or n + bounds.psi_width <= rate or m + bounds.phi_width <= rate:
+        return Label.PERMANENT_ROTATION
+    if smaller(n - bounds.psi_width, m - bounds.phi_width) > tolerances.rate * (1 + KEPT):
+        return Label.REGULAR_PRECESSION
+    return Label.NOT_COMPUTED
+
+
+def value_at(coefficients, distance):
+    value = 0.0
+    for k in range(len(coefficients) - 1, -1, -1):
+        value = value * distance + coefficients[k]
+    return value
+
+
+def reach(coefficients, limit, start):
     """A distance that no motion passes: up to the limit and beyond the start, with a negative polynomial; nan if none is found.
 
     coefficients: from that of degree 0 upwards.
     """
-
-    def excluded(distance: Array) -> Array:
-        value: Array | float = 0.0
-        for coefficient in reversed(coefficients):
-            value = value * distance + coefficient
-        return np.asarray((value < 0) & (distance > start))
-
-    outer, distance = np.full(limit.shape, np.nan), limit
-    for _ in range(_DOWN):
-        outer = np.where(excluded(distance), distance, outer)
-        distance = 0.5 * distance
+    if not limit > start:
+        return np.nan
+    outer = limit * 2.0 ** (1 - DOWN)
+    while not (outer > start and value_at(coefficients, outer) < 0):
+        if outer >= limit:
+            return np.nan
+        outer *= 2
     inner = 0.5 * outer
-    for _ in range(_WITHIN):
+    for _ in range(WITHIN):
         middle = 0.5 * (inner + outer)
-        passed = excluded(middle)
-        inner, outer = np.where(passed, inner, middle), np.where(passed, middle, outer)
+        passed = middle > start and value_at(coefficients, middle) < 0
+        inner, outer = (inner, middle) if passed else (middle, outer)
     return outer
 
 
-def sine_range(theta: Array, angle: Array) -> tuple[Array, Array]:
+def sine_range(theta, angle):
     """Least and largest sin(theta) within an angle of theta."""
     low, high = theta - angle, theta + angle
-    ends = np.sin(np.maximum(low, 0.0)), np.sin(np.minimum(high, np.pi))
-    least = np.where((low > 0) & (high < np.pi), np.minimum(*ends), 0.0)
-    return least, np.where(np.abs(theta - np.pi / 2) <= angle, 1.0, np.maximum(*ends))
+    first, second = np.sin(larger(low, 0.0)), np.sin(smaller(high, np.pi))
+    least = smaller(first, second) if low > 0 and high < np.pi else np.float64(0.0)
+    return least, 1.0 if abs(theta - np.pi / 2) <= angle else larger(first, second)

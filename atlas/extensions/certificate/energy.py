@@ -10,172 +10,306 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...systems.base import Array
-from ...systems.gyrostat.body import Body, length
-from ...systems.vectors import cross, dot, principal, unit
-from ...systems.vectors import length as norm
-from ..equilibria.algebra import frames_of, rotated
-from .bounds import ROUNDING, Bounds, reach, sine_range
+from ...theory.point import (
+    cross,
+    divided,
+    dot,
+    fmin,
+    greatest,
+    larger,
+    length,
+    magnitude,
+    minus,
+    plus,
+    rotate,
+    scaled,
+    smaller,
+    smallest,
+    times,
+    unit,
+)
+from .bounds import ROUNDING, Bounds, Direction, reach, sine_range, unknown
 
-_STEPS = 5  # of Newton's method; a minimum that is not found proves nothing
-_FLAT = 1e-6  # share of the size below which Newton's method takes a gradient step
-_EIGENVALUE, _GRADIENT = 1e-13, 1e-14  # rounding errors of second and first derivatives over the size
+STEPS = 5  # of Newton's method; a minimum that is not found proves nothing
+FLAT = 1e-6  # share of the size below which Newton's method takes a gradient step
+EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of second and first derivatives over the size
+TINY = 2.0**-1022  # makes a Hessian of zeros invertible
+SWEEPS = 6  # of Jacobi's method
 
 
-def in_space(body: Body, w: Array, gamma: Array) -> Bounds:
+def in_space(body, w, gamma):
     """About a fixed point, near a rotation about the vertical; any n may be taken, and with damping only 0."""
-    inertia, rotor, z = body.inertia.T, body.rotor.T, gamma.T
-    momentum, n = dot(inertia * w.T + rotor, z), dot(inertia * w.T, z) / dot(inertia * z, z)
-    for last in (False, False, True):
-        n = np.where(body.damping > 0, 0.0, n)
-        Q, c = (body.gamma.gradient - n**2) * inertia, body.gamma.field.T - n * rotor
-        z = _minimum(Q, c, z)
-        if not last:  # The n with which the minimum has the momentum of the start leaves the least energy.
-            slope = 2 * n * inertia * z + rotor
-            change = dot(inertia * z, z) + dot(slope, _solved(Q, c, z, slope))
-            n = n + (momentum - dot(n * inertia * z + rotor, z)) / change
-    square = _square(body.inertia, w, n[:, None] * gamma)
-    size = (np.abs(body.gamma.gradient) + n**2) * inertia.max(0) + length(body.gamma.field)
-    return _rigid(body, *_on_sphere(Q, c, gamma.T, z, square, size + np.abs(n) * norm(rotor)), n)
+    inertia, rotor, z = body.inertia, body.rotor, gamma
+    momentum = dot(plus(times(inertia, w), rotor), z)
+    n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
+    for step in range(3):
+        if body.damping > 0:
+            n = 0.0
+        Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
+        z = minimum(Q, c, z)
+        if step < 2:  # The n with which the minimum has the momentum of the start leaves the least energy.
+            slope = plus(times(scaled(2 * n, inertia), z), rotor)
+            change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
+            n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
+    if z[0] != z[0]:
+        return unknown()
+    square = square_of(inertia, w, scaled(n, gamma), 3)
+    size = (abs(body.gamma.gradient) + n**2) * greatest(inertia) + length(body.gamma.field)
+    theta, angle, square = on_sphere(Q, c, gamma, z, square, size + abs(n) * length(rotor))
+    return rigid(body, theta, angle, square, n)
 
 
-def symmetric(body: Body, w: Array, alpha: Array, gamma: Array) -> Bounds:
+def symmetric(body, w, alpha, gamma):
     """Of a symmetric body in a frame of two directions, by its third axis in that frame, with the S of the start."""
-    (A, _, C), turn, w3, k3 = body.inertia.T, body.turn, w[:, 2], body.rotor[:, 2]
-    start, zero = np.array([alpha[:, 2], np.cross(gamma, alpha)[:, 2], gamma[:, 2]]), np.zeros_like(turn)
-    Q = np.array([body.alpha.gradient * (C - A), zero, turn**2 * A + body.gamma.gradient * (C - A)])
-    c = np.array([body.alpha.field[:, 2], zero, body.gamma.field[:, 2] - turn * (C * w3 + k3)])
-    square = _square(body.inertia[:, :2], w[:, :2], turn[:, None] * gamma[:, :2])
-    size = np.abs(turn) * (np.abs(C * w3) + np.abs(k3)) + turn**2 * A
-    size = size + sum(np.abs(d.gradient) * (A + C) + length(d.field) for d in (body.alpha, body.gamma))
-    theta, angle, square = _on_sphere(Q, c, start, _minimum(Q, c, start), square, size)
-    least, largest = sine = sine_range(theta, angle)
+    A, _, C = body.inertia
+    turn, w3, k3 = body.turn, w[2], body.rotor[2]
+    start = alpha[2], gamma[0] * alpha[1] - gamma[1] * alpha[0], gamma[2]
+    Q = body.alpha.gradient * (C - A), 0.0, turn**2 * A + body.gamma.gradient * (C - A)
+    c = body.alpha.field[2], 0.0, body.gamma.field[2] - turn * (C * w3 + k3)
+    square = square_of(body.inertia, w, scaled(turn, gamma), 2)
+    size = abs(turn) * (abs(C * w3) + abs(k3)) + turn**2 * A
+    size = size + (size_of(body.alpha, A + C) + size_of(body.gamma, A + C))
+    theta, angle, square = on_sphere(Q, c, start, minimum(Q, c, start), square, size)
+    if angle != angle:
+        return unknown()
+    least, largest = sine_range(theta, angle)
     theta_dot, cosine = np.sqrt(square / A), np.cos(theta)
-    ends = np.cos(np.clip([theta - angle, theta + angle], 0.0, np.pi))
-    phi_dot = np.abs(turn) * np.abs(ends - cosine).max(0) + np.abs(ends).max(0) * theta_dot / least
+    low, high = np.cos(larger(theta - angle, 0.0)), np.cos(smaller(theta + angle, np.pi))
+    phi_dot = abs(turn) * larger(abs(low - cosine), abs(high - cosine))
+    phi_dot = phi_dot + larger(abs(low), abs(high)) * theta_dot / least
     sinking = largest**2 / (1 + np.sqrt(1 - largest**2))
-    normal_rate = theta_dot * largest + np.abs(w3) * sinking + np.abs(turn) * largest**2
-    return Bounds(sine, theta_dot, (zero, theta_dot / least), (w3 - turn * cosine, phi_dot), normal_rate)
+    normal_rate = theta_dot * largest + abs(w3) * sinking + abs(turn) * largest**2
+    return Bounds(least, largest, theta_dot, 0.0, theta_dot / least, w3 - turn * cosine, phi_dot, normal_rate)
 
 
-def upright(body: Body, w: Array, alpha: Array, gamma: Array) -> Bounds:
+def upright(body, w, alpha, gamma):
     """With the third axis near the vertical, and rotor and fields along it: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
-    (radius, normal), inertia, sign = body.amended(), body.inertia, np.sign(gamma[:, 2])
-    least, third = inertia[:, :2].min(-1), inertia[:, 2]
-    b = (normal.gradient[:, None] * (inertia[:, :2] - third[:, None])).min(-1)
-    b = b + np.minimum(0.0, radius.gradient * (third - least))
-    frames = frames_of(np.eye(3)[inertia[:, :2].argmin(-1)], sign[:, None] * np.eye(3)[2])
-    energy, size = _excess(body, w, frames_of(alpha, gamma), frames)
-    a = b - sign * normal.field[:, 2] - _EIGENVALUE * size
-    across = [radius.field, normal.field[:, :2], body.rotor[:, :2]]
-    known = (a > 0) & ~np.any([vector.any(-1) for vector in across], axis=0)
-    x = (gamma[:, :2] ** 2).sum(-1) / (1 + np.abs(gamma[:, 2]))
-    x = reach([energy, -a, b / 2], np.where(known, np.minimum(1.0, a / np.maximum(b, a)), np.nan), x)
-    return _rigid(body, np.where(sign > 0, 0.0, np.pi), 2 * np.arcsin(np.sqrt(x / 2)), 2 * energy)
+    radius, normal = amended(body)
+    across = length(radius.field) + np.hypot(normal.field[0], normal.field[1])
+    if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
+        return unknown()
+    first, second, third = body.inertia
+    sign = np.sign(gamma[2])
+    b = smaller(normal.gradient * (first - third), normal.gradient * (second - third))
+    b = b + smaller(0.0, radius.gradient * (third - smaller(first, second)))
+    axis = (1.0, 0.0, 0.0) if first <= second else (0.0, 1.0, 0.0)
+    energy, size = excess(body, w, alpha, gamma, axis, (0.0, 0.0, sign))
+    a = b - sign * normal.field[2] - EIGENVALUE * size
+    if not a > 0:
+        return unknown()
+    x = (gamma[0] ** 2 + gamma[1] ** 2) / (1 + abs(gamma[2]))
+    x = reach((energy, -a, b / 2), smaller(1.0, a / larger(b, a)), x)
+    return rigid(body, 0.0 if sign > 0 else np.pi, 2 * np.arcsin(np.sqrt(x / 2)), 2 * energy, 0.0)
 
 
-def attitude(body: Body, w: Array, alpha: Array, gamma: Array) -> Bounds:
+def attitude(body, w, alpha, gamma):
     """Near any minimum of a frame of two directions: W - W* >= l d^2 / 2 - M d^3 / 6 - g d under a rotation by an angle d."""
-    frames = start = frames_of(alpha, gamma)
-
-    def slope() -> Array:
-        radius, normal = (
-            np.cross(d.gradient[:, None] * body.inertia * frames[:, i] + d.field, frames[:, i])
-            for i, d in zip((0, 2), body.amended(), strict=True)
-        )
-        return radius + normal
-
+    radius, normal = amended(body)
+    a, b, g = alpha, cross(gamma, alpha), gamma
+    spread = greatest(body.inertia) - smallest(body.inertia)
     # A Hessian that can be inverted, also without torque.
-    regular = (_GRADIENT * body.steepness() + np.finfo(float).tiny)[:, None, None] * np.eye(3)
-    for _ in range(_STEPS):
-        hessian = body.hessian(frames[:, 0], frames[:, 2]) + regular
-        step = np.linalg.solve(hessian, -slope()[..., None])[..., 0]
-        frames = rotated(frames, step / np.maximum(1.0, np.linalg.norm(step, axis=1))[:, None])
-    energy, size = _excess(body, w, start, frames)
-    g = length(slope()) + _GRADIENT * size
-    least = np.linalg.eigvalsh(body.hessian(frames[:, 0], frames[:, 2]))[:, 0] - _EIGENVALUE * size
-    third = (1 + 17**0.5 / 4) * np.ptp(body.inertia, axis=-1)  # derivative of v.I v / 2
-    M = sum(third * np.abs(d.gradient) + length(d.field) for d in body.amended()) + _GRADIENT * size
-    limit = np.minimum(np.pi, (least + np.sqrt(least**2 - 2 * M * g)) / M)
-    distance = 2 * np.arcsin(np.sqrt(((frames - start) ** 2).sum((1, 2)) / 8))
-    angle = reach([energy, g, -least / 2, M / 6], np.where(least > 0, limit, np.nan), distance)
-    theta = np.arctan2(np.hypot(frames[:, 2, 0], frames[:, 2, 1]), frames[:, 2, 2])
-    return _rigid(body, theta, angle, 2 * (energy + g**2 / least))
+    regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread)) + TINY
+    for _ in range(STEPS):
+        (xx, yy, zz), mixed = hessian(body, a, g)
+        step = solved3((xx + regular, yy + regular, zz + regular), mixed, scaled(-1.0, torque(body, a, g)))
+        step = divided(step, larger(1.0, length(step)))
+        a, b, g = rotated(a, step), rotated(b, step), rotated(g, step)
+    if g[0] != g[0]:
+        return unknown()
+    energy, size = excess(body, w, alpha, gamma, a, g)
+    diagonal, mixed = hessian(body, a, g)
+    least = least_eigenvalue(diagonal, mixed) - EIGENVALUE * size
+    if not least > 0:
+        return unknown()
+    slope = length(torque(body, a, g)) + GRADIENT * size
+    third = (1 + 17**0.5 / 4) * spread  # derivative of v.I v / 2
+    M = size_of(radius, third) + size_of(normal, third) + GRADIENT * size
+    limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
+    offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)
+    apart = dot(offsets[0], offsets[0]) + dot(offsets[1], offsets[1]) + dot(offsets[2], offsets[2])
+    distance = 2 * np.arcsin(np.sqrt(apart / 8))
+    angle = reach((energy, slope, -least / 2, M / 6), limit, distance)
+    theta = np.arctan2(np.hypot(g[0], g[1]), g[2])
+    return rigid(body, theta, angle, 2 * (energy + slope**2 / least), 0.0)
 
 
-def _square(inertia: Array, w: Array, turn: Array) -> Array:
+def amended(body):
+    field = minus(body.gamma.field, scaled(body.turn, body.rotor))
+    return body.alpha, Direction(body.gamma.gradient - body.turn**2, field)
+
+
+def size_of(direction, moment):
+    """Sum of the magnitudes of the second derivatives' terms of the potential of a direction."""
+    return moment * abs(direction.gradient) + length(direction.field)
+
+
+def torque(body, a, g):
+    """Gradient of W under rotations."""
+    radius, normal = amended(body)
+    first = cross(plus(times(scaled(radius.gradient, body.inertia), a), radius.field), a)
+    return plus(first, cross(plus(times(scaled(normal.gradient, body.inertia), g), normal.field), g))
+
+
+def hessian(body, a, g):
+    """Symmetric part of the Hessian of W: the diagonal, then its other entries yz, zx, xy."""
+    radius, normal = amended(body)
+    (x, y, z), (yz, zx, xy) = hessian_of(body.inertia, radius, a)
+    diagonal, mixed = hessian_of(body.inertia, normal, g)
+    return plus((x, y, z), diagonal), plus((yz, zx, xy), mixed)
+
+
+def hessian_of(inertia, direction, v):
+    m, f = scaled(direction.gradient, inertia), direction.field
+    x = (m[1] - m[2]) * (v[2] ** 2 - v[1] ** 2) - f[1] * v[1] - f[2] * v[2]
+    y = (m[2] - m[0]) * (v[0] ** 2 - v[2] ** 2) - f[2] * v[2] - f[0] * v[0]
+    z = (m[0] - m[1]) * (v[1] ** 2 - v[0] ** 2) - f[0] * v[0] - f[1] * v[1]
+    xy = 0.5 * ((m[0] + m[1] - 2 * m[2]) * v[0] * v[1] + f[0] * v[1] + f[1] * v[0])
+    yz = 0.5 * ((m[1] + m[2] - 2 * m[0]) * v[1] * v[2] + f[1] * v[2] + f[2] * v[1])
+    zx = 0.5 * ((m[2] + m[0] - 2 * m[1]) * v[2] * v[0] + f[2] * v[0] + f[0] * v[2])
+    return (x, y, z), (yz, zx, xy)
+
+
+def square_of(inertia, w, turn, components):
     """u.I u of u = w - turn, with the rounding errors of u."""
-    return np.asarray((inertia * (np.abs(w - turn) + ROUNDING * (np.abs(w) + np.abs(turn))) ** 2).sum(-1))
+    square = 0.0
+    for i in range(components):
+        square += inertia[i] * (abs(w[i] - turn[i]) + ROUNDING * (abs(w[i]) + abs(turn[i]))) ** 2
+    return square
 
 
-def _excess(body: Body, w: Array, start: Array, frames: Array) -> tuple[Array, Array]:
-    """J above W in other frames (points, 3, 3), with its rounding error, and the size."""
-    energy = 0.5 * _square(body.inertia, w, body.turn[:, None] * start[:, 2])
-    size = np.abs(body.turn) * length(body.rotor)
-    for i, d in zip((0, 2), body.amended(), strict=True):
-        middle, change = 0.5 * (start[:, i] + frames[:, i]), start[:, i] - frames[:, i]
-        energy = energy + ((d.gradient[:, None] * body.inertia * middle + d.field) * change).sum(-1)
-        size = size + np.abs(d.gradient) * body.inertia.max(-1) + length(d.field)
+def excess(body, w, alpha, gamma, a, g):
+    """J above W in another frame (a, g), with its rounding error, and the size."""
+    radius, normal = amended(body)
+    energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
+    energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
+    size = abs(body.turn) * length(body.rotor)
+    moment = greatest(body.inertia)
+    size = size + abs(radius.gradient) * moment + length(radius.field)
+    size = size + abs(normal.gradient) * moment + length(normal.field)
     return energy + ROUNDING * size, size
 
 
-def _rigid(body: Body, theta: Array, angle: Array, square: Array, n: Array | float = 0.0) -> Bounds:
+def difference(body, direction, start, v):
+    middle, change = scaled(0.5, plus(start, v)), minus(start, v)
+    return dot(plus(times(scaled(direction.gradient, body.inertia), middle), direction.field), change)
+
+
+def rigid(body, theta, angle, square, n):
     """Bounds of a body within an angle of theta, with u.I u below a square in the frame that turns at the rate n."""
-    least, largest = sine = sine_range(theta, angle)
-    across, third = body.inertia[:, :2].min(-1), 1 / body.inertia[:, 2]
+    if angle != angle:
+        return unknown()
+    least, largest = sine_range(theta, angle)
+    across, third = smaller(body.inertia[0], body.inertia[1]), 1 / body.inertia[2]
     theta_dot = np.sqrt(square / across)
     phi_dot = np.sqrt(square * (third + (1 / least**2 - 1) / across))
     normal_rate = np.sqrt(square * (third + largest**2 / across))
-    return Bounds(sine, theta_dot, (n + 0 * theta, theta_dot / least), (0 * theta, phi_dot), normal_rate)
+    return Bounds(least, largest, theta_dot, n, theta_dot / least, 0.0, phi_dot, normal_rate)
 
 
-def _on_sphere(
-    Q: Array, c: Array, start: Array, z: Array, square: Array, size: Array
-) -> tuple[Array, Array, Array]:
+def on_sphere(Q, c, start, z, square, size):
     """Theta at a minimum z of W = z.Q z / 2 + c.z, |z| = 1, the angle that holds the motion, and the largest square of its rates.
 
     With Q z + c = L z, W(x) - W(z) = (x - z).(Q - L)(x - z) / 2 exactly. Where Q - L is positive the whole sphere is the well; else W
     is bounded from below by the distance r = |x - z|. square: of the rates at the start.
     """
-    slope, offset, curved = Q * z + c, start - z, Q * z
-    L, distance = dot(z, slope), norm(offset)
-    g = norm(slope - L * z) + _GRADIENT * size
-    energy = 0.5 * square + 0.5 * dot((Q - L) * offset, offset) + g * distance + ROUNDING * size
-    least, lowest = (v - _EIGENVALUE * size for v in (_second(Q - L, *_across(z))[-1], (Q - L).min(0)))
-    bend, height = norm(curved - dot(z, curved) * z), np.maximum(0.0, least - dot(z, curved) + L)
-    limit = 2 * least / (1.5 * bend + np.sqrt(2.25 * bend**2 + 2 * height * least))
-    limit = np.where(least > 0, np.minimum(2.0, limit), np.nan)
-    r = reach([energy, g, -least / 2, bend / 2, height / 8], limit, distance)
-    whole = np.where(lowest > 0, (g + np.sqrt(g**2 + 2 * lowest * energy)) / lowest, np.nan)
-    square = 2 * (energy + g**2 / np.where(whole <= r, lowest, np.where(np.isnan(r), lowest, least)))
-    return np.arctan2(np.hypot(z[0], z[1]), z[2]), 2 * np.arcsin(0.5 * np.fmin(r, whole)), square
+    curved, offset = times(Q, z), minus(start, z)
+    slope = plus(curved, c)
+    L, distance = dot(z, slope), length(offset)
+    M = Q[0] - L, Q[1] - L, Q[2] - L
+    g = length(minus(slope, scaled(L, z))) + GRADIENT * size
+    energy = 0.5 * square + 0.5 * dot(times(M, offset), offset) + g * distance + ROUNDING * size
+    first, second = across_axes(z)
+    least = second_form(M, first, second)[3] - EIGENVALUE * size
+    lowest = smallest(M) - EIGENVALUE * size
+    if not (least > 0 or lowest > 0):
+        return np.nan, np.nan, np.nan
+    r = whole = np.nan
+    if least > 0:
+        along = dot(z, curved)
+        bend, height = length(minus(curved, scaled(along, z))), larger(0.0, least - along + L)
+        limit = 2 * least / (1.5 * bend + np.sqrt(2.25 * bend**2 + 2 * height * least))
+        r = reach((energy, g, -least / 2, bend / 2, height / 8), smaller(2.0, limit), distance)
+    if lowest > 0:
+        whole = (g + np.sqrt(g**2 + 2 * lowest * energy)) / lowest
+    square = 2 * (energy + g**2 / (lowest if whole <= r or r != r else least))
+    return np.arctan2(np.hypot(z[0], z[1]), z[2]), 2 * np.arcsin(0.5 * fmin(r, whole)), square
 
 
-def _minimum(Q: Array, c: Array, z: Array) -> Array:
+def minimum(Q, c, z):
     """A minimum of z.Q z / 2 + c.z on the sphere, where Newton's method finds one from z."""
-    for _ in range(_STEPS):
-        step = _solved(Q, c, z, Q * z + c)
-        z = unit(z - step / np.maximum(1.0, norm(step)))
+    for _ in range(STEPS):
+        step = solved(Q, c, z, plus(times(Q, z), c))
+        z = minus(z, divided(step, larger(1.0, length(step))))
+        z = unit(z, z)
     return z
 
 
-def _solved(Q: Array, c: Array, z: Array, vector: Array) -> Array:
+def solved(Q, c, z, vector):
     """The inverse of the Hessian on the sphere times a vector; of a gradient step where that is not positive."""
-    axes = _across(z)
-    (v1, v2), size = (dot(axis, vector) for axis in axes), np.abs(Q).max(0) + norm(c)
-    a, b, d, least = _second(Q - dot(z, Q * z + c), *axes)
-    convex = least > _FLAT * size
-    a, b, d = np.where(convex, [a, b, d], [size, 0.0 * size, size])
-    return ((d * v1 - b * v2) * axes[0] + (a * v2 - b * v1) * axes[1]) / (a * d - b**2)
+    first, second = across_axes(z)
+    v1, v2 = dot(first, vector), dot(second, vector)
+    size = greatest(magnitude(Q)) + length(c)
+    L = dot(z, plus(times(Q, z), c))
+    a, b, d, least = second_form((Q[0] - L, Q[1] - L, Q[2] - L), first, second)
+    if not least > FLAT * size:
+        a, b, d = size, 0.0, size
+    return divided(plus(scaled(d * v1 - b * v2, first), scaled(a * v2 - b * v1, second)), a * d - b**2)
 
 
-def _across(z: Array) -> tuple[Array, Array]:
-    """Two unit vectors that are normal to each other and to z, (3, points)."""
-    first = unit(cross(z, principal(np.abs(z).argmin(0))))
+def across_axes(z):
+    """Two unit vectors that are normal to each other and to z."""
+    x, y, t = magnitude(z)
+    if x <= y and x <= t:
+        first = 0.0, z[2], -z[1]
+    elif y <= t:
+        first = -z[2], 0.0, z[0]
+    else:
+        first = z[1], -z[0], 0.0
+    first = unit(first, first)
     return first, cross(z, first)
 
 
-def _second(M: Array, first: Array, second: Array) -> tuple[Array, Array, Array, Array]:
+def second_form(M, first, second):
     """Entries of a diagonal matrix on two axes, and the smaller eigenvalue there."""
-    a, b, d = dot(M * first, first), dot(M * first, second), dot(M * second, second)
+    a, b, d = dot(times(M, first), first), dot(times(M, first), second), dot(times(M, second), second)
     return a, b, d, 0.5 * (a + d) - np.hypot(0.5 * (a - d), b)
+
+
+def rotated(v, xi):
+    """A vector at rest in the frame after the body turned by the rotation vector xi."""
+    angle = length(xi)
+    return rotate(v, unit(xi, xi), np.cos(angle), -np.sin(angle))
+
+
+def solved3(diagonal, mixed, vector):
+    """The solution of a symmetric system of three equations; nan where it is singular."""
+    (a, b, c), (f, g, h) = diagonal, mixed
+    x, y, z = (a, h, g), (h, b, f), (g, f, c)
+    first, second, third = cross(y, z), cross(z, x), cross(x, y)
+    return divided((dot(first, vector), dot(second, vector), dot(third, vector)), dot(x, first))
+
+
+def least_eigenvalue(diagonal, mixed):
+    """The smallest eigenvalue of a symmetric matrix, by Jacobi's rotations."""
+    (a, b, c), (f, g, h) = diagonal, mixed
+    size = abs(a) + abs(b) + abs(c) + abs(f) + abs(g) + abs(h)
+    for _ in range(SWEEPS):
+        if abs(f) + abs(g) + abs(h) <= 1e-17 * size:
+            break
+        a, b, h, g, f = jacobi(a, b, h, g, f)
+        b, c, f, h, g = jacobi(b, c, f, h, g)
+        c, a, g, f, h = jacobi(c, a, g, f, h)
+    return smaller(a, smaller(b, c))
+
+
+def jacobi(a, b, h, g, f):
+    """One rotation that removes h: a, b on the diagonal, g and f their entries with the third axis."""
+    if h == 0:
+        return a, b, h, g, f
+    ratio = (b - a) / (2 * h)
+    t = 1 / (abs(ratio) + np.sqrt(1 + ratio * ratio))
+    if ratio < 0:
+        t = -t
+    cosine = 1 / np.sqrt(1 + t * t)
+    sine = t * cosine
+    return a - t * h, b + t * h, 0.0, cosine * g - sine * f, sine * g + cosine * f

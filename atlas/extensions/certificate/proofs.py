@@ -54,11 +54,13 @@ class Proofs(Instrument):
     def variables(self, system: System) -> tuple[Variable, ...]:
         return self.every_variable(system) if isinstance(system, Gyrostat) else ()
 
-    def proofs(self, system: System, points: Points, tolerances: Tolerances) -> dict[str, NDArray[Any]]:
-        from .rules import proved  # in scenes that ask alone
+    def proofs(
+        self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
+    ) -> dict[str, NDArray[Any]]:
+        from .rules import prove_points  # in scenes that ask alone
 
         assert isinstance(system, Gyrostat)
-        return proved(system, points, tolerances)
+        return prove_points(system, points, tolerances, in_machine_code)
 
 
 PROOFS = Proofs()

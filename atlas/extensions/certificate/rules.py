@@ -1,73 +1,145 @@
-"""Every rule that may prove a label, and the labels that follow."""
+"""Every rule that may prove a label of one start, and the labels that follow for many; momenta come before the energy."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...measure.instrument import Tolerances
-from ...systems.base import Mask, Points, shape_of, subset
+from ...measure import instrument
+from ...systems.base import Array, Points, shape_of
 from ...systems.gyrostat import Gyrostat
-from . import energy
-from .bounds import Bounds, label
+from ...theory.compiled import of_system
+from ...theory.point import dot, fmin, greatest, minus, scaled, times
+from .bounds import Direction, GyrostatBody, Tolerances, label_of, largest_deviation
+from .energy import attitude, in_space, symmetric, upright
 from .proofs import BOUND, PROOFS, Proof
 from .top import top
 
-_CHUNK = 4096  # points whose arrays stay in the cache
+
+class Proved(NamedTuple):
+    """Labels of every duration and how they are proved, in the system's frame and in inertial space."""
+
+    kind: int  # value of Proof
+    label: int  # 0 where none is proved
+    inertial_kind: int
+    inertial_label: int
+    bound: float  # limit of the deviation of a rate
 
 
-def proved(system: Gyrostat, points: Points, tolerances: Tolerances) -> dict[str, NDArray[Any]]:
-    """The variables of the instrument, and by predicted names the labels that are proved, else 0, (points,)."""
-    (size,) = shape_of(points)
-    frames = {"label": np.zeros(size)}
-    if system.frame_rate is not None:
-        frames["label_inertial"] = system.frame_rate(points)
-    columns: dict[str, NDArray[Any]] = {BOUND: np.full(size, np.nan)}
-    for name in frames:
-        for column in (PROOFS.proofs_of[name], name.replace("label", "predicted")):
-            columns[column] = np.zeros(size, np.int8)
-    with np.errstate(all="ignore"):
-        for first in range(0, size, _CHUNK):
-            chunk = slice(first, first + _CHUNK)
-            for kind, members, bounds in _bounds(system, subset(points, chunk), tolerances.subset(chunk)):
-                where = first + members
-                for name, frame_rate in frames.items():
-                    kinds, labels = (
-                        columns[PROOFS.proofs_of[name]],
-                        columns[name.replace("label", "predicted")],
-                    )
-                    flags, deviation = label(bounds, tolerances.subset(where), frame_rate[where])
-                    new = (flags > 0) & (kinds[where] == Proof.NONE)
-                    labels[where[new]], kinds[where[new]] = flags[new], kind
-                columns[BOUND][where] = np.fmin(columns[BOUND][where], deviation)
-    return columns
+def prove_in_space(body, w, gamma, is_axial, tolerances):
+    """Of a body about a fixed point."""
+    proved = Proved(Proof.NONE, 0, Proof.NONE, 0, np.nan)
+    if body.turn != 0:
+        return proved
+    if is_axial:
+        proved = with_bounds(proved, Proof.MOMENTA, top(body, w, gamma, tolerances), 0.0, tolerances)
+    inertia = body.inertia
+    n = dot(times(inertia, w), gamma) / dot(times(inertia, gamma), gamma)
+    if proved.kind == Proof.NONE and is_slow(body, w, scaled(n, gamma), tolerances):
+        proved = with_bounds(proved, Proof.ENERGY, in_space(body, w, gamma), 0.0, tolerances)
+    return proved
 
 
-def _bounds(
-    system: Gyrostat, points: Points, tolerances: Tolerances
-) -> Iterator[tuple[Proof, NDArray[np.intp], Bounds]]:
-    """Kinds of proof, points and their bounds, by every rule that may apply."""
-    body, start = system.body(points), system.start(points)
-    (w, _, gamma), single, n = start, len(system.equations.FRAME_VECTORS) == 1, body.turn
-    if single:
-        n = (body.inertia * w * gamma).sum(-1) / (body.inertia * gamma**2).sum(-1)
-    # What the rates are at the start their limits cannot be below.
-    square = (body.inertia * (w - n[:, None] * gamma) ** 2).sum(-1)
-    slow, axial = square <= body.inertia.max(-1) * tolerances.rate**2, system.conserves_axial_momentum(points)
-    rules: list[tuple[Callable[..., Bounds], Proof, Mask]]
-    if single:
-        at_rest = body.turn == 0
-        rules = [(energy.in_space, Proof.ENERGY, slow & at_rest), (top, Proof.MOMENTA, axial & at_rest)]
-    else:
+def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
+    """Of a body in a frame of two directions."""
+    proved = Proved(Proof.NONE, 0, Proof.NONE, 0, np.nan)
+    if is_axial:
         # No rotation of a symmetric body about its axis changes the energy, whose minima the other rules would seek in vain.
-        others = slow & ~axial & (body.damping >= 0)
-        near = others & (np.hypot(gamma[:, 0], gamma[:, 1]) < tolerances.angle)
-        every = (energy.symmetric, axial), (energy.upright, near), (energy.attitude, others)
-        rules = [(rule, Proof.ENERGY, applies) for rule, applies in every]
-    for rule, kind, applies in rules:
-        if (where := np.flatnonzero(applies)).size:
-            given = (w, gamma) if single else start
-            yield kind, where, rule(body.subset(where), *(vector[where] for vector in given))
+        bounds = symmetric(body, w, alpha, gamma)
+        return with_bounds(proved, Proof.ENERGY, bounds, frame_rate, tolerances)
+    if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
+        return proved
+    if np.hypot(gamma[0], gamma[1]) < tolerances.angle:
+        bounds = upright(body, w, alpha, gamma)
+        proved = with_bounds(proved, Proof.ENERGY, bounds, frame_rate, tolerances)
+    return with_bounds(proved, Proof.ENERGY, attitude(body, w, alpha, gamma), frame_rate, tolerances)
+
+
+def is_slow(body, w, turn, tolerances):
+    """Whether limits of the rates can be within the tolerance: they cannot be below what the rates are at the start."""
+    u = minus(w, turn)
+    return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
+
+
+def with_bounds(proved, kind, bounds, frame_rate, tolerances):
+    """What is proved with the bounds of one more rule; the first proof of a label counts."""
+    deviation = largest_deviation(bounds, tolerances)
+    label = label_of(bounds, deviation, tolerances, 0.0)
+    inertial = label_of(bounds, deviation, tolerances, frame_rate)
+    own, inertial_kind = kind if label else 0, kind if inertial else 0
+    if proved.kind:
+        own, label = proved.kind, proved.label
+    if proved.inertial_kind:
+        inertial_kind, inertial = proved.inertial_kind, proved.inertial_label
+    return Proved(own, label, inertial_kind, inertial, fmin(proved.bound, deviation))
+
+
+class Bodies(NamedTuple):
+    """Bodies at the starts of runs, see GyrostatBody, in columns; vectors have the shape (3, points)."""
+
+    w: Array
+    alpha: Array
+    gamma: Array
+    inertia: Array
+    rotor: Array
+    radial_field: Array
+    normal_field: Array
+    turn: Array  # (points,), as what follows
+    radial_gradient: Array
+    normal_gradient: Array
+    damping: Array
+
+    @classmethod
+    def of(cls, system: Gyrostat, points: Points) -> Bodies:
+        body, one = system.body(points), np.ones(shape_of(points))
+        w, alpha, gamma = (vector.T * one for vector in system.start(points))
+        vectors = body.inertia, body.rotor, body.alpha.field, body.gamma.field
+        inertia, rotor, radial, normal = (np.array(vector.T * one) for vector in vectors)
+        numbers = body.turn, body.alpha.gradient, body.gamma.gradient, body.damping
+        return cls(w, alpha, gamma, inertia, rotor, radial, normal, *(number * one for number in numbers))
+
+
+def body_at(bodies, i):
+    radius = Direction(bodies.radial_gradient[i], load(bodies.radial_field, i))
+    normal = Direction(bodies.normal_gradient[i], load(bodies.normal_field, i))
+    inertia, rotor = load(bodies.inertia, i), load(bodies.rotor, i)
+    return GyrostatBody(inertia, rotor, bodies.turn[i], radius, normal, bodies.damping[i])
+
+
+def load(block, i):
+    return block[0, i], block[1, i], block[2, i]
+
+
+def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bound):
+    """single: whether the frame has one direction."""
+    for i in range(bound.size):
+        w, alpha, gamma = load(bodies.w, i), load(bodies.alpha, i), load(bodies.gamma, i)
+        body = body_at(bodies, i)
+        tolerances = Tolerances(rate[i], angle)
+        if single:
+            proved = prove_in_space(body, w, gamma, axial[i], tolerances)
+        else:
+            proved = prove_in_frame(body, w, alpha, gamma, axial[i], frame_rate[i], tolerances)
+        kinds[0, i], labels[0, i], bound[i] = proved.kind, proved.label, proved.bound
+        kinds[1, i], labels[1, i] = proved.inertial_kind, proved.inertial_label
+
+
+@np.errstate(all="ignore")
+def prove_points(
+    system: Gyrostat, points: Points, tolerances: instrument.Tolerances, in_machine_code: bool = False
+) -> dict[str, NDArray[Any]]:
+    """The variables of the instrument, and by predicted names the labels that are proved, else 0, (points,)."""
+    bodies, one = Bodies.of(system, points), np.ones(shape_of(points))
+    names = ["label"] if system.frame_rate is None else ["label", "label_inertial"]
+    frame_rate = one if system.frame_rate is None else system.frame_rate(points) * one
+    kinds, labels = np.zeros((2, 2, one.size), np.int8)
+    bound, single = np.empty(one.size), len(system.equations.FRAME_VECTORS) == 1
+    axial, rate = system.conserves_axial_momentum(points) & (one > 0), tolerances.rate * one
+    loop = of_system(prove_all, system, in_machine_code)
+    loop(bodies, axial, frame_rate, single, rate, tolerances.angle, kinds, labels, bound)
+    result: dict[str, NDArray[Any]] = {BOUND: bound}
+    for name, kind, label in zip(names, kinds, labels, strict=False):
+        result |= {PROOFS.proofs_of[name]: kind, name.replace("label", "predicted"): label}
+    return result

@@ -9,64 +9,87 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...systems.base import Array
-from ...systems.gyrostat.body import Body
-from .bounds import ROUNDING, Bounds, reach
+from ...theory.point import larger, smaller
+from .bounds import ROUNDING, Bounds, is_away, is_inside, reach
 
 
-def top(body: Body, w: Array, gamma: Array) -> Bounds:
+def top(body, w, gamma, tolerances):
     """Bounds of a body with A = B, and rotor and field along its third axis, without damping."""
-    (A, _, C), (p, q, r), (g1, g2, x0) = body.inertia.T, w.T, gamma.T
+    A, _, C = body.inertia
+    p, q, r = w
+    g1, g2, x0 = gamma
     sine2 = g1**2 + g2**2
     # The potential is V(x0) + v1 y + v2 y^2, y = x - x0; a = A psi' sin^2 at the start.
     v2 = 0.5 * body.gamma.gradient * (C - A)
-    v1 = body.gamma.field[:, 2] + 2 * v2 * x0
-    S, a, e = C * r + body.rotor[:, 2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-
-    def rows(S: Array, a: Array, x: Array, v: Array) -> list[list[Array]]:
-        """Terms of the coefficients of f but for the first."""
-        return [
-            [-2 * x * e, -2 * A * v * sine2, 2 * a * S],
-            [-e, 4 * A * v * x, -2 * A * v2 * sine2, -(S**2)],
-            [2 * A * v, 4 * A * v2 * x],
-            [2 * A * v2],
-        ]
-
+    v1 = body.gamma.field[2] + 2 * v2 * x0
+    S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
     # Errors are relative to what S and v1 are sums of: the spin is m + n cos(theta).
     across = np.sqrt(e * sine2)
-    n = np.where(sine2 > 0, across / (A * np.where(sine2 > 0, sine2, 1.0)), 0.0)
-    S_size, v_size = (
-        np.abs(C * r) + C * n + np.abs(body.rotor[:, 2]),
-        np.abs(body.gamma.field[:, 2]) + 2 * np.abs(v2),
+    spin = across / (A * sine2) if sine2 > 0 else 0.0
+    S_size = abs(C * r) + C * spin + abs(body.rotor[2])
+    v_size = abs(body.gamma.field[2]) + 2 * abs(v2)
+    drift, error = abs(A * (p * g2 - q * g1)), ROUNDING * across
+    _, f1, f2, f3, f4 = f = (
+        drift**2,
+        -2 * x0 * e + -2 * A * v1 * sine2 + 2 * a * S,
+        -e + 4 * A * v1 * x0 + -2 * A * v2 * sine2 + -(S**2),
+        2 * A * v1 + 4 * A * v2 * x0,
+        2 * A * v2,
     )
-    drift, error = np.abs(A * (p * g2 - q * g1)), ROUNDING * across
-    f = [drift**2, *(sum(row) for row in rows(S, a, x0, v1))]
-    errors = [error * (2 * drift + error)]
-    errors += [ROUNDING * np.abs(row).sum(0) for row in rows(S_size, across, np.abs(x0), v_size)]
-    ends = []
-    for sign in (-1.0, 1.0):
-        limit = np.where(sign * x0 > 0, sine2 / (1 + np.abs(x0)), 1 + np.abs(x0))
-        distance = reach([sign**k * f[k] + errors[k] for k in range(5)], limit)
-        ends.append(sign * np.where(np.isnan(distance), limit, distance))
-    low, high = y = np.array(ends)
-    half, farthest = 0.5 * (high - low), np.abs(y).max(0)
-    squares = np.maximum(sine2 - 2 * x0 * y - y**2, 0.0)
-    least = squares.min(0)
-    sine = np.sqrt(least), np.where((low + x0) * (high + x0) <= 0, 1.0, np.sqrt(squares.max(0)))
+    V2, X = abs(v2), abs(x0)
+    errors = (
+        error * (2 * drift + error),
+        ROUNDING * (2 * X * e + 2 * A * v_size * sine2 + 2 * across * S_size),
+        ROUNDING * (e + 4 * A * v_size * X + 2 * A * V2 * sine2 + S_size**2),
+        ROUNDING * (2 * A * v_size + 4 * A * V2 * X),
+        ROUNDING * (2 * A * V2),
+    )
+    low, high = -top_end(f, errors, sine2, x0, -1.0), top_end(f, errors, sine2, x0, 1.0)
+    half, farthest = 0.5 * (high - low), larger(abs(low), abs(high))
+    at_low, at_high = larger(sine2 - 2 * x0 * low - low**2, 0.0), larger(sine2 - 2 * x0 * high - high**2, 0.0)
+    least = smaller(at_low, at_high)
+    least_sine = np.sqrt(least)
+    largest_sine = 1.0 if (low + x0) * (high + x0) <= 0 else np.sqrt(larger(at_low, at_high))
+    normal_rate = half * abs(r - S / A)
+    bounds = Bounds(least_sine, largest_sine, np.nan, np.nan, np.nan, np.nan, np.nan, normal_rate)
+    if is_inside(bounds, tolerances) or not is_away(bounds, tolerances):
+        return bounds
     # f(y) is at most (y - low) (high - y) times the second divided difference with the ends, negative.
-    bent = -f[2] + 3 * np.abs(f[3]) * farthest + 6 * np.abs(f[4]) * farthest**2 + errors[2]
-    theta_dot = half * np.sqrt(np.maximum(bent, 0.0) / least) / A
+    bent = -f2 + 3 * abs(f3) * farthest + 6 * abs(f4) * farthest**2 + errors[2]
+    theta_dot = half * np.sqrt(larger(bent, 0.0) / least) / A
     # psi' = (K - S x) / (A sin^2) and x psi' are extreme at the ends or where their derivatives vanish.
-    K, n, ratio = a + S * x0, a / (A * sine2), []
-    for over, root in ((S, np.sqrt(K**2 - S**2)), (K, np.sqrt(S**2 - K**2))):
-        other = K + S - over
-        inner = [np.nan_to_num((other + s * root) / over - x0) for s in (-1, 1)]
-        at = np.clip([low, high, *inner], low, high)
-        ratio.append((at, at * (a * (2 * x0 + at) - S * sine2) / (A * sine2 * (sine2 - 2 * x0 * at - at**2))))
-    (_, psi), (at, change) = ratio
-    phi = -at * n - (x0 + at) * change
-    (n, n_half), (m, m_half) = (
-        (start + 0.5 * (each.max(0) + each.min(0)), 0.5 * np.ptp(each, axis=0))
-        for start, each in ((n, psi), (r - x0 * n, phi))
-    )
-    return Bounds(sine, theta_dot, (n, n_half), (m, m_half), half * np.abs(r - S / A))
+    K, n = a + S * x0, a / (A * sine2)
+    constants = a, S, A, sine2, x0, low, high
+    psi_least, psi_largest = phi_least, phi_largest = np.inf, -np.inf
+    for which in range(4):
+        _, change = change_of_psi(which, S, K, constants)
+        psi_least, psi_largest = smaller(psi_least, change), larger(psi_largest, change)
+        y, change = change_of_psi(which, K, S, constants)
+        phi = -y * n - (x0 + y) * change
+        phi_least, phi_largest = smaller(phi_least, phi), larger(phi_largest, phi)
+    return Bounds(
+        least_sine, largest_sine, theta_dot,
+        n + 0.5 * (psi_largest + psi_least), 0.5 * (psi_largest - psi_least),
+        r - x0 * n + 0.5 * (phi_largest + phi_least), 0.5 * (phi_largest - phi_least), normal_rate,
+    )  # fmt: skip
+
+
+def top_end(f, errors, sine2, x0, sign):
+    """How far cos(theta) goes to one side."""
+    limit = sine2 / (1 + abs(x0)) if sign * x0 > 0 else 1 + abs(x0)
+    sided = (
+        f[0] + errors[0], sign * f[1] + errors[1], f[2] + errors[2], sign * f[3] + errors[3], f[4] + errors[4],
+    )  # fmt: skip
+    distance = reach(sided, limit, 0.0)
+    return limit if distance != distance else distance
+
+
+def change_of_psi(which, over, other, constants):
+    """A y at which psi' or x psi' may be extreme, the ends or where its derivative vanishes, and the change of psi' there."""
+    a, S, A, sine2, x0, low, high = constants
+    y = low if which == 0 else high
+    if which > 1:
+        root = np.sqrt(other**2 - over**2)
+        y = (other + (root if which == 3 else -root)) / over - x0
+        y = smaller(larger(0.0 if y != y else y, low), high)
+    return y, y * (a * (2 * x0 + y) - S * sine2) / (A * sine2 * (sine2 - 2 * x0 * y - y**2))

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from atlas.extensions.certificate import bounds, energy
+from atlas.extensions.certificate.bounds import Tolerances
+from atlas.extensions.certificate.rules import Bodies, body_at, load
 from atlas.extensions.certificate.top import top
 from atlas.extensions.equilibria.algebra import attitudes, frames_of, rotated
 from atlas.systems.fixed_point import FIXED_POINT
@@ -69,10 +71,22 @@ def extremes(system, points, duration, step):
     return low, high
 
 
+def limits_of(rule, system, points, *settings):
+    """Bounds by a rule, as arrays (points,)."""
+    columns = Bodies.of(system, points)
+    starts = (
+        (columns.w, columns.gamma) if system is FIXED_POINT else (columns.w, columns.alpha, columns.gamma)
+    )
+    each = [
+        rule(body_at(columns, i), *(load(vector, i) for vector in starts), *settings) for i in range(COUNT)
+    ]
+    return bounds.Bounds(*np.array(each).T)
+
+
 def shares(system, points, limits, duration=20.0, step=0.025):
     """How much of each bound the motions use, 1 at most, where it is known: range of theta, theta', psi', phi', normal rate."""
     low, high = extremes(system, points, duration, step)
-    (least, largest), (n, n_width), (m, m_width) = limits.sine, limits.psi_dot, limits.phi_dot
+    least, largest, _, n, n_width, m, m_width, _ = limits
     known, away = np.isfinite(largest), least > 0.02
     used = [
         (np.maximum(least / low[0], high[0] / largest), known),
@@ -110,7 +124,7 @@ def near_equilibria(rng):
 
 def test_bounds_near_any_minimum_of_a_satellite():
     points = near_equilibria(np.random.default_rng(1))
-    limits = energy.attitude(SATELLITE.body(points), *SATELLITE.start(points))
+    limits = limits_of(energy.attitude, SATELLITE, points)
     known, used = shares(SATELLITE, points, limits)
     assert known.sum() > 0.8 * COUNT
     assert_sharp(used, 0.99, 0.85, 0.85, 0.85, 0.8)
@@ -126,10 +140,9 @@ def test_bounds_of_an_upright_satellite():
     points["theta0"] = np.where(rng.random(COUNT) < 0.5, points["theta0"], np.pi - points["theta0"])
     for name in ("theta_dot0", "n", "m"):
         points[name] = 10 ** rng.uniform(-4, -0.5, COUNT) * rng.normal(size=COUNT)
-    body, start = SATELLITE.body(points), SATELLITE.start(points)
-    limits, others = energy.upright(body, *start), energy.attitude(body, *start)
+    limits, others = (limits_of(rule, SATELLITE, points) for rule in (energy.upright, energy.attitude))
     known, used = shares(SATELLITE, points, limits)
-    assert known.sum() > np.isfinite(others.sine[1]).sum() > 3
+    assert known.sum() > np.isfinite(others.largest_sine).sum() > 3
     assert_sharp(used, 0.95, 0.0, 0.0, 0.0, 0.9)
 
 
@@ -152,7 +165,7 @@ def test_bounds_of_a_symmetric_satellite():
     ):
         points[name] = value + size * rng.normal(size=COUNT)
     points["m"] = spin - (1 + points["n"]) * np.cos(points["theta0"])
-    limits = energy.symmetric(SATELLITE.body(points), *SATELLITE.start(points))
+    limits = limits_of(energy.symmetric, SATELLITE, points)
     known, used = shares(SATELLITE, points, limits)
     assert known.sum() > 0.9 * COUNT
     assert_sharp(used, 0.99, 0.99, 0.95, 0.85, 0.2)
@@ -174,8 +187,7 @@ def test_bounds_near_permanent_rotations_about_a_fixed_point():
         ("theta_dot0", 0),
     ):
         points[name] = value + size * rng.normal(size=COUNT)
-    w, _, gamma = FIXED_POINT.start(points)
-    known, used = shares(FIXED_POINT, points, energy.in_space(FIXED_POINT.body(points), w, gamma))
+    known, used = shares(FIXED_POINT, points, limits_of(energy.in_space, FIXED_POINT, points))
     assert known.sum() > 0.9 * COUNT
     assert_sharp(used, 0.99, 0.95, 0.9, 0.9, 0.7)
 
@@ -186,8 +198,7 @@ def test_the_range_of_a_top_is_exact():
     points = filled(FIXED_POINT, **bodies(rng, symmetric=True), N=0.3 * rng.normal(size=COUNT), Mg=1.0, m=2 * rng.normal(size=COUNT),
                     l3=rng.normal(size=COUNT), z0=0.5 * rng.normal(size=COUNT), n=rng.normal(size=COUNT),
                     theta0=np.arccos(rng.uniform(-0.95, 0.95, COUNT)), theta_dot0=10 ** rng.uniform(-5, 0, COUNT))  # fmt: skip
-    w, _, gamma = FIXED_POINT.start(points)
-    limits = top(FIXED_POINT.body(points), w, gamma)
+    limits = limits_of(top, FIXED_POINT, points, Tolerances(1.0, 0.02))
     known, used = shares(FIXED_POINT, points, limits, duration=10.0, step=0.005)
     assert known.all()
     assert_sharp(used, 0.9999, 0.99, 0.9999, 0.9999, 0.9999)
@@ -198,8 +209,7 @@ def test_the_range_of_a_top_has_room_for_the_rounding_of_its_rates():
     """A thin rod turns about an axis that is normal to it: its tilt is that of the axis, which a change of the last bit moves."""
     rates = 1e-8 * np.linspace(1, 2, COUNT)
     rod = filled(FIXED_POINT, A=1.0, B=1.0, C=1e-4, n=1.0, theta0=np.pi / 2, phi0=np.pi / 4, theta_dot0=rates)
-    w, _, gamma = FIXED_POINT.start(rod)
-    share = rates / top(FIXED_POINT.body(rod), w, gamma).theta_dot
+    share = rates / limits_of(top, FIXED_POINT, rod, Tolerances(1.0, 0.02)).theta_dot
     assert np.all((share < 1) & (share > 1 - 1e-5))
 
 
@@ -209,18 +219,19 @@ def test_the_rate_of_a_swinging_satellite_about_the_vertical():
     points = filled(
         SATELLITE, A=1.0, B=1.0, C=0.6, Omega=0.0, mu3=-1.0, h3=1.0, theta0=theta0, m=m, k3=-0.6 * m
     )
-    limits = energy.symmetric(SATELLITE.body(points), *SATELLITE.start(points))
+    limits = limits_of(energy.symmetric, SATELLITE, points)
     np.testing.assert_allclose(limits.theta_dot, 2 * np.sin(theta0 / 2), rtol=1e-6)
     share = 0.5 * m * (1 - np.cos(theta0)) / limits.normal_rate
     assert np.all((share <= 1) & (share > 0.49))
 
 
 def recorded(monkeypatch):
-    """The calls of `energy.reach`: coefficients, limit, start, and the distance found."""
+    """The calls of `energy.reach`, one a point: the energy above the minimum, the distance of the start, and the one found."""
     calls = []
 
     def reach(*arguments):
-        calls.append((*arguments, bounds.reach(*arguments)))
+        (excess, *_), _, inside = arguments
+        calls.append((excess, inside, bounds.reach(*arguments)))
         return calls[-1][-1]
 
     monkeypatch.setattr(energy, "reach", reach)
@@ -240,8 +251,10 @@ def test_the_potential_at_the_rim_of_an_attitude_is_above_the_energy(monkeypatch
     axes = axes / np.linalg.norm(axes, axis=-1)[..., None]
     angle = 10 ** rng.uniform(-3, -0.3, COUNT)
     start = rotated(lowest, angle[:, None] * axes[0])
-    energy.attitude(body, body.turn[:, None] * start[:, 2], start[:, 0], start[:, 2])
-    ((excess, *_), _, inside, rim) = calls[-1]
+    columns = Bodies.of(SATELLITE, points)
+    for i in range(COUNT):
+        energy.attitude(body_at(columns, i), body.turn[i] * start[i, 2], start[i, 0], start[i, 2])
+    excess, inside, rim = np.array(calls).T
     known = np.isfinite(rim)
     assert 10 < known.sum() < COUNT
     np.testing.assert_allclose(inside[known], angle[known], rtol=1e-6, atol=1e-9)
@@ -269,8 +282,8 @@ def test_the_potential_at_the_rim_on_a_sphere_is_above_the_energy(monkeypatch):
     points["theta0"] = np.arccos(z[2]) + 10 ** rng.uniform(-3, -0.3, COUNT)
     points["psi0"] = np.arctan2(z[0], -z[1])
     points["m"] = 1 - np.cos(points["theta0"])
-    energy.symmetric(SATELLITE.body(points), *SATELLITE.start(points))
-    ((excess, *_), _, inside, rim) = calls[-1]
+    limits_of(energy.symmetric, SATELLITE, points)
+    excess, inside, rim = np.array(calls).T
     known = np.isfinite(rim)
     assert 10 < known.sum() < COUNT
     assert (inside < rim)[known].all()

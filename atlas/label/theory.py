@@ -35,7 +35,8 @@ from ..systems.base import (
 from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import changes_volume
 from ..systems.steady import growth_about_vertical, lacks_theory, polynomial_degree
-from ..theory.motions import FoundStarts, KnownStarts, condition_residual, find_motions, predict_labels
+from ..theory.motions import condition_residual, find_motions, predict_labels
+from ..theory.point import Found, Known
 from ..theory.prediction import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
 from ..theory.steady import Existence
 from .plan import Plan
@@ -55,7 +56,7 @@ class Prediction:
     variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
     # Of the start before the nudge, and the answers of the equations that `predict` leaves; None where the equations do not decide
     motion: TwoAxes | None
-    found: FoundStarts
+    found: Found
     answer: Flags
     family_residual: Array  # of the conditions of the family, at the start before the nudge
     # Of the conditions of a steady motion at the start that is integrated, about any axes or in the plane where `log_growth` is
@@ -86,7 +87,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     if nudged and members.size:
         nudged_residual[members] = system.identify_family(subset(points, members))[1]
     growth = log_growth(system, base, family, growth_rate, until)
-    known = KnownStarts(varies, elsewhere, family_residual, nudged_residual, stable, growth)
+    known = Known(varies, elsewhere, family_residual, nudged_residual, stable, growth)
     frames = predicted_frames(system, base)
     exact = exact_labels(system, base, family, motion, found.elsewhere, duration, tolerances)
     own = exact["predicted"]
@@ -119,7 +120,7 @@ def _found(
     tolerances: Tolerances,
     nudged: bool,
     in_machine_code: bool,
-) -> tuple[TwoAxes | None, FoundStarts, Flags, Array]:
+) -> tuple[TwoAxes | None, Found, Flags, Array]:
     """What the equations say of starts, and their families with the residuals of their conditions.
 
     Of a system of which the theorem says nothing the families decide: a start on one is exact, others have no label.
@@ -132,9 +133,7 @@ def _found(
         kept = (system.identify_family(points)[0] > 0) & (after <= ROUNDING_RESIDUAL)
         answer = np.where(family > 0, Existence.EXACT, Existence.NEAR).astype(np.int8)
         zero, pushed = np.zeros(size), nudged & ~kept
-        found = FoundStarts(
-            answer, on_other_axes(system, family), family > 0, kept, pushed, after, zero, zero
-        )
+        found = Found(answer, on_other_axes(system, family), family > 0, kept, pushed, after, zero, zero)
         return None, found, family, residual
     motion, found = find_motions(
         system, base, points if nudged else None, duration, tolerances.rate, tolerances.angle, in_machine_code
@@ -176,7 +175,7 @@ class Theory:
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
             no, none = zero > 0, zero.astype(np.int8)
-            found = FoundStarts(none, no, no, no, no, zero, zero, zero)
+            found = Found(none, no, no, no, no, zero, zero, zero)
             nothing = Prediction({}, None, found, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)

@@ -11,7 +11,7 @@ from ..systems.gyrostat.system import Gyrostat
 from ..systems.steady import lacks_theory, polynomial_degree
 from .compiled import of_system
 from .generated import load_constants, load_state
-from .point import Body, Found, Known
+from .point import Body, Found, Known, Predicted
 from .prediction import find, predict, predict_circle, residual_of
 
 
@@ -37,39 +37,6 @@ class Starts(NamedTuple):
         return cls(states, constants, rates, bound * one, square * one, within_range(system, points))
 
 
-class FoundStarts(NamedTuple):
-    """What the equations say of starts, see Found, in columns."""
-
-    answer: Flags
-    elsewhere: Mask
-    may_be_member: Mask
-    kept: Mask
-    pushed: Mask
-    residual: Array
-    change: Array
-    away: Array
-
-
-class KnownStarts(NamedTuple):
-    """What the families say of starts, see Known, in columns."""
-
-    varies: Mask
-    elsewhere: Mask
-    residual: Array
-    nudged_residual: Array
-    stable: Flags
-    growth: Array
-
-
-class Predictions(NamedTuple):
-    """What theory predicts of starts, see `predict`, in columns."""
-
-    label: Flags
-    inertial: Flags
-    answer: Flags
-    growth: Array
-
-
 def find_motions(
     system: System,
     base: Points,
@@ -78,7 +45,7 @@ def find_motions(
     rate_tolerance: Array | float,
     angle_tolerance: float,
     in_machine_code: bool = False,
-) -> tuple[TwoAxes, FoundStarts]:
+) -> tuple[TwoAxes, Found]:
     """The steady motion that each start is, or would be, and what the equations say of it, of a system of a `polynomial_degree`.
 
     Before a nudge and, unless points is None, after it. Inside a cone of angle_tolerance about the vertical, rad, only the tilt
@@ -89,7 +56,7 @@ def find_motions(
     settings = duration * one, rate_tolerance * one, angle_tolerance, points is not None
     axes = np.empty((8, one.size))
     flags, numbers = np.empty((4, one.size), bool), np.empty((3, one.size))
-    found = FoundStarts(np.empty(one.size, np.int8), *flags, *numbers)
+    found = Found(np.empty(one.size, np.int8), *flags, *numbers)
     find_all = of_system(find_starts, system, in_machine_code)
     find_all(before, after, *settings, lacks_theory(system, base), axes, found)
     return TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), found
@@ -138,19 +105,19 @@ def find_residuals(starts, residual):
 
 def predict_labels(
     system: System,
-    found: FoundStarts,
-    known: KnownStarts,
+    found: Found,
+    known: Known,
     exact: tuple[Flags, Flags],
     bound: Array,
     rate_tolerance: Array | float,
     angle_tolerance: float,
     nudged: bool,
     in_machine_code: bool = False,
-) -> Predictions:
+) -> Predicted:
     """What theory predicts of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
     one = np.ones_like(found.residual)
     label, inertial, answer = np.empty((3, one.size), np.int8)
-    result = Predictions(label, inertial, answer, np.empty(one.size))
+    result = Predicted(label, inertial, answer, np.empty(one.size))
     by_equations = isinstance(polynomial_degree(system), int)
     settings = bound * one, rate_tolerance * one, angle_tolerance, nudged, by_equations
     of_system(predict_starts, system, in_machine_code)(found, known, *exact, *settings, result)
@@ -178,7 +145,7 @@ def found_at(found, i):
 
 def predict_circles(
     system: System,
-    found: FoundStarts,
+    found: Found,
     own: Flags,
     exact: Flags,
     answer: Flags,

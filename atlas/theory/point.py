@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-Vector = tuple[float, float, float]  # in body axes
+Vector: TypeAlias = tuple[float, float, float]  # in body axes
+Value: TypeAlias = Any  # a number of one start, or a column of many, (points,)
 
 THIRD = (0.0, 0.0, 1.0)  # the third axis
 
@@ -48,25 +49,34 @@ class Start(NamedTuple):
 class Found(NamedTuple):
     """What the equations say of a start, before a nudge where nothing else is said."""
 
-    answer: int  # value of Existence
-    elsewhere: bool  # whether it is a steady motion about other axes than the third and the vertical
-    may_be_member: bool  # whether it may be on a family
-    kept: bool  # whether the nudged start is a steady motion as exactly as rounding allows
-    pushed: bool  # whether a nudge moved the start off the motions about the third axis and the vertical
-    residual: float  # of the conditions of a steady motion, after a nudge
-    change: float  # by a nudge, of the rates of a steady motion, in tolerances
-    away: float  # departure of the nudged start from a steady motion, in tolerances
+    answer: Value  # of Existence
+    elsewhere: Value  # whether it is a steady motion about other axes than the third and the vertical
+    may_be_member: Value  # whether it may be on a family
+    kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
+    pushed: Value  # whether a nudge moved the start off the motions about the third axis and the vertical
+    residual: Value  # of the conditions of a steady motion, after a nudge
+    change: Value  # by a nudge, of the rates of a steady motion, in tolerances
+    away: Value  # departure of the nudged start from a steady motion, in tolerances
 
 
 class Known(NamedTuple):
     """What the families say of a start."""
 
-    varies: bool  # whether its motion turns about the vertical at a varying rate
-    elsewhere: bool  # whether its motion is about other axes than the third and the vertical
-    residual: float  # of the conditions of its family before a nudge, inf on none
-    nudged_residual: float  # the same after a nudge
-    stable: int  # value of Stability
-    growth: float  # of a distance from the motion until the end of the run, as a logarithm; nan where it is unknown
+    varies: Value  # whether its motion turns about the vertical at a varying rate
+    elsewhere: Value  # whether its motion is about other axes than the third and the vertical
+    residual: Value  # of the conditions of its family before a nudge, inf on none
+    nudged_residual: Value  # the same after a nudge
+    stable: Value  # of Stability
+    growth: Value  # of a distance from the motion until the end of the run, as a logarithm; nan where it is unknown
+
+
+class Predicted(NamedTuple):
+    """What theory predicts of a start."""
+
+    label: Value  # of Label, in the system's frame
+    inertial: Value  # in inertial space
+    answer: Value  # of Existence
+    growth: Value  # of a distance, 0 where it is unknown or does not matter
 
 
 def dot(a, b):

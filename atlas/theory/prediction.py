@@ -22,7 +22,7 @@ import numpy as np
 from ..flags import Label, Stability
 from ..systems.base import FAMILY_TOLERANCE
 from .generated import derivatives, frame_motion, frame_motion_change
-from .point import Found, fmax, larger, length, minus, over, scaled, smaller
+from .point import Found, Predicted, fmax, larger, length, minus, over, scaled, smaller
 from .steady import FAR, Existence, departure, motion_about_third, start_on_axis, steady_motion
 
 # Relative rounding error of an initial state: an unstable motion amplifies it.
@@ -110,7 +110,7 @@ def changes(before, after, duration, rate_tolerance, angle_tolerance):
 def predict(
     found, known, exact, exact_inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations
 ):
-    """The labels of a start, its value of Existence, and the growth of a distance, 0 where it is unknown or does not matter.
+    """What theory predicts of a start.
 
     exact: the labels of the statistics of the exact motion; by_equations: whether the answer of `find` is that of the equations.
     """
@@ -129,7 +129,7 @@ def predict(
         answer = Existence.NEAR
         label = label if label == Label.DRIFTING else Label.NOT_COMPUTED
         inertial = inertial if inertial == Label.DRIFTING else Label.NOT_COMPUTED
-    return label, inertial, answer, growth
+    return Predicted(label, inertial, answer, growth)
 
 
 def label_of(found, known, answer, exact, nudged):

@@ -13,9 +13,13 @@ import time
 
 import numpy as np
 
+from atlas.extensions.certificate.proofs import PROOFS
+from atlas.label.plan import Plan
+from atlas.label.theory import predict_runs
+from atlas.scene.grid import Grid
+from atlas.scene.model import Settings
 from atlas.systems import get
 from atlas.systems.base import families_of
-from atlas.theory.motions import condition_residual
 
 SATELLITE = get("satellite")
 
@@ -51,9 +55,6 @@ def main() -> None:
     flags, _ = SATELLITE.identify_family(points)
     print(f"identify_family       {time.perf_counter() - began:7.2f} s for {count} points")
     began = time.perf_counter()
-    condition_residual(SATELLITE, points)
-    print(f"condition_residual    {time.perf_counter() - began:7.2f} s")
-    began = time.perf_counter()
     stable, _ = SATELLITE.linear_stability(points, flags)
     print(
         f"linear_stability      {time.perf_counter() - began:7.2f} s, {np.bincount(stable, minlength=3)} unknown, stable, unstable"
@@ -61,6 +62,19 @@ def main() -> None:
     print(f"together              {time.perf_counter() - total:7.2f} s")
     for name, family in families_of(SATELLITE).items():
         print(f"  {name}: {(flags == family.flag).sum()} points")
+
+    settings, one = Settings(rate_tolerance=1e-5), np.ones(count)
+    plan = Plan(SATELLITE, settings, in_machine_code=True)
+    tile = Grid(points, points, np.zeros(count, np.int8), 50.0 * one, 1e-5 * one)
+    tolerances = settings.at(tile.rate_tolerance).tolerances
+    predict_runs(plan, tile.subset(slice(0, 3)))  # compiles
+    PROOFS.proofs(SATELLITE, {k: v[:3] for k, v in points.items()}, tolerances.subset(slice(0, 3)), True)
+    began = time.perf_counter()
+    predict_runs(plan, tile)
+    print(f"predictions           {time.perf_counter() - began:7.2f} s")
+    began = time.perf_counter()
+    PROOFS.proofs(SATELLITE, points, tolerances, True)
+    print(f"proofs                {time.perf_counter() - began:7.2f} s")
 
     print_numeric_stability(min(count, 2000))
 

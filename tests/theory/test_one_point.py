@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-import steady_oracle
 from family_starts import STARTS
 from strategies import random_fixed_points, random_satellites, select, steady_motions
 
 from atlas import systems
 from atlas.theory.motions import find_motions
+from atlas.theory.steady import FAR
 
 MOVED = {"satellite": ("theta0", "m", "k3", "theta_dot0"), "fixed_point": ("theta0", "m", "l3", "theta_dot0")}
 
@@ -42,18 +42,23 @@ def test_machine_code_and_plain_python_agree_to_the_bit(name):
     assert len(set(steady_motions(system, points, 30.0, 1e-5, 1e-4).answer.tolist())) == 3
 
 
-@pytest.mark.parametrize("name", STARTS)
-@pytest.mark.parametrize("tolerances", [(1e-3, 1e-3), (1e-5, 1e-5), (1e-4, 1e-2)])
-def test_one_point_at_a_time_gives_the_answers_of_arrays(name, tolerances):
-    system, points = systems.get(name), starts(name, 78, 8)
-    own, other = (
-        each(system, points, 50.0, *tolerances) for each in (steady_motions, steady_oracle.steady_motions)
-    )
-    np.testing.assert_array_equal(own.answer, other.answer)
-    spins = own.axes.spin_rate != 0  # else the spin axis is any
-    for one, two in zip(own.axes, other.axes, strict=True):
-        each = (one, two) if one is not own.axes.spin_axis else (one[:, spins], two[:, spins])
-        np.testing.assert_allclose(*each, rtol=1e-10, atol=1e-10)
-    change = find_motions(system, points, points, 50.0, *tolerances)[1].away
-    expected = steady_oracle.departure(system, points, np.full(change.size, 50.0), tolerances)
-    np.testing.assert_allclose(change, expected, rtol=1e-12)
+@pytest.mark.parametrize("damping", [0.0, 4.0])
+def test_a_heavy_body_at_rest_departs_by_its_angular_acceleration(damping):
+    """|f| over the frequency bound, in tolerances; what damping leaves of it counts where that is within them."""
+    system, tilt = systems.get("fixed_point"), 0.4
+    points = {name: np.full(1, p.default) for name, p in system.parameters.items()}
+    points |= {
+        "Mg": np.ones(1),
+        "z0": np.full(1, 0.3),
+        "theta0": np.full(1, tilt),
+        "damping": np.full(1, damping),
+    }
+    acceleration = 0.3 * np.sin(tilt) / points["A"][0]
+    bound, duration = system.frequency_bound(points)[0], 80.0
+    for share in (3.0, 300.0):
+        tolerance = acceleration / bound / share
+        away = find_motions(system, points, points, duration, tolerance, 1e-3)[1].away[0]
+        root_mean_square = share / np.sqrt(bound * duration)
+        left = share * np.sqrt(1 / max(1.0, damping * duration * sum(1 / points[name][0] for name in "ABC")))
+        expected = max(root_mean_square, left) if root_mean_square <= FAR else root_mean_square
+        assert away == pytest.approx(expected, rel=1e-12)

@@ -24,12 +24,15 @@ FEW_POINTS = 100
 
 @cache
 def of_system(function: FunctionType, system: System, in_machine_code: bool) -> Callable[..., Any]:
-    """A function of the theory for a system; of one without a `polynomial_degree` it must not need the equations."""
-    degree = polynomial_degree(system)
+    """A function of the theory for a system, of a `polynomial_degree` if the function needs its equations."""
     with arithmetic.PARSING:
         objects, sources, values = reachable((function,), generated)
-        texts = {} if isinstance(degree, str) else _equations(system)
-    if isinstance(degree, int):
+        globals_of = [(each.__globals__, each.__code__.co_names) for each in objects.values()]
+        names = {name: namespace.get(name) for namespace, each in globals_of for name in each}
+        texts = {} if names.keys().isdisjoint(vars(generated)) else _equations(system)
+    if texts:
+        degree = polynomial_degree(system)
+        assert isinstance(degree, int)
         pairs = ((p, q) for p in range(1, 2 * degree + 1) for q in range(1, 2 * degree + 1))
         values |= {"DEGREE": degree, "PERIODS": tuple((p, q) for p, q in pairs if gcd(p, q) == 1)}
     if in_machine_code:
@@ -37,9 +40,6 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
 
         lines = {name: repr(value) for name, value in values.items()}
         lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
-        names = {
-            name: each.__globals__.get(name) for each in objects.values() for name in each.__code__.co_names
-        }
         tuples = {name: each for name, each in sorted(names.items()) if hasattr(each, "_fields")}
         # The cache knows a named tuple by its name alone.
         lines |= {f"{name}_FIELDS": repr(each._fields) for name, each in tuples.items()}

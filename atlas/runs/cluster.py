@@ -23,6 +23,9 @@ CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
 TASKS_PER_THREAD = 2  # submitted at a time, so that no thread waits for its next task
+# Memory that a worker of `connect` frees stays with it, in bytes: by the default of dask, 65536, each large temporary array is mapped
+# anew, page by page.
+ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
 MAX_ATTEMPTS = 3  # at a task that dask gives up, because several workers died during it
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"
 
@@ -45,17 +48,20 @@ def check(scheduler: str) -> None:
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of a scheduler, or of processes here with one thread each; BadInput for wrong TLS, OSError for a lost scheduler."""
+    import dask
     import distributed
     from distributed.comm.core import CommClosedError
     from distributed.utils import silence_logging_cmgr
     from distributed.versions import VersionMismatchWarning
 
+    environment = {f"distributed.nanny.pre-spawn-environ.{name}": size for name, size in ALLOCATOR.items()}
     try:
-        cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
-            host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
-            silence_logs=logging.CRITICAL,
-        )  # fmt: skip
+        with dask.config.set(environment):
+            cluster: Any = nullcontext(scheduler) if scheduler else distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, memory_limit=None,
+                host="127.0.0.1", dashboard_address="127.0.0.1:0", scheduler_kwargs={"dashboard": False},
+                silence_logs=logging.CRITICAL,
+            )  # fmt: skip
     except RuntimeError as error:  # a process ended during its start
         raise OSError(f"the dask workers did not start ({one_line(error)})") from None
     with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # dask logs the errors raised here

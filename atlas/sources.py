@@ -9,7 +9,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parent
 # All modules from the scene to the tile, which decide on its points, variables and numbers; not the readers of finished tiles.
 NUMERIC_SOURCES = (
-    "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "label/**/*.py",
+    "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "theory/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/memory.py", "runs/folder.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
     "runs/plan.py",
 )  # fmt: skip

@@ -19,6 +19,8 @@ from .systems.base import NATURAL_RATE, System, derived_variables
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
 # Dimension of points that come from no axes.
 POINT = "point"
+# From theory alone, also where a point is not integrated.
+PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}
 # Only in refined atlases, which are not integrated at every point.
 COMPUTED = Variable(
     "computed", "int8", "1", "where the labels come from",
@@ -32,6 +34,13 @@ COMPUTED = Variable(
 def instruments() -> tuple[Instrument, ...]:
     """Every instrument: of the core, then of extensions."""
     return (*INSTRUMENTS, *extension.every("instruments"))
+
+
+def is_measured(system: System, name: str) -> bool:
+    """Whether a variable has numbers at points that are integrated alone."""
+    proofs = (each.variables(system) for each in instruments() if each.proofs_of)
+    others = PREDICTED | derived_variables(system).keys() | {v.name for part in proofs for v in part}
+    return name not in others and data_variables(system)[name].dtype.startswith("float")
 
 
 def proofs_of_labels() -> dict[str, str]:

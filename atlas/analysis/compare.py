@@ -24,6 +24,7 @@ from .metadata import (
     numeric_coordinates,
     scene_problem,
     system_of,
+    with_measured_labels,
 )
 
 # Half the width of the band around the analytical boundary that counts as near it, as a fraction of the axis range: there growth
@@ -41,7 +42,8 @@ OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapun
 def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     """Confusion table of an atlas with theory, survivors near and far from boundaries, and `worst` points."""
     whole_number("worst", worst, 0)
-    whole, ds = ds, _variables_to_compare(ds)
+    whole = with_measured_labels(ds)
+    ds = _variables_to_compare(whole)
     axes = neighbour_axes(ds)
     ds = in_order(ds.transpose(..., *axes), dict.fromkeys(axes, 1))
     label, predicted = ds["label"].values, ds["predicted"].values

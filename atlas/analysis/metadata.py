@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike
 
 from .. import systems
 from ..errors import MAX_TEXT, BadInput, allowed_text, attribute_text, printable, shown
+from ..flags import Label
 from ..measure.instrument import Variable
 from ..scene import checks, grid
 from ..scene.model import Axis, Duration, Scene, Settings
 from ..scene.read import parse_scene
 from ..store.tiling import Tiling
 from ..systems.base import Array, Mask, System
-from ..variables import POINT, data_variables
+from ..variables import POINT, data_variables, proofs_of_labels
 
 MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
 TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
@@ -72,6 +73,23 @@ def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
     if needed and not text and {"atlas_scene", "atlas_result"} <= ds.attrs.keys():
         raise BadInput("the scene of this atlas is lost: another program emptied its attribute atlas_scene")
     return parse_scene(text, of_atlas=True) if text else None
+
+
+def without_run(ds: xr.Dataset) -> xr.DataArray | None:
+    """Where labels are those of proofs, because the scene integrates no such point; None of other scenes."""
+    proofs = [ds[proof] != 0 for label, proof in proofs_of_labels().items() if {label, proof} <= {*ds}]
+    scene = scene_of(ds) if proofs else None
+    if scene is None or not scene.settings.prove:
+        return None
+    return proofs[0] if len(proofs) == 1 else proofs[0] & proofs[1]
+
+
+def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
+    """The atlas with labels of runs alone: those of proofs are not_computed."""
+    if (proved := without_run(ds)) is None:
+        return ds
+    labels = [label for label in proofs_of_labels() if label in ds]
+    return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
 # Coordinates count as equal within this relative difference, or within so many spacings of their type of float.

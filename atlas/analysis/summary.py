@@ -13,7 +13,7 @@ from ..runs.plan import ScenePlan
 from ..scene import grid
 from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE, Tally
 from ..systems.base import families_of, on_family
-from .metadata import chunks, flag_names, number_attribute, scene_of, system_of
+from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
 MAX_NEAREST = 10_000  # drifting points that are compared with families
 # What an error estimate above 1 means, by the largest values of `Tally`.
@@ -51,6 +51,10 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         lines.append(
             f"in doubt: {counts_text('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}"
         )
+    if (proved := without_run(ds)) is not None:
+        lines.append(
+            f"proved, not integrated: {int(proved.sum())} points, whose labels are those of the proof"
+        )
     scene = scene_of(ds)
     plan = None if scene is None else ScenePlan.of(scene)
     if plan is not None:
@@ -64,7 +68,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
     seconds, speed = (number_attribute(ds, f"atlas_{name}") for name in ("seconds", "points_per_second"))
     lines.append(f"{seconds:.1f} s, {speed:.4g} points/s")
     if plan is not None and not plan.has_chaos:
-        lines += plan.method_lines()
+        lines += [*plan.method_lines(), *plan.proof_lines()]
     return "\n".join(lines)
 
 

@@ -184,6 +184,7 @@ def check_scene(options: argparse.Namespace) -> None:
         *grid.settings_lines(scene, plan.sample),
         *plan.method_lines(),
         *plan.statistics_lines(),
+        *plan.proof_lines(),
     )
     reason = polynomial_degree(scene.system)
     if isinstance(reason, str) and not scene.system.observables:

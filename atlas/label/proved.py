@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from ..flags import Status
 from ..scene.grid import Grid
 from ..systems.base import Mask, derived_values
-from ..variables import proofs_of_labels
+from ..variables import PREDICTED, proofs_of_labels
 from .plan import Plan
 from .theory import predict_runs
-
-# Variables from theory alone, which proved points need only where they are wanted.
-PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}
 
 
 def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
@@ -31,7 +28,7 @@ def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]
 def by_proof(
     plan: Plan, tile: Grid, progress: Callable[[float], None]
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """Where labels are proved, and there the status and the variables from theory; progress: gets the number of these points."""
+    """Where labels are proved, and there labels, status and what follows from theory; progress: gets the number of these points."""
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}
@@ -44,5 +41,9 @@ def by_proof(
         **predicted,
         **derived_values(plan.system, plan.names, tile.base, tile.duration, lambda: progress(0.0)),
         **{name: values[proved] for name, values in columns.items()},
+        **{
+            label: columns[label.replace("label", "predicted")][proved]
+            for label in proofs_of_labels().keys() & set(plan.names)
+        },
         "status": np.full(tile.duration.shape, Status.OK, np.int8),
     }

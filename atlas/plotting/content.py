@@ -17,7 +17,7 @@ from matplotlib.transforms import Bbox
 from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.degrees import in_degrees, lines_in_degrees
-from ..analysis.metadata import axes_of, flag_names, is_averaged
+from ..analysis.metadata import axes_of, flag_names, is_averaged, without_run
 from ..analysis.plane import Plane, family_curves
 from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
@@ -189,9 +189,8 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     not_computed = missing & (ds["label"].values == Label.NOT_COMPUTED if "label" in ds else bool(flags))
     reasons[missing] = NO_VALUE
     reasons[not_computed] = NO_MOTION
-    proofs = [ds[proof].values != 0 for proof in proofs_of_labels().values() if proof in ds]
-    if proofs and "label" in ds:
-        reasons[not_computed & np.any(proofs, axis=0)] = BY_PROOF
+    if (proved := without_run(ds)) is not None:
+        reasons[missing & proved.transpose(*array.dims).values] = BY_PROOF
     if "status" in ds:
         names = flag_names(ds["status"])
         impossible = names.index("impossible_body") if "impossible_body" in names else -1

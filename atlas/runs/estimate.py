@@ -133,6 +133,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         f" processor), of which theory {clock(expected.theory_seconds)}",
         *plan.method_lines(),
         *statistics,
+        *plan.proof_lines(),
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",

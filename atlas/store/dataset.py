@@ -20,7 +20,7 @@ from ..measure.observables import std_tolerances
 from ..scene import grid
 from ..scene.model import About, Duration, Scene, Settings
 from ..systems.base import System, extensions_of
-from ..variables import COMPUTED, data_variables
+from ..variables import COMPUTED, data_variables, is_measured
 
 HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
 HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
@@ -46,6 +46,9 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
     for name in (*scene.outputs, *({COMPUTED.name} & columns.keys())):
         values = columns[name].reshape(scene.shape)
         variables[name] = dimensions, values, variable_attributes(system, name, scene.outputs)
+        if scene.settings.prove and is_measured(system, name):
+            comments = variables[name][2].get("comment"), "nan where a proof gives the label"
+            variables[name][2]["comment"] = "; ".join(filter(None, comments))
     for name, axis in zip(dimensions, scene.axes.values(), strict=True):
         attributes = parameter_attributes(scene.system, axis.name, axis.offset_from_family)
         attributes |= {k: v for k in ("long_name", "units", "display_units") if (v := getattr(axis, k))}

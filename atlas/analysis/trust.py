@@ -11,6 +11,7 @@ import xarray as xr
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
 from ..label.half_step import upper_bound
 from ..systems.base import Array
+from ..variables import proofs_of_labels
 from .metadata import (
     check_not_empty,
     chunks,
@@ -20,6 +21,7 @@ from .metadata import (
     neighbour_axes,
     scene_of,
     system_of,
+    without_run,
 )
 
 # Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
@@ -120,6 +122,8 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
     with np.errstate(invalid="ignore"):
         shares = counts / counts.sum(variable)  # nan where there are no points
     attributes = {"long_name": f"share of the points by {variable}", "units": "1"}
+    if variable in proofs_of_labels() and (proved := without_run(ds)) is not None:
+        attributes["comment"] = f"{int(proved.sum())} of the points have the label of a proof and no run"
     return shares.rename("fraction").assign_attrs(attributes)
 
 

@@ -94,10 +94,10 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     inertial = exact.get("predicted_inertial", own)
     settings = system.frequency_bound(points), tolerances.rate, tolerances.angle, nudged, compiled
     predicted = predict_labels(system, found, known, (own, inertial), *settings)
-    counts = elsewhere & (CIRCLES[0] in plan.instruments)
-    log_growths = np.minimum(np.where(elsewhere & ~counts, 0.0, predicted.growth), MAX_LOG_GROWTH)
-    start_residual = np.where(varies | counts, nudged_residual, found.residual)
-    pushed = np.where(counts, nudged & (nudged_residual > ROUNDING_RESIDUAL), found.pushed)
+    about_other_axes = elsewhere & (CIRCLES[0] in plan.instruments)
+    log_growths = np.minimum(np.where(elsewhere & ~about_other_axes, 0.0, predicted.growth), MAX_LOG_GROWTH)
+    start_residual = np.where(varies | about_other_axes, nudged_residual, found.residual)
+    pushed = np.where(about_other_axes, nudged & (nudged_residual > ROUNDING_RESIDUAL), found.pushed)
     may_settle = (tile.transient > 0) & ~((predicted.answer == Existence.EXACT) & ~pushed)
     labels = dict(zip(frames, (predicted.label, predicted.inertial), strict=False))
     forget_drifting(system, labels, may_settle, system.constants(points), system.initial_state(points))
@@ -108,7 +108,7 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         **labels,
     }
     return Prediction(
-        variables, motion, found, predicted.answer, family_residual, start_residual, counts, pushed, log_growths, may_settle
+        variables, motion, found, predicted.answer, family_residual, start_residual, about_other_axes, pushed, log_growths, may_settle
     )  # fmt: skip
 
 

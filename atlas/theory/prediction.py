@@ -76,7 +76,7 @@ def residual_of(body):
     The larger of |u' - n m gamma x e3| over the squared unit of rates, u the angular velocity in the frame, and what of u across
     e3 is not n gamma, over the unit. Beside the vertical, if less, that of a rotation about e3.
     """
-    sine_of_start, n, m = body.rates
+    _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
     slope, slopes = derivatives(body.w, body.vectors, body.constants)
     bend = frame_motion_change(body.w, body.vectors, body.constants, slope, slopes)

@@ -183,7 +183,11 @@ def test_the_summary_and_fractions_count_proved_labels(whole, proved):
     line = f"proved, not integrated: {left_out} points, whose labels are those of the proof"
     assert line in summary(proved).splitlines()
     assert "proved, not integrated" not in summary(whole)
-    xr.testing.assert_allclose(proved.atlas.fractions(), whole.atlas.fractions())
+    fractions, of_runs = proved.atlas.fractions(), whole.atlas.fractions()
+    xr.testing.assert_allclose(fractions, of_runs)
+    assert fractions.attrs == of_runs.attrs | {
+        "comment": f"{left_out} of the points have the label of a proof and no run"
+    }
 
 
 @pytest.mark.parametrize("name", ["satellite", "fixed_point"])

@@ -165,6 +165,18 @@ class Ensemble:
             arrays.state[len(self.state) :] = 0.0  # losses, which no sample takes over
         return states
 
+    def nodes(self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, count: int) -> tuple[Array, Array]:  # fmt: skip
+        """States and their derivatives at the start and each time that so many steps have ended, (states, count, points).
+
+        kernel: `specialization.node_kernel`.
+        """
+        states, derivatives = np.empty((2, len(self.state), count, self.size))
+        if self.size:
+            schedule = blocks.pack_blocks(steps, steps)
+            arrays = step_size, self.state, self.constants, self.scales, states, derivatives
+            kernel.integrate(schedule, arrays, 0, len(schedule.steps))
+        return states, derivatives
+
     def _integrate_in_segments(
         self,
         kernel: ModuleType,

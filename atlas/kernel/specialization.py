@@ -10,7 +10,7 @@ from typing import Any
 
 from ..systems import arithmetic
 from ..systems.base import System
-from . import assemble, integrate, observe, quadratures, tangent
+from . import assemble, integrate, nodes, observe, quadratures, tangent
 from .ensemble import Plug
 
 
@@ -58,6 +58,12 @@ def kernel(
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module that integrates a system with a tangent vector."""
     return _jit().load(source(system, tangent.METHOD.name, specialization, of=tangent))
+
+
+@cache
+def node_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
+    """The compiled module of the states of a system along its motions, without statistics."""
+    return _jit().load(source(system, method, specialization, of=nodes))
 
 
 @cache

@@ -1,14 +1,15 @@
 """Crossings of a surface by motions that run side by side.
 
-The kernel gives states at nodes, between which the function of the surface is nearly the cubic with its values and slopes there.
-Where a cubic has several zeros, or nearly touches 0, its extremum becomes a node as well. Each zero is improved by Newton's method,
-with runs of the kernel from the node before, so that it has the accuracy of the integration.
+The kernel gives nodes, between which the function of the surface is nearly the cubic with its values and slopes there. Where a cubic
+has several zeros, or nearly touches 0, its extremum becomes a node as well. Each zero is improved by Newton's method, with runs of
+the kernel from the node before, so that it has the accuracy of the integration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -22,12 +23,13 @@ from .surface import Surface, quantities
 
 Counts = NDArray[np.int64]
 NODE_RADIANS = 0.8  # largest distance of two nodes, in rad of the frequency bound
-NODES, LONGEST = 2**15, 512  # of all motions in memory together, and of one
+NODES, LONGEST = 2**15, 2048  # of all motions in memory together, and of one
 # A cubic nearly touches 0 where a middle extremum is below this share of its ends, and less near the ends, where it is as exact as
 # they are. Of a motion twice as fast as the bound its error is a third of it.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
-CONVERGED = 1e-7  # largest last step of Newton's method, in distances of nodes: its square is rounding
+# Largest last step of Newton's method but one, in distances of nodes, or over the distance from the ends of the piece.
+LAST_STEP, LAST_SHARE = 1e-7, 1e-4
 # A motion on which the function stays below this share of what its states could make of it stays on the surface.
 STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
@@ -51,27 +53,27 @@ def crossings(
     while active.size:
         length = int(min(np.clip(NODES // active.size, 16, LONGEST), (nodes - done)[active].max()))
         part, unit = replace(ensemble, state=state).subset(active), spacing[active]
-        step_sizes = np.broadcast_to(unit / steps[active], (length, active.size))
-        threads = 0 if done.any() else None  # the first call may compile the kernel
-        after = part.states_at_samples(kernel, steps[active], step_sizes, threads=threads)
-        states = np.concatenate([part.state[:, None], after], axis=1)
-        state[:, active] = after[:, -1]
+        states, slopes = part.nodes(kernel, steps[active], unit / steps[active], length + 1)
+        state[:, active] = states[:, -1]
         in_run = done[active] + np.arange(length)[:, None] < nodes[active]
-        finite[active] = (np.isfinite(after).all(0) | ~in_run).all(0)
-        value, slope, _ = surface.with_slope(states, part.constants[:, None])
-        f0, s0, f1, s1 = ends = np.array([value[:-1], slope[:-1] * unit, value[1:], slope[1:] * unit])
-        near = in_run & ((f0 * f1 <= 0) | ((f0 * s0 <= 0) & (f1 * s1 >= 0)))
-        point, node = np.nonzero(near.T)
-        at_nodes = replace(part.subset(point), state=states[:, node, point])
-        intervals = _Intervals(surface, kernel, at_nodes, steps[active][point], unit[point])
-        place, share, side, state_there = intervals.zeros(*ends[:, node, point])
-        point, constants = point[place], at_nodes.constants[:, place]
-        passed = done[active[point]] + node[place] + share
-        stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * surface.size(state_there, constants)
+        finite[active] = (np.isfinite(states[:, 1:]).all(0) | ~in_run).all(0)
+        value, slope = surface.with_slope(states, slopes * unit, part.constants[:, None])
+        f0, s0, f1, s1 = ends = np.array([value[:-1], slope[:-1], value[1:], slope[1:]])
+        point, node = np.nonzero((in_run & ((f0 * f1 <= 0) | ((f0 * s0 <= 0) & (f1 * s1 >= 0)))).T)
+        motions = replace(part.subset(point), state=states[:, node, point])
+        at = partial(_at, surface, kernel, motions, steps[active[point]], unit[point])
+        place, share = _zeros(at, ends[:, node, point], surface.direction)
+        state_there, slopes, left, slope = at(place, share)
+        step, constants, point = -left / slope, motions.constants[:, place], point[place]
+        state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
+        changes = (
+            state_there * np.cos(np.arange(len(state)))[:, None]
+        )  # not all alike: unit vectors would not feel it
+        largest = np.abs(surface.with_slope(state_there, changes, constants)[1])
+        stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * largest
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
-        counted &= (surface.direction == 0) | (side == -surface.direction)
         values = quantities(surface.system, names, state_there, constants)
-        quantity = [np.broadcast_to(each.value(values), point.shape) for each in kept]
+        quantity = [np.broadcast_to(np.real(each.value(values)), point.shape) for each in kept]
         rows, point = np.array([*quantity, passed * unit[point]])[:, counted], point[counted]
         number = have[active[point]] + np.arange(point.size) - np.searchsorted(point, point)
         fits = number < count
@@ -82,53 +84,49 @@ def crossings(
     return table, np.minimum(have, count), finite
 
 
-@dataclass(frozen=True)
-class _Intervals:
-    """Intervals between two nodes of motions, each an ensemble of its own."""
+def _at(
+    surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """State and its derivative by the share, the function and its slope, at shares of the distances from nodes to the next ones."""
+    part, steps, unit = motions.subset(place), steps[place], spacing[place]
+    states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
+    state, slopes = states[:, 1], slopes[:, 1] * unit
+    return state, slopes, *surface.with_slope(state, slopes, part.constants)
 
-    surface: Surface
-    kernel: ModuleType
-    ensemble: Ensemble  # states at the first nodes
-    steps: Counts
-    spacing: Array
 
-    def at(self, place: Counts, share: Array) -> tuple[Array, Array, Array, Array]:
-        """State at shares of intervals, its slope by the share, and the function with its slope."""
-        part, steps, unit = self.ensemble.subset(place), self.steps[place], self.spacing[place]
-        state = part.final_states(self.kernel, steps, np.maximum(share, 1e-15) * unit / steps, threads=0)
-        value, slope, slopes = self.surface.with_slope(state, part.constants)
-        return state, slopes * unit, value, slope * unit
+def _zeros(
+    at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
+) -> tuple[Counts, Array]:
+    """Interval and share of each zero in a direction, in order; ends: values and slopes at both ends of the intervals.
 
-    def zeros(self, f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Counts, Array, Array, Array]:
-        """Interval, share, sign before, and state of each zero, from values and slopes at the ends of the intervals.
-
-        Pieces of intervals are cut where their cubics touch 0, or else cross it, until Newton's method has found the zero.
-        """
-        size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((3 + len(self.ensemble.state), 0))]
-        pieces = np.array([np.arange(f0.size), 0 * f0, f0, s0, 0 * f0 + 1, f1, s1])
-        for attempt in range(ATTEMPTS):
-            _, low, f0, s0, high, f1, s1 = pieces
-            side = np.sign(f0)
-            extremum, touches, zero = _extremum_and_zero(f0, s0 * (high - low), f1, s1 * (high - low))
-            touches &= attempt < SPLITS
-            crosses = ~touches & (side * np.sign(f1) <= 0) & (side != 0)
-            share = low + np.where(touches, extremum, 0.5 if attempt % 4 == 3 else zero) * (high - low)
-            next_ones = touches | crosses
-            pieces, share, side, crosses = (each[..., next_ones] for each in (pieces, share, side, crosses))
-            if not share.size:
-                break
-            place = pieces[0].astype(np.int64)
-            state, slopes, value, slope = self.at(place, share)
-            change = -value / slope
-            ends = crosses & (np.abs(change) <= CONVERGED)
-            is_zero = ends & (np.abs(value) <= size[place])  # and no pole
-            zeros.append(np.array([place, share + change, side, *(state + slopes * change)])[:, is_zero])
-            halves = np.array([pieces, pieces])
-            halves[0, 4:] = halves[1, 1:4] = share, value, slope
-            pieces = np.concatenate([*halves[:, :, ~ends]], axis=1)
-        every = np.concatenate(zeros, axis=1)
-        every = every[:, np.lexsort(every[1::-1])]
-        return every[0].astype(np.int64), every[1], every[2], every[3:]
+    Pieces of intervals are cut where their cubics touch 0, or else cross it, until Newton's method has found the zero.
+    """
+    f0, s0, f1, s1 = ends
+    size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((2, 0))]
+    pieces = np.array([np.arange(f0.size), 0 * f0, f0, s0, 0 * f0 + 1, f1, s1])
+    for attempt in range(ATTEMPTS):
+        _, low, f0, s0, high, f1, s1 = pieces
+        extremum, touches, zero = _extremum_and_zero(f0, s0 * (high - low), f1, s1 * (high - low))
+        touches &= attempt < SPLITS
+        crosses = ~touches & (f0 * f1 <= 0) & (f0 != 0) & (np.sign(f0) != direction)
+        share = low + np.where(touches, extremum, 0.5 if attempt % 6 == 5 else zero) * (high - low)
+        next_ones = touches | crosses
+        pieces, share, crosses = pieces[:, next_ones], share[next_ones], crosses[next_ones]
+        if not share.size:
+            break
+        place = pieces[0].astype(np.int64)
+        *_, value, slope = at(place, share)
+        change = -value / slope
+        margin = np.minimum(share - pieces[1], pieces[4] - share)
+        found = crosses & (np.abs(change) <= np.maximum(LAST_STEP, LAST_SHARE * margin))
+        is_zero = found & (np.abs(value) <= size[place])  # and no pole
+        zeros.append(np.array([place, share + change])[:, is_zero])
+        halves = np.array([pieces, pieces])
+        halves[0, 4:] = halves[1, 1:4] = share, value, slope
+        pieces = np.concatenate([*halves[:, :, ~found]], axis=1)
+    every = np.concatenate(zeros, axis=1)
+    place, share = every[:, np.lexsort(every[::-1])]
+    return place.astype(np.int64), share
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
@@ -142,8 +140,8 @@ def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Arra
     depth = np.where(x < 1, depth, np.inf)
     signs = np.sign([f0, *height, f1])
     decides = (depth.min(0) < TOUCHING) | ((signs[1:] != signs[:-1]).sum(0) > 1)
-    zero = np.zeros_like(f0)
-    for digit in 0.5 ** np.arange(1, 25):
-        at = zero + digit
-        zero = np.where(f0 * (f0 + at * (s0 + at * (b + at * a))) > 0, at, zero)
+    # The cubic by f with the same ends and slopes.
+    t, rise = f0 / (f0 - f1), f1 - f0
+    zero = t * t * (3 - 2 * t) + t * (1 - t) * ((1 - t) * rise / s0 - t * rise / s1)
+    zero = np.where((zero > 0) & (zero < 1), zero, 0.5)
     return np.take_along_axis(x, depth.argmin(0)[None], 0)[0], decides, zero

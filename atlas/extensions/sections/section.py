@@ -11,7 +11,7 @@ import xarray as xr
 from ... import systems
 from ...errors import BadInput, shown
 from ...flags import Status
-from ...kernel import numeric_bound
+from ...kernel import nodes, numeric_bound, specialization
 from ...kernel.ensemble import Ensemble
 from ...kernel.stepsize import ROUNDING, StepSizes
 from ...kernel.tableaux import METHODS
@@ -28,13 +28,16 @@ from ...scene.tables import Table, flat_columns, parameter_arrays, table
 from ...store import dataset
 from ...systems.base import NATURAL_RATE, System
 from .crossings import crossings
-from .surface import ANGLES, Surface
+from .surface import JUMPING, Surface
 
 DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
 DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # attributes
 MAX_VALUES = 10**8  # of each kept quantity
+# Of the difference of both runs the errors of the first one, at most: those of the steps are a sixth (rk4) or less, those of
+# rounding may be larger.
+SHARE = 0.2
 SPREAD = 1e-6  # relative difference of first integrals among points from which on a warning follows
 
 
@@ -96,16 +99,15 @@ def section(
     axis passes the vertical. Errors of chaotic motions grow exponentially: beyond 1e-3 single crossings mean nothing, their
     distribution does.
     """
-    description = systems.get(system)
+    description, every = systems.get(system), systems.get(system).parameters
     surface, settings = Surface(description, at), Settings(method=method, tolerance=tolerance)
     if keep is None:
         keep = OF_BODY if description.frame else [each.name for each in description.observables]
     keep = list(dict.fromkeys(texts("keep", keep)))
     kept = [surface.checked("keep", Expression("keep", text)) for text in keep]
     for text in keep:
-        if text in description.parameters or text in ("time", "error", "crossings", "status", *DIMS):
+        if text in every or text in ("time", "error", "crossings", "status", *DIMS):
             raise BadInput(f"keep: {shown(text)} is part of every section")
-    every = description.parameters
     length = parse_duration(DURATION if duration is None else duration, names=every)
     check_unit(description, length)
     before = parse_transient(description, transient, "transient", every)
@@ -134,32 +136,29 @@ def section(
     resolved = np.flatnonzero(sizes.resolved)
     part, ensemble, sizes = part.subset(resolved), ensemble.subset(resolved), sizes.subset(resolved)
     where, coarse = where[resolved], sizes.incommensurate(runner)
+    kernel = specialization.node_kernel(description, method, plan.specialization)
+    starts = (after_transient(plan, part.points, ensemble, each) for each in (sizes, coarse))
     (rows, number, finite), (others, other_number, _) = (
-        crossings(
-            surface, kept, plan.kernel, after_transient(plan, part.points, ensemble, each),
-            each, part.duration, count,
-        )
-        for each in (sizes, coarse)
-    )  # fmt: skip
+        crossings(surface, kept, kernel, start, each, part.duration, count)
+        for start, each in zip(starts, (sizes, coarse), strict=True)
+    )
     status[where] = np.select(
         [~finite, number != other_number], [Status.NOT_FINITE, Status.STEP_SENSITIVE], Status.OK
     )
     error = np.abs(rows - others)
     rows[-1] += sizes.transient[:, None]
     for i, text in enumerate(keep):
-        if description.frame and text in ANGLES[1:]:
+        if description.frame and text in JUMPING:
             error[i] = np.abs((error[i] + np.pi) % (2 * np.pi) - np.pi)
-    # The second run has the errors of the first times a power of the ratio of steps, as far as they are not of rounding.
-    rounding = ROUNDING * np.sqrt(sizes.whole_steps)
-    share = 1 / ((sizes.steps / coarse.steps) ** runner.order - 1)
-    share += rounding / np.maximum(coarse.dispersion_error, ROUNDING)
-    error = error * np.minimum(share, 1.0)[:, None] + np.spacing(np.abs(rows)) + rounding[:, None]
+    error = SHARE * error + np.spacing(np.abs(rows)) + (ROUNDING * np.sqrt(sizes.whole_steps))[:, None]
     values = np.full((len(keep) + 2, size, number.max(initial=0)), np.nan)
     values[:, where] = np.array([*rows, error.max(0)])[..., : values.shape[2]]
-    known, crossed = attributes_of(description), np.zeros(size, np.int32)
-    known["time"] = {"long_name": "time of the crossing", "units": "s"}
-    known["error"] = {"long_name": "largest error of what is kept and of the time", "units": "1"}
+    crossed = np.zeros(size, np.int32)
     crossed[where] = number
+    known = attributes_of(description) | {
+        "time": {"long_name": "time of the crossing", "units": "s"},
+        "error": {"long_name": "largest error of what is kept and of the time", "units": "1"},
+    }
     ds = xr.Dataset(
         {name: (DIMS, each, known.get(name, {"long_name": name})) for name, each in zip([*keep, "time", "error"], values, strict=True)}
         | {"crossings": ("point", crossed, {"long_name": "number of crossings", "units": "1"})}
@@ -173,8 +172,9 @@ def section(
         for name, value in spread.items() if value > SPREAD
     ]  # fmt: skip
     dataset.log_warnings(warnings)
+    text = specialization.source(description, method, plan.specialization, of=nodes)
     ds.attrs = dataset.provenance(
-        description, settings, plan.kernel_hash, title=f"section of the {system} at {at}", warnings=warnings, transient=before
+        description, settings, specialization.kernel_hash(text), title=f"section of the {system} at {at}", warnings=warnings, transient=before
     )  # fmt: skip
     ds.attrs |= {AT: at, LENGTH: str(length), "atlas_integral_spread": max(spread.values(), default=0.0)}
     return ds

@@ -9,61 +9,65 @@ from typing import Any
 import numpy as np
 
 from ...errors import BadInput, allowed_text, shown
+from ...label.trajectory import attributes_of
 from ...scene.expressions import Expression
 from ...systems.arithmetic import TIME_UNIT
 from ...systems.base import Array, Mask, System
 from ...systems.jacobian import STEP
 
 DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
-ANGLES = ("theta", "psi", "phi")  # the last two jump by a turn
-RATES = ("theta_dot", "psi_dot", "phi_dot")
-FRAME = ("psi", "axis_x", "axis_y")  # those that need a vector at rest in the frame
-BODY = {*ANGLES, *RATES, *FRAME, "normal_rate", "axis_z"}
-
-
-def names_of(system: System) -> list[str]:
-    """Names of the quantities that follow from a state and the constants."""
-    equations, body = system.equations, BODY if system.frame else set()
-    names = [*equations.STATE, *(name for name in equations.CONSTANTS if name != TIME_UNIT)]
-    body = body if hasattr(equations, "axis_in_frame") else body - {*FRAME}
-    return list(dict.fromkeys([*names, *(each.name for each in system.observables), *body]))
+JUMPING = {"psi", "phi"}  # angles that jump by a turn
+OF_FRAME = {"psi", "axis_x", "axis_y"}  # those that need a vector at rest in the frame
+STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # not smooth on the vertical
+TINY = 1e-300  # rates on the vertical are finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """These quantities, and the states and constants, at states, which may be complex."""
-    values = dict(zip(system.equations.CONSTANTS, constants, strict=True))
-    values |= zip(system.equations.STATE, state, strict=True)
-    for name in {*names} - values.keys():
-        if system.frame and name in BODY:
-            a, b = _parts(system, name, state, constants)
-            if name not in ANGLES:
-                values[name] = a / b
-            else:  # only theta is asked for at complex states
-                values[name] = np.arccos(b) if np.iscomplexobj(b) else np.arctan2(a, b)
-        else:
-            values[name] = getattr(system.equations, name)(state, constants)
-    return values
+    """These quantities, and the states and constants, at states; complex ones are exact to first order."""
+    equations = system.equations
+    values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
+    missing = {*names} - values.keys()
+    if not system.frame:
+        return values | {name: getattr(equations, name)(state, constants) for name in missing}
+    u1, u2, u3, g1, g2, g3 = equations.frame_motion(state, constants)
+    sine2 = g1 * g1 + g2 * g2 + TINY
+    of_body = {
+        "theta": lambda: _angle(np.sqrt(sine2), g3),
+        "psi": lambda: _angle(*_sine_and_cosine(system, "psi", state, constants)),
+        "phi": lambda: _angle(g1, g2),
+        "theta_dot": lambda: (u1 * g2 - u2 * g1) / np.sqrt(sine2),
+        "psi_dot": lambda: (u1 * g1 + u2 * g2) / sine2,
+        "phi_dot": lambda: u3 - (u1 * g1 + u2 * g2) / sine2 * g3,
+        "normal_rate": lambda: u1 * g1 + u2 * g2 + u3 * g3,
+        "axis_x": lambda: equations.axis_in_frame(state, constants)[0],
+        "axis_y": lambda: equations.axis_in_frame(state, constants)[1],
+        "axis_z": lambda: g3,
+    }
+    return values | {name: of_body[name]() for name in missing}
 
 
-def _parts(system: System, name: str, state: Any, constants: Array) -> tuple[Any, Any]:
-    """Numerator and denominator of a quantity of a body, of an angle sine and cosine times a factor."""
-    if name in FRAME:
-        x, y = system.equations.axis_in_frame(state, constants)
-        return {"psi": (x, -y), "axis_x": (x, 1.0), "axis_y": (y, 1.0)}[name]
-    u1, u2, u3, g1, g2, g3 = system.equations.frame_motion(state, constants)
-    sin2, along = g1 * g1 + g2 * g2, u1 * g1 + u2 * g2
-    return {
-        "theta": (np.sqrt(sin2), g3), "phi": (g1, g2), "theta_dot": (u1 * g2 - u2 * g1, np.sqrt(sin2)),
-        "psi_dot": (along, sin2), "phi_dot": (u3 * sin2 - along * g3, sin2), "normal_rate": (along + u3 * g3, 1.0),
-        "axis_z": (g3, 1.0),
-    }[name]  # fmt: skip
+def _angle(sine: Any, cosine: Any) -> Any:
+    """The angle whose sine and cosine times a factor these are."""
+    y, x = np.real(sine), np.real(cosine)
+    return np.arctan2(y, x) + 1j * (np.imag(sine) * x - np.imag(cosine) * y) / (x * x + y * y)
+
+
+def _sine_and_cosine(system: System, angle: str, state: Any, constants: Array) -> tuple[Any, Any]:
+    """Sine and cosine of psi or phi times the sine of theta, which are smooth on the vertical."""
+    if angle == "phi":
+        return system.equations.frame_motion(state, constants)[3:5]
+    x, y = system.equations.axis_in_frame(state, constants)
+    return x, -y
 
 
 class Surface:
     """A surface from a text such as "psi_dot = 0 rising"; BadInput for any other text."""
 
     def __init__(self, system: System, at: str):
-        self.system, self.known, key = system, names_of(system), f"at = {shown(at)}"
+        equations, key = system.equations, f"at = {shown(at)}"
+        absent = OF_FRAME if system.frame and not hasattr(equations, "axis_in_frame") else set()
+        moving = attributes_of(system).keys() - absent - {"integral_drift"}
+        self.system, self.known = system, moving | {*equations.CONSTANTS} - {TIME_UNIT}
         equation, _, word = at.strip().rpartition(" ")
         if word not in DIRECTIONS:
             equation, word = at, "rising"
@@ -73,59 +77,56 @@ class Surface:
         except BadInput:
             raise BadInput(
                 f'{key}: allowed: two expressions with = between them, then "rising", "falling" or "either", such as'
-                f' "{self.known[0]} = 0 rising"'
+                f' "{equations.STATE[0]} = 0 rising"'
             ) from None
         self.names = {*self.checked(key, self.left).names, *self.checked(key, self.right).names}
         if re.search(r"\babs\(", at):
             raise BadInput(f"{key}: abs is not smooth; allowed: smooth functions")
-        variable = {*self.known} - {*system.equations.CONSTANTS}
-        if variable.isdisjoint(self.names):
-            raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(variable))}")
-        # The quantity alone on the left, whose equation is free of the division by sin(theta).
-        alone = system.frame and variable.isdisjoint(self.right.names)
-        self.cleared = self.left.text if alone and self.left.text in (*ANGLES, *RATES) else ""
-        if system.frame and (jumping := self.names & {*ANGLES[1:]} - {self.cleared}):
+        if moving.isdisjoint(self.names):
+            raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(moving))}")
+        # An angle alone on the left: an equation of its sine and cosine is smooth.
+        alone = system.frame and moving.isdisjoint(self.right.names)
+        self.angle = self.left.text if alone and self.left.text in {"theta", *JUMPING} else ""
+        if system.frame and (jumping := self.names & JUMPING - {self.angle}):
             raise BadInput(
                 f'{key}: psi and phi jump by a turn; allowed: one of them alone, as in "{min(jumping)} = 0", or sines and'
                 " cosines by axis_x, axis_y and states"
             )
+        # Near the vertical theta' changes its sign, psi' and phi' have a peak and theta a minimum: a power of the sine clears them.
+        steep = self.names & STEEP if system.frame else set()
+        self.power = 0 if not steep else 1 if steep == {"theta_dot"} else 2
 
     def checked(self, key: str, expression: Expression) -> Expression:
         """The expression; BadInput if it has other names than these quantities."""
-        for name in sorted(expression.names - {*self.known}):
+        for name in sorted(expression.names - self.known):
             raise BadInput(f"{key}: {shown(name)} is unknown; {allowed_text(name, sorted(self.known))}")
         return expression
 
     def value(self, state: Any, constants: Array) -> Any:
         """The function that vanishes on the surface and increases in the direction "rising"."""
-        values = quantities(self.system, self.names - {self.cleared}, state, constants)
+        values = quantities(self.system, self.names - {self.angle}, state, constants)
         c = self.right.value(values)
-        if not self.cleared:
-            return self.left.value(values) - c
-        a, b = _parts(self.system, self.cleared, state, constants)
-        if self.cleared == "theta":  # smooth on the vertical
-            return np.cos(c) * np.sqrt(a * a + b * b) - b
-        return a * np.cos(c) - b * np.sin(c) if self.cleared in ANGLES else a - c * b
+        if self.angle == "theta":
+            return np.cos(c) - self.system.equations.frame_motion(state, constants)[5]
+        if self.angle:
+            sine, cosine = _sine_and_cosine(self.system, self.angle, state, constants)
+            return sine * np.cos(c) - cosine * np.sin(c)
+        value = self.left.value(values) - c
+        if not self.power:
+            return value
+        g1, g2 = _sine_and_cosine(self.system, "phi", state, constants)
+        sine2 = g1 * g1 + g2 * g2 + TINY
+        return value * (sine2 if self.power == 2 else np.sqrt(sine2))
 
-    def with_slope(self, state: Array, constants: Array) -> tuple[Array, Array, Array]:
-        """The function and its derivative by time over the places of the states, and the derivatives of the states."""
+    def with_slope(self, state: Array, slopes: Array, constants: Array) -> tuple[Array, Array]:
+        """The function at states and its derivative where these are the derivatives of the states."""
         with np.errstate(all="ignore"):
-            slopes = np.array(
-                np.broadcast_arrays(*self.system.equations.rhs(state, constants), state[0])[:-1]
-            )
-            moved = self.value(state + 1j * STEP * slopes, constants)
-            both = self.value(state, constants), np.imag(moved) / STEP
-        value, slope = (np.broadcast_to(each, state.shape[1:]) for each in both)
-        return value, slope, slopes
-
-    def size(self, state: Array, constants: Array) -> Array:
-        """About the change of the function where all states change by their sizes."""
-        shares = np.cos(np.arange(len(state)))[:, None]  # not all alike, which unit vectors would not feel
-        return np.asarray(np.abs(np.imag(self.value(state * (1 + 1j * STEP * shares), constants))) / STEP)
+            value = np.broadcast_to(self.value(state + 1j * STEP * slopes, constants), state.shape[1:])
+        return value.real, value.imag / STEP
 
     def contains(self, state: Array, constants: Array) -> Mask | bool:
         """Whether a zero is on the surface: of a jumping angle, those half a turn away are not."""
-        if self.cleared not in ANGLES[1:]:
+        if self.angle not in JUMPING:
             return True
-        values = quantities(self.system, {*self.names, self.cleared}, state, constants)
-        return np.asarray(np.cos(values[self.cleared] - self.right.value(values)) > 0)
+        values = quantities(self.system, {self.angle}, state, constants)
+        return np.asarray(np.cos(values[self.angle].real - self.right.value(values)) > 0)

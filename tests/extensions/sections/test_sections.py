@@ -125,6 +125,42 @@ def test_crossings_of_runs_in_80_bits(point, at, count, expected):
         assert np.abs(ds[name].values[0, : len(values)] - values).max() < 1e-9
 
 
+def test_a_passage_of_the_vertical_in_mixed_expressions():
+    """Of a top near theta = pi psi' has a peak of half a node's length; times and angles from own runs in 80 bits."""
+    point = {
+        "A": 0.9934662190707427, "B": 1.1402120913899574, "C": 1.112672030474827, "theta0": 2.426040082093583,
+        "phi0": -1.8726587352927724, "n": 0.3289450810272502, "m": -0.2755221331364505, "theta_dot0": -0.0994744070991711,
+        "Mg": 1.0, "x0": -0.03443183502206097, "z0": -0.3027260046752174, "l3": -0.11886788350097076,
+    }  # fmt: skip
+    ds = atlas.section("fixed_point", point, at="theta + 0.3 * psi_dot = 1.2 either", duration=40.0)
+    times = [12.76239099606684, 12.901749789920519, 27.937414494348506, 28.0522941019892]
+    angles = [3.0908105357456845, 3.0905818030261583, 3.086476516518967, 3.0862615628816092]
+    assert ds["crossings"].item() == len(times)
+    assert ds["status"].item() == Status.OK
+    assert np.abs(ds["time"].values[0] - times).max() < 1e-9
+    assert np.abs(ds["theta"].values[0] - angles).max() < 1e-9
+
+
+# Passages at 2e-3 rad: rates there are exact to the state's errors times psi' / sin(theta); own runs in 80 bits.
+NEAR_VERTICAL = [
+    ({"A": 0.8347632080063832, "B": 0.8891981154643763, "C": 1.4213082834974573, "theta0": 1.4911071074785547,
+      "psi0": -1.5311472576198206, "phi0": -1.4235516434465456, "n": -0.07979781652170105, "m": -0.4511415552410302,
+      "theta_dot0": -0.049050829210480956, "k1": -0.07631817772148304, "k3": 0.1803221940585562}, "theta_dot = 0 falling", [24.629057292293012, 719.7578508809185]),
+    ({"A": 1.47356214411652, "B": 1.4134708558070654, "C": 1.5397455410302987,
+      "theta0": 0.5817583421222271, "psi0": -2.0095208139881606, "phi0": -1.63016180455272, "n": 0.540091839471506,
+      "m": 1.3517902962682193, "theta_dot0": 0.05317351422686189, "k1": -0.019221477473105455, "k3": 0.05712619649762886}, "phi = 0.5 rising", [3.2156122993072946, -231.5132449872]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("point", "at", "expected"), NEAR_VERTICAL)
+def test_errors_near_the_vertical_are_known(point, at, expected):
+    ds = atlas.section("satellite", point, at=at, keep=["psi_dot"], duration=40.0)
+    i = np.abs(ds["psi_dot"].values[0]).argmax()
+    errors = np.abs([ds["time"].values[0, i], ds["psi_dot"].values[0, i]] - np.array(expected))
+    assert errors[0] < 1e-9
+    assert errors[1] < ds["error"].values[0, i] < 1e-5
+
+
 def test_zeros_of_a_cosine():
     """Times and rates in closed form, of both directions."""
     ds = atlas.section(

@@ -51,12 +51,12 @@ def pack_blocks(steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64]) -
     key = np.stack([steps, steps_per_sample])
     order = np.lexsort((key[1], -key[0]))
     key = key[:, order]
-    new = np.r_[True, (key[:, 1:] != key[:, :-1]).any(0)][: steps.size]
+    new = np.append(True, (key[:, 1:] != key[:, :-1]).any(0))[: steps.size]
     starts = np.flatnonzero(new)
     points, rows = [np.empty((0, WIDTH), np.int64)], [np.empty((2, 0), np.int64)]
-    for first, last in zip(starts, np.r_[starts[1:], steps.size], strict=True):
+    for first, last in zip(starts, np.append(starts[1:], steps.size), strict=True):
         group = order[first:last]
-        points.append(np.r_[group, np.full(-group.size % WIDTH, group[-1])].reshape(-1, WIDTH))
+        points.append(np.append(group, np.full(-group.size % WIDTH, group[-1])).reshape(-1, WIDTH))
         rows.append(np.repeat(key[:, [first]], len(points[-1]), axis=1))
     return BlockSchedule(np.concatenate(points), *np.ascontiguousarray(np.concatenate(rows, axis=1)))
 

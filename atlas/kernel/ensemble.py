@@ -175,6 +175,7 @@ class Ensemble:
             schedule = blocks.pack_blocks(steps, steps)
             arrays = step_size, self.state, self.constants, self.scales, states, derivatives
             kernel.integrate(schedule, arrays, 0, len(schedule.steps))
+            derivatives /= step_size / kernel.STEP
         return states, derivatives
 
     def _integrate_in_segments(

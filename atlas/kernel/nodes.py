@@ -18,7 +18,7 @@ from .lanes import advance, load_points
 
 
 def integrate(schedule, arrays, first_block, last_block):
-    """Write the nodes of blocks; node 0 is the start, the others follow after equally many steps; see `Ensemble.nodes`."""
+    """Write the nodes of blocks, node 0 the start, the others after equally many steps; derivatives by the kernel's time."""
     full_vectors()
     points, steps, _ = schedule
     step_size, state0, constants0, scales, states, derivatives = arrays
@@ -34,6 +34,4 @@ def integrate(schedule, arrays, first_block, last_block):
                 unit = step_size[p] / STEP
                 store_state(states[:, node], p, unscaled(load_state(state, l), c, unit))
                 store_state(derivatives[:, node], p, unscaled(load_state(slopes, l), c, unit))
-                for row in range(STATES):
-                    derivatives[row, node, p] /= unit
             advance(state, slopes, constants, steps[block] if node + 1 < states.shape[1] else 0)

@@ -48,7 +48,7 @@ def crossings(
     steps = np.clip(NODE_RADIANS / radians, 1, sizes.steps).astype(np.int64)
     nodes = np.ceil(duration / (sizes.step_size * steps)).astype(np.int64)
     spacing = duration / nodes
-    names = {name for each in kept for name in each.names}
+    names, shares = {name for each in kept for name in each.names}, np.cos(np.arange(len(state)))[:, None]
     active = np.arange(ensemble.size)
     while active.size:
         length = int(min(np.clip(NODES // active.size, 16, LONGEST), (nodes - done)[active].max()))
@@ -66,11 +66,9 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        changes = (
-            state_there * np.cos(np.arange(len(state)))[:, None]
-        )  # not all alike: unit vectors would not feel it
-        largest = np.abs(surface.with_slope(state_there, changes, constants)[1])
-        stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * largest
+        # Changes of the states that are not all alike, which unit vectors would not feel.
+        _, largest = surface.with_slope(state_there, state_there * shares, constants)
+        stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
         values = quantities(surface.system, names, state_there, constants)
         quantity = [np.broadcast_to(np.real(each.value(values)), point.shape) for each in kept]

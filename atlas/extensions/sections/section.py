@@ -95,8 +95,8 @@ def section(
 
     Notes
     -----
-    A start on the surface is no crossing. theta_dot, psi_dot and phi_dot, alone on the left side, are smooth where the third
-    axis passes the vertical. Errors of chaotic motions grow exponentially: beyond 1e-3 single crossings mean nothing, their
+    A start on the surface is no crossing. A passage of the vertical by the third axis hides no crossing, unless `at` has products or
+    powers of psi_dot and phi_dot. Errors of chaotic motions grow exponentially: beyond 1e-3 single crossings mean nothing, their
     distribution does.
     """
     description, every = systems.get(system), systems.get(system).parameters

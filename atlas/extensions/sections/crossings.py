@@ -23,6 +23,8 @@ from .surface import Surface, quantities
 
 Counts = NDArray[np.int64]
 NODE_RADIANS = 0.8  # largest distance of two nodes, in rad of the frequency bound
+# Steps between two nodes: few numbers, so that motions share blocks of the kernel.
+STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # of all motions in memory together, and of one
 # A cubic nearly touches 0 where a middle extremum is below this share of its ends, and less near the ends, where it is as exact as
 # they are. Of a motion twice as fast as the bound its error is a third of it.
@@ -45,7 +47,8 @@ def crossings(
     have, done = np.zeros((2, ensemble.size), np.int64)
     state, finite = ensemble.state.copy(), np.ones(ensemble.size, bool)
     radians = np.maximum(ensemble.frequency_bound * sizes.step_size, 1e-300)
-    steps = np.clip(NODE_RADIANS / radians, 1, sizes.steps).astype(np.int64)
+    longest = np.clip(NODE_RADIANS / radians, 1, sizes.steps)
+    steps = STEPS[np.searchsorted(STEPS, longest, side="right") - 1]
     nodes = np.ceil(duration / (sizes.step_size * steps)).astype(np.int64)
     spacing = duration / nodes
     names, shares = {name for each in kept for name in each.names}, np.cos(np.arange(len(state)))[:, None]

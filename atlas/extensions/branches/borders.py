@@ -26,7 +26,7 @@ from ...systems.gyrostat.body import length
 from ..equilibria.algebra import attitudes, frames_of
 from ..equilibria.dataset import attributes
 from .branches import empty_dataset, scene_of
-from .continuation import Curve, Segments, lengths, with_zeros
+from .continuation import Curve, Segments, lengths, with_zeros, without_repeats
 from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
@@ -111,7 +111,7 @@ class Borders(NamedTuple):
             """Where a body is possible and, at limits of stability, all exponents are imaginary."""
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
-        lines = _possible(lines, shown) if lines else []
+        lines = without_repeats(_possible(lines, shown)) if lines else []
         kept = [line.sound() for line in lines]
         for line, own in zip(lines, kept, strict=True):
             gaps = np.flatnonzero(~own)
@@ -161,7 +161,7 @@ def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) ->
         middle = 0.5 * (low + high)
         same = possible(parts.at(middle)[0]) == first
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-    lines = parts.inserted(lines, *parts.at(np.where(first, low, high)))
+    lines = parts.inserted(lines, np.where(first, low, high))
     kept = [np.insert(each, parts.vertex[parts.curve == i] + 1, True) for i, each in enumerate(inside)]
     return [part for line, own in zip(lines, kept, strict=True) for part in line.runs(own)]
 
@@ -298,8 +298,6 @@ def _vertices(curves: Borders) -> dict[str, np.ndarray]:
     points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
     rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
     sizes = [len(line.tangents) for line in curves.lines]
-    residual, matrix = points.equations()
-    condition = np.linalg.cond(np.concatenate([matrix, rows[:, None]], 1), 1)
     columns = _attitudes(curves, points) | {
         "curve": np.repeat(np.arange(len(sizes), dtype=np.int16), sizes),
         "kind": points.kind,
@@ -308,7 +306,7 @@ def _vertices(curves: Borders) -> dict[str, np.ndarray]:
         "index_above": (curves.morse_index + ~points.limit).astype(np.int8),
         "count_change": curves.changes[0].astype(np.int8),
         "stable_change": curves.changes[1].astype(np.int8),
-        "residual": np.abs(residual).max(1), "condition": condition,
+        "residual": np.abs(points.equations()[0]).max(1), "condition": points.condition(rows),
     }  # fmt: skip
     slopes = curves.slopes(points.parts[4], rows[:, -3:-1])
     columns |= {f"tangent_{name}": slope for name, slope in zip(curves.plane.extent, slopes.T, strict=True)}

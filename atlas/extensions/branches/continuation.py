@@ -20,6 +20,7 @@ _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps
 # Length of a step across a point at which another curve crosses; limits of stability are more singular there.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
+_SINGULAR = 1e8  # condition number above which the tangent is uncertain: another curve crosses
 _NONE = 1e-10  # share of the largest value that counts as 0
 _ILLINOIS, _NO_SHARE = 14, 1e-15  # iterations, the secant method with brackets, and its last change
 _ITERATIONS = 10  # of least squares, where the equations are singular
@@ -32,6 +33,9 @@ _ASTRAY = 0.1  # distance of a point from the cubic between two vertices, over t
 # Product of unit null vectors along one curve; where moments are nearly equal another one is beside it.
 _SAME_VECTOR = 0.3
 _BACK = 1e-6  # product of rates of the parameters with opposite signs, over their squares
+# Of limits of stability, of the ranges and of the length of one: where their equations are nearly singular several vertices, and
+# curves, are at the same end.
+_SAME_END = 2e-5
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
 
 
@@ -320,15 +324,19 @@ class Segments(NamedTuple):
             near = (step < _SETTLED) & (length(points.place - guess.place) < reach)
             turn = _of_place(guess, tangents - directions)
         astray = np.flatnonzero(~(near & (length(turn) < _BEND)))
-        others = guess.take(astray)
-        beside, step = others.nearest(_ITERATIONS)
-        near = (step < _SETTLED) & (length(beside.place - others.place) < reach[astray])
-        points.unknowns[astray] = np.where(near[:, None], beside.unknowns, others.unknowns)
-        tangents[astray] = directions[astray]
+        if astray.size:
+            others = guess.take(astray)
+            beside, step = others.nearest(_ITERATIONS)
+            near = (step < _SETTLED) & (length(beside.place - others.place) < reach[astray])
+            points.unknowns[astray] = np.where(near[:, None], beside.unknowns, others.unknowns)
+            tangents[astray] = directions[astray]
         return points, tangents
 
-    def inserted(self, lines: Sequence[Curve], points: Degenerate, tangents: Array) -> list[Curve]:
-        """The curves with more vertices, one on each of these segments."""
+    def inserted(self, lines: Sequence[Curve], share: Array) -> list[Curve]:
+        """The curves with more vertices, one on each of these segments at a share of the way."""
+        points, tangents = self.at(share)
+        uncertain = ~(points.condition(tangents) < _SINGULAR)
+        tangents[uncertain] = self._directions(share)[uncertain]
         owns = [self.curve == i for i in range(len(lines))]
         return [
             line.inserted(self.vertex[own], points.take(own), tangents[own])
@@ -377,7 +385,7 @@ def with_zeros(
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)
         high, at_high = share, np.where(value == 0, 1e-300 * np.sign(at_high), value)
     where = [np.insert(each == 0, parts.vertex[parts.curve == i] + 1, True) for i, each in enumerate(values)]
-    return parts.inserted(lines, *parts.at(share)), where
+    return parts.inserted(lines, share), where
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
@@ -395,4 +403,22 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
     middle = 2 * a + b - 3 * c  # the derivative of the cubic along back is 0
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
-    return parts.inserted(lines, *parts.at(share))
+    return parts.inserted(lines, share)
+
+
+def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
+    """Curves without limits of stability that are all but one point, and without vertices of others as near to the one before or to an end."""
+    result = []
+    for line in lines:
+        if line.points.limit[0]:
+            if np.ptp(line.points.parts[4], axis=0).max() < _SAME_END:
+                continue
+            arc, tangents = lengths(line), line.tangents.copy()
+            after, before = np.searchsorted(arc, [_SAME_END, arc[-1] - _SAME_END])
+            tangents[[0, -1]] = tangents[[after - 1, before]]  # at ends themselves the most singular ones
+            kept = np.r_[True, np.diff(arc) > _SAME_END]
+            kept[:after] = kept[before:] = False
+            kept[[0, -1]] = True
+            line = line._replace(points=line.points.take(kept), tangents=tangents[kept])
+        result.append(line)
+    return result

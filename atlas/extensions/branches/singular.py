@@ -496,6 +496,10 @@ class Degenerate(NamedTuple):
         tangent = tangent / length(tangent[:, [*range(n), -3, -2, -1]])[:, None]
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
+    def condition(self, rows: Array) -> Array:
+        """Condition numbers of the equations with rows over the unknowns, (N,)."""
+        return np.linalg.cond(np.concatenate([self.equations()[1], rows[:, None]], 1), 1)
+
     def onto_sides(self) -> tuple[Degenerate, Array]:
         """Points of curves on the sides of the box beyond which these are, and the last steps."""
         nearest, row = np.clip(self.parts[4], 0, 1), np.zeros_like(self.unknowns)

@@ -285,7 +285,7 @@ def test_numbers_of_stable_solutions(system, body, ranges):
 
 
 EQUAL_MOMENTS = [
-    ("fixed_point", {"A": 1.0, "C": 1.0, "Mg": 1.0, "z0": -0.55, "N": -0.63, "l3": -0.7}, {"B": (0.9, 1.2), "n": (-2.0, -0.5)}),
+    ("fixed_point", {"A": 1.0, "C": 1.0, "Mg": 1.0, "z0": -0.55, "N": -0.63, "l3": -0.7}, {"B": (0.9, 1.005), "n": (-2.0, -0.5)}),
     ("fixed_point", {"A": 1.52, "B": 1.0, "C": 1.000000001, "Mg": 1.0, "y0": -0.77, "l2": 0.16}, {"n": (0.3, 3.0), "N": (-3.0, 3.0)}),
     ("fixed_point", {"A": 1.07, "B": 1.0, "C": 1.000001, "Mg": 1.0, "x0": 0.62}, {"l1": (-2.0, 2.0), "n": (0.3, 3.0)}),
     ("satellite", {"A": 1.0, "C": 1.0, "k2": 0.5}, {"k3": (-0.1, 0.7), "B": (1.05, 1.55)}),
@@ -377,6 +377,29 @@ def test_limits_of_stability_cross(body, ranges, values):
     for value in values:
         _, stable = assert_explained(ds, "satellite", body | {first: value}, first, second, ends)
         np.testing.assert_array_equal(stable, [2, 4, 2])
+
+
+def test_directions_of_limits_of_stability_that_cross():
+    """Where the equations have two tangents each limit keeps its own: own exponents change within 1e-5 of both lines beside the crossing."""
+    body = {"A": 1.0, "B": 1.0, "C": 0.87}
+    ds = atlas.borders("satellite", body, {"k2": (1.1, 1.5), "k3": (-0.15, 0.1)}, stability=True)
+    for k2 in (1.2235, 1.2241, 1.2243, 1.2246):
+        cuts = [cut for cut in crossings(ds, "k2", k2, "k3", "stable_change") if abs(cut[0]) < 2e-3]
+        assert len(cuts) == 2
+        for k3, _, change in cuts:
+            beside = {"k2": np.full(2, k2), "k3": k3 + np.array([-1e-5, 1e-5])}
+            _, stable = own_numbers("satellite", body | beside)
+            assert np.diff(stable) == change
+
+
+def test_limits_of_stability_end_at_pitchforks_once():
+    """Also where moments are nearly equal, so that limits there solve their equations to rounding on a piece of 1e-6."""
+    body = {"A": 1.001, "B": 1.56, "C": 1.0}
+    ds = atlas.borders("satellite", body, {"k2": (0.5, 0.7), "k1": (-0.03, 0.03)}, stability=True)
+    for k2 in (0.6, 0.6028458, 0.6028461, 0.60285, 0.604):
+        assert_explained(
+            ds, "satellite", body | {"k2": k2}, "k2", "k1", np.array([-0.0135, -0.0125, 0.0125, 0.0135])
+        )
 
 
 def test_lines_of_equilibria_are_no_borders():

@@ -155,7 +155,9 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        share = np.where((outside > 0.0) & (outside < 1.0), 2.0 / run.step_sizes.intervals, 0.0)
+        # Up to one node of each oscillation, whose passages of the rim the nodes may meet in the same phase.
+        missed = bound * step_sizes.sample_spacing / (2.0 * np.pi)
+        share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:

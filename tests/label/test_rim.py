@@ -87,3 +87,17 @@ def test_an_axis_that_librates_in_the_cap_is_no_regular_precession():
         assert (ds.label.item(), ds.status.item()) == (Label.PERMANENT_ROTATION, Status.OK)
         assert np.isnan(ds.psi_dot_mean.item())
         assert ds.error_estimate.item() < 1e-6
+
+
+def test_nodes_that_meet_a_libration_in_the_same_phase():
+    """Where 0.489 of a run is outside, but more than half of the nodes, no label is given but that of most of the run."""
+    top = {"A": 1.046892, "B": 1.046892, "C": 2.009858, "Mg": 1.0, "z0": 0.6434065, "N": -0.1167857, "l3": -0.4883044, "n": -1.861982,
+           "m": 2.831575, "theta0": 0.00549237, "theta_dot0": 0.0014323, "psi0": 6.161211, "phi0": 3.77865}  # fmt: skip
+    theta = atlas.trajectory("fixed_point", top, duration=DURATION, samples=6001).theta.values
+    assert np.ptp(theta) < 0.01
+    assert (np.sin(theta) > 0.01).mean() == pytest.approx(0.489, abs=2e-3)
+    for method in ("rk4", "rk8"):
+        settings = {"rate_tolerance": 0.02, "cylinder_tolerance": 0.01, "method": method}
+        ds = atlas.label_points("fixed_point", top, duration=DURATION, **settings)
+        kind = Label.PERMANENT_ROTATION if ds.status.item() == Status.OK else Label.UNRESOLVED
+        assert ds.label.item() == kind

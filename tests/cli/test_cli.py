@@ -195,7 +195,7 @@ def test_a_scene_comes_from_a_pipe(folder):
 
 def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    configs = Path(__file__).parents[1] / "configs"
+    configs = Path(__file__).parents[2] / "configs"
     assert main(["new", "--list"]) == 0
     assert re.search("stability_perp_radius .* conical permanent rotation", capsys.readouterr().out)
     assert main(["new", "grioli", "--list"]) == 0

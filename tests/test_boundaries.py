@@ -79,7 +79,7 @@ REPLACED = {
     """,
     "a failure or an error of a known size that no input brings about": """
         extensions.amer2013.fast_spin.dop853 extensions.page.page.sources measure.rates.Rates.differences
-        systems/test_observables.py:?.initial_state label.half_step.evaluate extensions.studies.reference._integrate_group
+        systems/test_observables.py:?.initial_state label.half_step.evaluate measure.tangent_runs.Separation extensions.studies.reference._integrate_group
     """,
 }  # fmt: skip
 

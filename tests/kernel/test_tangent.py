@@ -211,17 +211,3 @@ def test_the_unit_of_time_does_not_matter():
     slow_megno, slow_lyapunov = indicators("satellite", slow, 120.0)
     np.testing.assert_allclose(slow_megno, megno, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(slow_lyapunov, lyapunov / 10, rtol=1e-9, atol=1e-10)
-
-
-def test_step_sizes():
-    bound, duration = np.array([1.0, 10.0, np.inf, 0.0]), np.full(4, 300.0)
-    sizes = tangent_runs.TangentSteps.of(bound, duration, None, 10**9)
-    assert sizes.resolved.tolist() == [True, True, False, True]
-    assert (sizes.step_size[:2] * bound[:2] <= 0.3).all()
-    assert (sizes.nodes <= sizes.steps).all()
-    long = tangent_runs.TangentSteps.of(np.array([1.0]), np.array([1e7]), None, 10**9)
-    assert long.resolved.all()
-    assert (long.steps <= tangent_runs.MAX_STEPS_PER_NODE * long.nodes).all()
-    for step, resolved in ((0.29, True), (0.31, False)):
-        assert tangent_runs.TangentSteps.of(bound[:1], duration[:1], step, 10**9).resolved.all() == resolved
-    assert not tangent_runs.TangentSteps.of(bound[:1], duration[:1], None, 100).resolved.any()

@@ -29,7 +29,7 @@ from atlas.label.any_axis import predict_any_axis
 from atlas.label.plan import Plan
 from atlas.measure import circle as any_axis
 from atlas.runs import refine
-from atlas.scene.model import Settings, Tolerances
+from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 from atlas.variables import default_variables, variables
 
@@ -55,40 +55,6 @@ def labelled(system: str, points, duration=60.0, variables=VARIABLES, **options)
 
 def names(ds, variable: str = "label_any_axis") -> list[str]:
     return [NAMES[flag] for flag in ds[variable].values]
-
-
-def circle(**changes):
-    """A circle on which u turns at 0.3 about its axis, of radius 0.4 and nutation 1, but for the values given."""
-    values = {
-        "spread": 0.4, "height_std": 0.0, "radius_std": 0.0, "spin_std": 0.0, "spin": 0.3, "precession": 0.4 / np.sin(1.0),
-        "sine": np.sin(1.0),
-    } | changes  # fmt: skip
-    return {name: np.array([value]) for name, value in values.items()}
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, "regular_precession"),
-        ({"spread": 1e-5, "spin_std": np.nan, "spin": np.nan}, "permanent_rotation"),
-        ({"spread": 1e-5, "radius_std": 1.0}, "permanent_rotation"),
-        ({"spread": 1.1e-5, "radius_std": 1.1e-5}, "drifting"),
-        ({"height_std": 1e-5}, "regular_precession"), ({"height_std": 1.1e-5}, "drifting"),
-        ({"radius_std": 1e-5}, "regular_precession"), ({"radius_std": 1.1e-5}, "drifting"),
-        ({"spin_std": 1e-5}, "regular_precession"), ({"spin_std": 1.1e-5}, "drifting"),
-        ({"spin": -1e-5}, "permanent_rotation"), ({"spin": -1.1e-5}, "regular_precession"),
-        ({"precession": 1e-5}, "permanent_rotation"), ({"sine": 0.9e-5}, "permanent_rotation"),
-        ({"sine": 1e-5}, "regular_precession"),
-    ],
-)  # fmt: skip
-def test_label_at_every_threshold(changes, expected):
-    drifting = np.array([Label.DRIFTING], np.int8)
-    label = any_axis.label(circle(**changes), drifting, Tolerances(1e-5, 1e-5))
-    assert label.dtype == np.int8
-    assert NAMES[label[0]] == expected
-    for steady in (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION):
-        own_label = np.array([steady], np.int8)
-        assert any_axis.label(circle(**changes), own_label, Tolerances(1e-5, 1e-5)) == own_label
 
 
 @pytest.mark.parametrize("method", ["rk4", "rk8"])

@@ -1,10 +1,8 @@
 """Labels of points, from measurements written by hand and of published cases."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from strategies import select
 from truth import cases, fixed_point_cases, satellite_cases
@@ -12,12 +10,8 @@ from truth import cases, fixed_point_cases, satellite_cases
 import atlas
 from atlas.flags import Agreement, Label, Status
 from atlas.kernel.statistics import STATISTICS
-from atlas.kernel.stepsize import StepSizes
-from atlas.kernel.tableaux import METHODS
-from atlas.label import pipeline, theory
-from atlas.measure import rates
 from atlas.scene import grid
-from atlas.scene.model import Settings, Tolerances
+from atlas.scene.model import Tolerances
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -28,106 +22,6 @@ NAMES = list(Label.meanings())
 def named(ds, variable: str, point: int) -> str:
     """Flag name of a variable at one point."""
     return ds[variable].attrs["flag_meanings"].split()[int(ds[variable][point])]
-
-
-def measured(**changes):
-    """One steady motion at theta = 1 with psi' = 0.5, phi' = 0.3, but for the values given."""
-    values = {
-        "theta_dot_rms": 0.0, "psi_dot_mean": 0.5, "psi_dot_std": 0.0, "phi_dot_mean": 0.3, "phi_dot_std": 0.0,
-        "normal_rate_std": 0.0, "theta_min": 1.0, "theta_max": 1.0, "sine_max": np.sin(1.0),
-    } | changes  # fmt: skip
-    return {name: np.array([value]) for name, value in values.items()}
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({}, "regular_precession"),
-        ({"psi_dot_mean": 0.0}, "permanent_rotation"),
-        ({"phi_dot_mean": 0.9e-5}, "permanent_rotation"),
-        ({"phi_dot_mean": 1.1e-5}, "regular_precession"),
-        ({"psi_dot_mean": 0.0, "phi_dot_mean": 0.0}, "permanent_rotation"),
-        ({"theta_dot_rms": 1.1e-5}, "drifting"),
-        ({"theta_dot_rms": 0.9e-5}, "regular_precession"),
-        ({"psi_dot_std": 1.1e-5}, "drifting"),
-        ({"phi_dot_std": 1.1e-5}, "drifting"),
-        # a varying rate about the vertical counts inside the cylinder only
-        ({"normal_rate_std": 1.0}, "regular_precession"),
-        ({"sine_max": 0.9e-5, "theta_max": 0.9e-5, "theta_min": 0.0, "psi_dot_mean": np.nan, "psi_dot_std": np.nan,
-          "phi_dot_mean": np.nan, "phi_dot_std": np.nan}, "permanent_rotation"),
-        ({"sine_max": 0.9e-5, "theta_max": 0.9e-5, "theta_min": 0.0, "psi_dot_mean": np.nan, "psi_dot_std": np.nan,
-          "phi_dot_mean": np.nan, "phi_dot_std": np.nan, "normal_rate_std": 1e-4}, "drifting"),
-        # slowly out of the cylinder: psi' has no meaning on the way, theta decides
-        ({"sine_max": 3e-5, "theta_min": 0.0, "theta_max": 3e-5, "theta_dot_rms": 1e-7}, "drifting"),
-        # on the edge of the cylinder: psi' is that of the sliver outside, the rate about the vertical decides
-        ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5, "normal_rate_std": 0.5}, "drifting"),
-        # on the edge of the cylinder, moving less than its radius: still itself
-        ({"sine_max": 1.01e-5, "theta_min": 0.99e-5, "theta_max": 1.01e-5}, "regular_precession"),
-    ],
-)  # fmt: skip
-def test_label_at_every_threshold(changes, expected):
-    result = rates.label(measured(**changes), TOLERANCES)
-    assert NAMES[result[0]] == expected
-    assert result.dtype == np.int8
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [({name: 1e-5}, "regular_precession") for name in ("theta_dot_rms", "psi_dot_std", "phi_dot_std")]
-    + [({name: 1e-5}, "permanent_rotation") for name in ("psi_dot_mean", "phi_dot_mean")]
-    + [({"sine_max": 0.9e-5, "normal_rate_std": 1e-5}, "permanent_rotation")]
-    + [({"sine_max": 1e-5}, "regular_precession")],
-)
-def test_a_rate_as_large_as_its_tolerance_counts_as_none(changes, expected):
-    """And sin theta must stay below the cylinder tolerance to be inside."""
-    assert NAMES[rates.label(measured(**changes), TOLERANCES)[0]] == expected
-
-
-def test_inertial_label_adds_the_rate_of_the_frame():
-    still = measured(psi_dot_mean=0.0)
-    assert NAMES[rates.label(still, TOLERANCES)[0]] == "permanent_rotation"
-    assert NAMES[rates.label(still, TOLERANCES, 1.0)[0]] == "regular_precession"
-    assert NAMES[rates.label(measured(psi_dot_mean=-1.0), TOLERANCES, 1.0)[0]] == "permanent_rotation"
-
-
-@given(
-    st.booleans(), st.sampled_from([0.0, 1e-3]), st.booleans(), st.sampled_from([0.0, 30.0])
-)  # fmt: skip
-def test_status_is_the_first_that_applies(finite, drift, resolved, growth):
-    result = pipeline.label_status(
-        np.array([finite]),
-        np.array([drift]),
-        1e-5,
-        np.array([resolved]),
-        np.array([growth]),
-        25.0,
-    )[0]
-    order = [
-        (not finite, "not_finite"), (drift > 1e-5, "drift_exceeded"),
-        (not resolved, "under_resolved"), (growth > 25.0, "roundoff_decided"), (True, "ok"),
-    ]  # fmt: skip
-    assert list(Status.meanings())[result] == next(name for applies, name in order if applies)
-
-
-def test_status_at_its_limits():
-    """A drift equal to the tolerance is within it; growth counts above its limit, whatever its sign, but not none."""
-    yes = np.ones(5, bool)
-    drift, growth = np.array([1e-5, 0, 0, 0, 0]), np.array([0.0, 0.5, 0.0, 0.5, 0.5])
-    result = pipeline.label_status(yes, drift, 1e-5, yes, growth, np.array([25.0, 0.4, -1.0, 0.5, -1.0]))
-    decided = Status.ROUNDOFF_DECIDED
-    assert result.tolist() == [Status.OK, decided, Status.OK, Status.OK, decided]
-
-
-def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance():
-    """Of a rate, relative to the frequency bound, or of the angle: whichever is reached first."""
-    residual = np.array([0.0, np.nan, 1e-10, 1e-10])
-    bound, tolerances = np.array([2.0, 2.0, 2.0, 1e-3]), Tolerances(1e-5, 1e-3)
-    limit = theory.rounding_limit(residual, bound, tolerances.rate, tolerances.angle)
-    error = np.array([1e-16, 1e-16, 1e-10, 1e-10]) * np.exp(limit)
-    np.testing.assert_allclose(error[:3] * bound[:3], tolerances.rate)
-    assert (error[:3] < tolerances.angle).all()
-    assert error[3] == pytest.approx(tolerances.angle)
-    assert error[3] * bound[3] < tolerances.rate
 
 
 def test_the_68_satellite_cases(monkeypatch):
@@ -283,22 +177,6 @@ def test_a_label_within_the_error_of_the_method_is_step_sensitive():
             "fixed_point", pendulum, step=0.1, rate_tolerance=0.9 * coarse, variables=variables, **options
         )
         assert (named(ds, "label", 0), named(ds, "status", 0)) == ("drifting", "ok")
-
-
-@given(st.floats(1e-6, 1e-1), st.floats(0.1, 100.0), st.floats(1.0, 1e4), st.floats(1e-4, 0.4))
-def test_a_run_that_ends_early_has_a_label_beyond_all_expected_errors(tolerance, bound, duration, ratio):
-    """At the rate where it ends, less the error that the measurement may have, it still drifts."""
-    step = ratio * METHODS["rk4"].stability / bound
-    settings = Settings(step=step, rate_tolerance=tolerance, max_steps=10**9)
-    sizes = StepSizes.of(settings, np.array([bound]), np.array([duration]))
-    with np.errstate(divide="ignore"):
-        rate = rates.Rates().early_stop_rate(np.array([bound]), sizes, settings.at(tolerance).tolerances)
-    assume(np.isfinite(rate).all())  # no run ends early where the error is as large as the rate
-    at_rate = measured(theta_dot_rms=rate) | {"sine_max": np.ones(1)}
-    run = SimpleNamespace(step_sizes=sizes, bound=np.array([bound]), measured=at_rate)
-    error = rates.Rates().errors(run, np.zeros(1))["theta_dot_rms"]
-    assert (error > 0).all()
-    assert (rate - error >= tolerance * (1 - 1e-9)).all()
 
 
 def test_a_distance_that_rounding_hides_and_that_grows_decides_nothing():

@@ -13,7 +13,6 @@ import atlas
 from atlas import cli
 from atlas.flags import Regularity
 from atlas.measure.chaos import Chaos
-from atlas.measure.tangent_runs import regularity
 from atlas.systems import SYSTEMS
 from atlas.variables import default_variables
 
@@ -161,22 +160,6 @@ def test_what_passes_an_unstable_motion_is_not_called_chaotic():
     assert examined[0]
     assert ds.regularity[0] == Regularity.UNDECIDED
     assert (examined.reshape(-1, 4).sum(0) > 3).all()
-
-
-@pytest.mark.parametrize(
-    ("label", "megno", "expected", "on_unstable"),
-    [
-        (1, 2.0, "STEADY", "STEADY"), (2, -0.3, "STEADY", "STEADY"), (2, 4.9, "STEADY", "STEADY"),
-        (1, 5.1, "HYPERBOLIC", "HYPERBOLIC"), (3, 2.4, "REGULAR", "REGULAR"), (3, -1.0, "REGULAR", "REGULAR"),
-        (3, 2.6, "UNDECIDED", "UNDECIDED"), (3, 4.9, "UNDECIDED", "UNDECIDED"), (3, 5.1, "CHAOTIC", "HYPERBOLIC"),
-        (3, np.nan, "NOT_COMPUTED", "NOT_COMPUTED"), (4, 2.0, "NOT_COMPUTED", "NOT_COMPUTED"),
-        (4, 9.0, "NOT_COMPUTED", "NOT_COMPUTED"), (0, np.nan, "NOT_COMPUTED", "NOT_COMPUTED"),
-    ],
-)  # fmt: skip
-def test_flag(label, megno, expected, on_unstable):
-    flags = regularity(np.array(2 * [label], np.int8), np.array(2 * [megno]), np.array([False, True]))
-    assert flags.dtype == np.int8
-    np.testing.assert_array_equal(flags, [Regularity[expected], Regularity[on_unstable]])
 
 
 def test_starts_on_unstable_rotations_are_hyperbolic():

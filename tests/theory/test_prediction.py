@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from atlas.flags import Label, Stability
+from atlas.measure.instrument import Tolerances
 from atlas.theory.point import Found, Known
 from atlas.theory.prediction import after_nudge, predict, predict_circle, rounding_limit
 from atlas.theory.steady import FAR, Existence
@@ -116,3 +117,15 @@ def test_labels_about_any_axes(near, nudged):
     # Beside a stable motion about the third axis a nudge may lead to one about other axes.
     assert label(EXACT, DRIFTING, Existence.EXACT, stable) == (NONE if near and nudged else DRIFTING)
     assert label(EXACT, DRIFTING, Existence.EXACT, unstable) == DRIFTING
+
+
+def test_rounding_limit_is_the_growth_that_brings_rounding_errors_to_a_tolerance():
+    """Of a rate, relative to the frequency bound, or of the angle: whichever is reached first."""
+    residual = np.array([0.0, np.nan, 1e-10, 1e-10])
+    bound, tolerances = np.array([2.0, 2.0, 2.0, 1e-3]), Tolerances(1e-5, 1e-3)
+    limit = rounding_limit(residual, bound, tolerances.rate, tolerances.angle)
+    error = np.array([1e-16, 1e-16, 1e-10, 1e-10]) * np.exp(limit)
+    np.testing.assert_allclose(error[:3] * bound[:3], tolerances.rate)
+    assert (error[:3] < tolerances.angle).all()
+    assert error[3] == pytest.approx(tolerances.angle)
+    assert error[3] * bound[3] < tolerances.rate

@@ -15,28 +15,34 @@ from atlas.measure.circle import CIRCLES, Sum
 from atlas.systems import SYSTEMS
 
 
-def precession(s, z, n, m, duration, vertical, nodes=41):
-    """Statistics of nodes of the exact regular precession with these axes and rates, as arrays of one element."""
+def precession(s, z, n, m, duration, vertical, nodes=41, frame_rate=0.0):
+    """Statistics of nodes of the exact regular precession with these axes and rates, as arrays of one element.
+
+    frame_rate: what is missing about the vertical in the angular velocity of the nodes, and is added to it.
+    """
     spin_vector = m * s
     # u' = u x m s, and the vertical is at rest: equations of which the angular velocity is the state.
     equations = SimpleNamespace(
         rhs=lambda state, constants: np.concatenate(
             [np.cross(state[:3], spin_vector, axis=0), np.cross(state[3:], state[:3], axis=0)]
         ),
-        frame_motion=lambda state, constants: state,
+        frame_motion=lambda state, constants: np.concatenate([state[:3] - frame_rate * state[3:], state[3:]]),
     )
     u0 = n * z + spin_vector
     bound = np.array([abs(n) + abs(m)])
     one = np.s_[:, None]
     spin_vector = spin_vector[one]
-    axes = circle.circle_axes(equations, np.r_[u0, vertical][one], np.empty((0, 1)), np.zeros(1), bound)
+    start = np.r_[u0, vertical][one]
+    axes = circle.circle_axes(equations, start, np.empty((0, 1)), np.array([frame_rate]), bound)
     t = np.linspace(0, duration, nodes)
-    u = Rotation.from_rotvec(-m * np.outer(t, s)).apply(u0)
-    du = np.cross(u, m * s)
+    turn = Rotation.from_rotvec(-m * np.outer(t, s))
+    u, g = turn.apply(u0), (turn * Rotation.from_rotvec(-n * np.outer(t, z))).apply(vertical)
+    du, dg = np.cross(u, m * s), np.cross(g, u)
     sums = np.zeros((len(Sum), 1))
     for i in range(nodes):
-        node = np.concatenate([u[i], np.zeros(3), du[i], np.zeros(3)])[:, None]
-        circle.add_to_circle(sums, 0, axes, 0, 0, np.array(4 * [node]), i, nodes - 1, 1.0, 1.0)
+        # The unit of time of the kernel is half of that of the motion.
+        node = np.r_[u[i] - frame_rate * g[i], g[i], (du[i] - frame_rate * dg[i]) / 2, dg[i] / 2][:, None]
+        circle.add_to_circle(sums, 0, axes, 0, 0, np.array(4 * [node]), i, nodes - 1, 1.0, 2.0)
     return circle.circle_statistics(sums, axes, np.array([nodes - 1]))
 
 
@@ -45,6 +51,30 @@ def directions(tilt, seed):
     turn = Rotation.random(random_state=seed)
     other = Rotation.random(random_state=seed + 1).apply([0.0, 0.0, 1.0])
     return turn.apply([0.0, 0.0, 1.0]), turn.apply([np.sin(tilt), 0.0, np.cos(tilt)]), other
+
+
+@pytest.mark.parametrize("frame_rate", [0.0, -1.3])
+def test_one_precession(frame_rate):
+    """Axes apart by 0.8, rates 2 and -3, seen for 1.5 of the 2.1 that a turn takes, in a frame at rest and in one that turns."""
+    s, z, vertical = directions(0.8, 4)
+    found = precession(s, z, 2.0, -3.0, 1.5, vertical, frame_rate=frame_rate)
+    found = {name: float(value[0]) for name, value in found.items()}
+    axis = np.array([found[f"spin_axis_{i}"] for i in (1, 2, 3)])
+    sign = np.sign(axis @ s)
+    np.testing.assert_allclose(sign * axis, s, atol=1e-12)
+    u = Rotation.from_rotvec(3.0 * np.outer(np.linspace(0, 1.5, 41), s)).apply(2 * z - 3 * s)
+    weight = np.full(41, 1 / 40)
+    weight[[0, -1]] /= 2
+    np.testing.assert_allclose([found[f"rate_{i}"] for i in (1, 2, 3)], weight @ u, rtol=1e-12)
+    spread = np.linalg.eigvalsh((weight[:, None] * u).T @ u - np.outer(weight @ u, weight @ u))
+    angle = [np.arccos(a @ vertical / np.linalg.norm(a)) for a in (z, u[0], [0, 0, 1])]
+    expected = {
+        "spread": np.sqrt(spread.sum()), "extent": np.sqrt(spread[1]), "radius": 2 * np.sin(0.8), "height": sign * (2 * np.cos(0.8) - 3),
+        "spin": -3.0 * sign, "height_std": 0.0, "radius_std": 0.0, "spin_std": 0.0, "precession_inclination": angle[0],
+        "rotation_inclination": angle[1], "tilt": angle[2],
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-9, abs=1e-7), name
 
 
 @given(

@@ -97,7 +97,12 @@ def test_sizes_and_errors():
     assert sizes(run.system, MEASURED) == {"x": 3.0, "y": 8.0}
     # 3 times the bound times the distance of nodes is 1.
     relative = Observables().relative_error(run)
-    assert relative == pytest.approx(3e-4 + 4e-14 + INTERPOLATION_ERROR, rel=1e-12)
+    assert relative == pytest.approx(3e-4 + INTERPOLATION_ERROR)
+    dissipates = SimpleNamespace(**vars(STEPS) | {"dissipation_error": np.array([7e-4])})
+    assert Observables().relative_error(run_of(steps=dissipates)) == pytest.approx(7e-4 + INTERPOLATION_ERROR)
+    none = dict.fromkeys(("dispersion_error", "dissipation_error", "sample_spacing"), np.zeros(1))
+    exact = run_of(steps=SimpleNamespace(**vars(STEPS) | none))
+    assert Observables().relative_error(exact) == pytest.approx(4e-14, abs=0)
     errors = Observables().errors(run, np.array([1e-3]))
     assert errors["x_std"] == pytest.approx(4e-3 + 3e-15, rel=1e-15)
     assert errors["y_std"] == pytest.approx(7e-3 + 8e-15, rel=1e-15)

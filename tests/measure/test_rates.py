@@ -229,6 +229,19 @@ def test_expected_errors_of_the_statistics():
         assert Rates().errors(rest, np.zeros(1))["sine_max"] == pytest.approx(0.2 * 5e-4)
 
 
+def test_errors_of_exact_steps_are_those_of_rounding():
+    none = dict.fromkeys(
+        ("dispersion_error", "dissipation_error", "rate_error", "sample_spacing"), np.zeros(1)
+    )
+    exact, bound = SimpleNamespace(**vars(STEPS) | none), np.array([2.0])
+    run = run_of(measured(theta_min=0.5, theta_max=0.7), outside=0.0, steps=exact)
+    assert Rates().relative_error(run) == pytest.approx(4e-14, abs=0)
+    assert tolerated_error(SimpleNamespace(step=0.1), exact, bound) == pytest.approx(4e-14, abs=0)
+    assert Rates().errors(run, np.zeros(1))["psi_dot_mean"] == pytest.approx(2e-14 / np.sin(0.5), abs=0)
+    dissipates = SimpleNamespace(**vars(exact) | {"dissipation_error": np.array([7e-4])})
+    assert Rates().relative_error(run_of(run.measured, outside=0.0, steps=dissipates)) == pytest.approx(7e-4)
+
+
 def test_rounding_of_rates_divides_by_the_sine_outside_the_cylinder():
     relative = np.array([1e-14])
     for theta, sine in ((0.5, np.sin(0.5)), (1e-9, ANGLE)):

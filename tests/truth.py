@@ -1,7 +1,7 @@
 """Reference results that do not come from the code under test.
 
 The Lagrangian of the satellite by computer algebra, the cases verified outside this project, linearisation by
-complex steps, and equality of data sets to the byte.
+complex steps, and equality of data sets to the byte and of values at points.
 """
 
 from __future__ import annotations
@@ -264,6 +264,38 @@ def fixed_point_cases() -> dict[str, np.ndarray]:
     for key, names in vectors.items():
         given |= {name: column(lambda case, key=key, i=i: case[key][i]) for i, name in enumerate(names)}
     return default_points("fixed_point", **given)
+
+
+def worst_point(points, seed, size, **values) -> str:
+    """The point with the largest size in words: its parameters, values there, and the seed of all points."""
+    size = np.nan_to_num(np.asarray(size, float), nan=np.inf)
+    i = int(size.argmax())
+
+    def texts(columns):
+        rows = {
+            name: np.broadcast_to(column, (*np.shape(column)[:-1], size.size))
+            for name, column in columns.items()
+        }
+        return ", ".join(f"{name} = {row[..., i].tolist()!r}" for name, row in rows.items())
+
+    return f"the worst of {size.size} points of seed {seed} is {i}: {texts(values)}\nat {texts(points)}"
+
+
+def assert_at_points(actual, expected, points, seed, *, where=True, rtol=0.0, atol=0.0, **values) -> None:
+    """Assert that values, (..., points), are the expected ones, nan where these are; else name the worst point.
+
+    where: the points that count; values: what else of the worst point is printed.
+    """
+    __tracebackhide__ = True
+    actual, expected = np.broadcast_arrays(np.asarray(actual, float), np.asarray(expected, float))
+    with np.errstate(invalid="ignore"):
+        excess = np.abs(actual - expected) - (atol + rtol * np.abs(expected))
+    same = (actual == expected) | (np.isnan(actual) & np.isnan(expected))
+    excess = np.where(same, -np.inf, np.nan_to_num(excess, nan=np.inf)).reshape(-1, actual.shape[-1]).max(0)
+    excess = np.where(where, excess, -np.inf)
+    if (excess > 0).any():
+        words = worst_point(points, seed, excess, actual=actual, expected=expected, **values)
+        raise AssertionError(f"{(excess > 0).sum()} points differ; {words}")
 
 
 def assert_shards_and_threads_agree(scene, folder: Path) -> None:

@@ -18,7 +18,7 @@ from strategies import (
     symmetric_fixed_points,
     tile_of,
 )
-from truth import assert_shards_and_threads_agree, cases, columns_of
+from truth import assert_at_points, assert_shards_and_threads_agree, cases, columns_of
 
 import atlas
 from atlas import cli
@@ -114,14 +114,14 @@ def test_free_symmetric_gyrostats(axis):
     size = np.linalg.norm(momentum, axis=0)
     assert names(ds) == 20 * ["regular_precession"]
     assert "regular_precession" not in names(ds, "label")
-    np.testing.assert_allclose(ds.precession_rate, size, rtol=1e-6)
-    np.testing.assert_allclose(ds.spin_rate, (1 - inertia[axis]) * w[axis] - rotor[axis], atol=1e-6)
-    np.testing.assert_allclose(ds.nutation, np.arccos(momentum[axis] / size), atol=1e-6)
-    np.testing.assert_allclose(
-        ds.precession_inclination, np.arccos((momentum * vertical).sum(0) / size), atol=1e-6
-    )
+    assert_at_points(ds.precession_rate, size, points, 0, rtol=1e-6)
+    spin = (1 - inertia[axis]) * w[axis] - rotor[axis]
+    assert_at_points(ds.spin_rate, spin, points, 0, rtol=1e-7, atol=1e-6)
+    assert_at_points(ds.nutation, np.arccos(momentum[axis] / size), points, 0, rtol=1e-7, atol=1e-6)
+    inclination = np.arccos((momentum * vertical).sum(0) / size)
+    assert_at_points(ds.precession_inclination, inclination, points, 0, rtol=1e-7, atol=1e-6)
     for i in range(3):
-        np.testing.assert_allclose(ds[f"spin_axis_{i + 1}"], float(i == axis), atol=1e-6)
+        assert_at_points(ds[f"spin_axis_{i + 1}"], float(i == axis), points, 0, rtol=1e-7, atol=1e-6)
 
 
 def test_short_and_tiny_arcs():
@@ -204,8 +204,8 @@ def test_precessions_about_the_vertical_have_the_same_rates_by_their_circle():
     own = labelled("fixed_point", points, 5.0, [*VARIABLES, "phi_dot_mean"])
     ok = ((own.status == Status.OK) & (own.label == Label.REGULAR_PRECESSION)).values
     assert ok.sum() > 10
-    np.testing.assert_array_equal(own.label, own.label_any_axis)
-    np.testing.assert_array_equal(own.spin_rate[ok], own.phi_dot_mean[ok])
+    assert_at_points(own.label, own.label_any_axis, points, 0)
+    assert_at_points(own.spin_rate, own.phi_dot_mean, points, 0, where=ok)
     assert np.isin(own.precession_inclination[ok], (0.0, np.pi)).all()
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(
@@ -215,7 +215,7 @@ def test_precessions_about_the_vertical_have_the_same_rates_by_their_circle():
         )
         by_circle = labelled("fixed_point", points, 5.0)
     for name in (*any_axis.RATES, *any_axis.ANGLES):
-        np.testing.assert_allclose(by_circle[name][ok], own[name][ok], atol=1e-9, err_msg=name)
+        assert_at_points(by_circle[name], own[name], points, 0, where=ok, rtol=1e-7, atol=1e-9)
 
 
 def test_estimates_cover_the_errors():
@@ -394,8 +394,8 @@ def test_no_prediction_about_any_axes_contradicts_a_label():
     )
     ds = labelled("fixed_point", points, duration, names, method="rk8", rate_tolerance=1e-5)
     decided = (ds.status.values == Status.OK) & (ds.predicted_any_axis.values != Label.NOT_COMPUTED)
+    assert_at_points(ds.predicted_any_axis, ds.label_any_axis, points, 41, where=decided, duration=duration)
     predicted = ds.predicted_any_axis.values[decided]
-    np.testing.assert_array_equal(predicted, ds.label_any_axis.values[decided])
     assert (np.bincount(predicted)[1:] > 9).all()
 
 
@@ -426,7 +426,7 @@ def test_starts_far_from_every_circle(duration):
     distance = np.minimum(leaves_rest, off_circle) / tolerance
     expected = np.where(distance > 10, Label.DRIFTING, Label.NOT_COMPUTED)
     assert ((distance > 9) & (distance < 11)).sum() > 3
-    np.testing.assert_array_equal(ds.predicted_any_axis, expected)
+    assert_at_points(ds.predicted_any_axis, expected, {"w": w.T}, None, distance=distance)
 
 
 def test_spin_rates_that_rounding_hides_have_no_prediction():

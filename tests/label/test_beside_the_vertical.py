@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from truth import assert_at_points
 
 import atlas
 from atlas.flags import Agreement, Label, Status
@@ -60,7 +61,10 @@ def test_theory_predicts_the_measured_labels_beside_the_vertical(system, starts)
     variables = ["label", "predicted", "agreement", "status"]
     ds = atlas.label_points(system, points, duration=5.0, variables=variables)
     agree = ds.agreement.isin((Agreement.AGREE, Agreement.NOT_COMPARED))
-    assert agree.where(ds.status == Status.OK, True).all()
+    where = ds.status.values == Status.OK
+    assert_at_points(
+        agree, True, points, 53, where=where, label=ds.label.values, predicted=ds.predicted.values
+    )
     assert min(np.bincount(ds.predicted, minlength=4)[[Label.PERMANENT_ROTATION, Label.DRIFTING]]) > 30
 
 

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 from strategies import default_points, random_fixed_points, random_satellites
+from truth import worst_point
 
 import atlas
 from atlas.analysis.summary import summary
@@ -62,9 +63,9 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
             error = [np.abs(ds[name] - true[name]) / bound for name in RATES]
             error += [np.abs(ds[name] - true[name]) for name in ("theta_min", "theta_max")]
             ok = (ds.status.values == Status.OK) & (true.status.values == Status.OK)
-            ratio = (np.fmax.reduce(error) / ds.error_estimate.values)[ok]
+            ratio = np.where(ok, np.fmax.reduce(error) / ds.error_estimate.values, 0.0)
             assert ok.sum() > 0.9 * COUNT
-            assert (ratio > 10).sum() <= 2
+            assert (ratio > 10).sum() <= 2, worst_point(points, 3, ratio, ratio=ratio, duration=duration)
             limit = {"beside the vertical": 1e-4, "kicked off the vertical": 0.1}.get(kind, 1e-5)
             assert np.median(ds.error_estimate.values[ok]) < limit
 
@@ -101,7 +102,8 @@ def test_extremes_of_starts_at_rest_beside_the_vertical(system):
     true, ds = run(step=2e-3), run(tolerance=1e-9)
     error = np.maximum(np.abs(ds.theta_min - true.theta_min), np.abs(ds.theta_max - true.theta_max))
     assert (ds.status == Status.OK).all()
-    assert (error > 10 * ds.error_estimate).sum() <= 4
+    ratio = error / ds.error_estimate
+    assert (ratio > 10).sum() <= 4, worst_point(points, 5, ratio, error=error, estimate=ds.error_estimate)
 
 
 def test_extremes_of_a_constant_theta():

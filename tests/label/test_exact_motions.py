@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from strategies import default_points, random_satellites, tile_of
+from strategies import default_points, predictions, random_satellites, tile_of
 
 from atlas.flags import Label, Stability
 from atlas.label import theory
@@ -231,6 +231,19 @@ def test_circles_that_a_start_leaves(inertial, duration):
     for share, near in ((0.99, False), (1.01, True)):
         found = near_circle(SATELLITE, points, np.full(24, duration), share * limit, frame_rate)
         assert found.tolist() == 24 * [near]
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(1e-9, Label.NOT_COMPUTED), (1e-5, REGULAR)])
+def test_rates_that_rounding_hides_have_no_prediction_about_any_axes(rate, expected):
+    """A free top whose precession and spin are 6e4: rounding of their squares, 1e-4, is the change of a rate of 1e-9."""
+    spin = 1e5
+    points = default_points(
+        "fixed_point", 1, A=1.0, B=1.0, C=0.4, Mg=0.0, p0=spin * np.sqrt(0.2), q0=0.0, r0=spin, gamma10=0.0, gamma20=0.6, gamma30=0.8
+    )  # fmt: skip
+    prediction, labels = predictions(TOP, points, duration=1.0, tolerances=(rate, 1e-5))
+    assert prediction.found.elsewhere.tolist() == [True]
+    np.testing.assert_allclose(np.abs([prediction.motion.spin_rate, prediction.motion.precession_rate]), 6e4)
+    assert labels["predicted_any_axis"].tolist() == [expected]
 
 
 def theory_of(

@@ -7,7 +7,7 @@ import pytest
 from family_starts import STARTS
 from plugins import registry
 from strategies import in_units, random_fixed_points, random_satellites, steady_motions
-from truth import cases, fixed_point_cases
+from truth import assert_at_points, cases, fixed_point_cases
 
 import atlas
 from atlas import systems
@@ -42,17 +42,16 @@ def test_exact_starts_are_steady_in_all_units(name, kind):
     for time, mass in ((1.0, 1.0), (1e8, 3e-8), (7e-9, 2e7)):
         scaled = in_units(points, time, mass)
         motion = steady_motions(system, scaled, 50.0 * time, 1e-5 / time, 1e-5)
-        assert (motion.answer == Existence.EXACT).all()
+        assert_at_points(motion.answer, Existence.EXACT, scaled, 2)
         sine, n, m = family_rates(system, scaled)
         s, spin, nu, turn = motion.axes
         u = system.equations.frame_motion(system.initial_state(scaled), system.constants(scaled))[:3]
         size = length(np.array(u)) + np.abs(turn)
-        assert (length(spin * s + turn * nu - u) <= 1e-12 * size).all()
+        assert_at_points(length(spin * s + turn * nu - u), 0.0, scaled, 2, atol=1e-12 * size)
         # A rotation about one axis may be written as a precession as well.
         known = (np.abs(n * m * sine) > 1e-3 / time**2) & (np.abs(turn * spin) > 0)
-        np.testing.assert_allclose(
-            (turn * spin * length(cross(nu, s)))[known] ** 2, (n * m * sine)[known] ** 2, rtol=1e-6
-        )
+        squares = (turn * spin * length(cross(nu, s))) ** 2, (n * m * sine) ** 2
+        assert_at_points(*squares, scaled, 2, where=known, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["grioli", "balanced_field"])
@@ -64,10 +63,10 @@ def test_growth_of_periodic_motions_has_no_unit(kind):
     stable, growth = system.linear_stability(points, family)
     for time, mass in ((1e8, 3e-8), (7e-9, 2e7)):
         scaled = in_units(points, time, mass)
-        np.testing.assert_array_equal(system.identify_family(scaled)[0], family)
+        assert_at_points(system.identify_family(scaled)[0], family, scaled, 7)
         scaled_stable, scaled_growth = system.linear_stability(scaled, family)
-        np.testing.assert_array_equal(scaled_stable, stable)
-        np.testing.assert_allclose(scaled_growth * time, growth, atol=1e-9)
+        assert_at_points(scaled_stable, stable, scaled, 7, growth=growth)
+        assert_at_points(scaled_growth * time, growth, scaled, 7, rtol=1e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +75,7 @@ def test_growth_of_periodic_motions_has_no_unit(kind):
 def test_random_starts_are_far(name, draw):
     points = draw(np.random.default_rng(3), 500)
     motion = steady_motions(systems.get(name), points, 30.0, 1e-5, 1e-5)
-    assert (motion.answer == Existence.FAR).all()
+    assert_at_points(motion.answer, Existence.FAR, points, 3)
 
 
 def test_published_cases_are_decided():
@@ -85,7 +84,8 @@ def test_published_cases_are_decided():
     motion = steady_motions(systems.get("fixed_point"), fixed_point_cases(), durations, 1e-5, 1e-5)
     # A free precession about an axis that is not the vertical is steady, and drifts about the vertical.
     drifting = np.array([case["label"] == "drifting" and case["id"] != 109 for case in cases("fixed_point")])
-    np.testing.assert_array_equal(motion.answer, np.where(drifting, Existence.FAR, Existence.EXACT))
+    expected = np.where(drifting, Existence.FAR, Existence.EXACT)
+    assert_at_points(motion.answer, expected, fixed_point_cases(), None)
 
 
 # Rates and angles that are moved, by the system.
@@ -120,8 +120,9 @@ def test_moved_starts_are_not_decided_otherwise_than_measured(name):
         )  # fmt: skip
         ok = ds.status.values == Status.OK
         exact, far = (ok & (answer == each) for each in (Existence.EXACT, Existence.FAR))
-        assert (ds.label.values[far] == Label.DRIFTING).all(), kind
-        assert (ds.label_any_axis.values[exact] != Label.DRIFTING).all(), kind
+        assert_at_points(ds.label, Label.DRIFTING, points, 4, where=far, answer=answer)
+        drifts = ds.label_any_axis.values == Label.DRIFTING
+        assert_at_points(drifts, False, points, 4, where=exact, answer=answer)
         answers |= set(answer)
     assert answers == {*Existence}
 
@@ -211,9 +212,9 @@ def test_motions_of_another_system_that_are_known(top):
         points = known_tops(np.random.default_rng(5), 60)
         points = {key: v * {"J": 1, "v": 1, "r": size**2}.get(key[0], size) for key, v in points.items()}
         motion = steady_motions(top, points, 30.0 / size, 1e-5 * size, 1e-5)
-        assert (motion.answer == Existence.EXACT).all()
-    motion = steady_motions(top, tops(np.random.default_rng(6), 60), 30.0, 1e-5, 1e-5)
-    assert (motion.answer == Existence.FAR).all()
+        assert_at_points(motion.answer, Existence.EXACT, points, 5)
+    drawn = tops(np.random.default_rng(6), 60)
+    assert_at_points(steady_motions(top, drawn, 30.0, 1e-5, 1e-5).answer, Existence.FAR, drawn, 6)
     moved = points | {"z0": points["z0"] * 1.01, "c": points["c"] + 0.01 * size}
     assert (steady_motions(top, moved, 30.0 / size, 1e-5 * size, 1e-5).answer != Existence.EXACT)[2::3].all()
 
@@ -242,8 +243,8 @@ def test_equations_with_functions_of_constants():
     with registry():
         system = systems.register(WithFunctions())
         motion = steady_motions(system, points, 30.0, 1e-5, 1e-5)
-    assert (motion.answer[::2] == Existence.EXACT).all()
-    assert (motion.answer[1::2] == Existence.FAR).all()
+    expected = np.resize([Existence.EXACT, Existence.FAR], 60)
+    assert_at_points(motion.answer, expected, points, 9)
 
 
 class Resonant(System):

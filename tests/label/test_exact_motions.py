@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from family_starts import STARTS as STARTS_OF_FAMILIES
 from scipy.spatial.transform import Rotation
 from strategies import default_points, predictions, random_satellites, tile_of
 
@@ -231,6 +232,26 @@ def test_circles_that_a_start_leaves(inertial, duration):
     for share, near in ((0.99, False), (1.01, True)):
         found = near_circle(SATELLITE, points, np.full(24, duration), share * limit, frame_rate)
         assert found.tolist() == 24 * [near]
+
+
+def test_a_nudge_off_a_motion_about_other_axes_is_weighed_by_the_conditions_of_its_family():
+    """Grioli's motions, whose conditions an angle of 1e-4 breaks: their own residual counts where labels about any axes do."""
+    base = STARTS_OF_FAMILIES["fixed_point"]["grioli"](np.random.default_rng(4), 3)
+    size = base["A"].size
+    for change in (None, 1e-4):
+        points = base | {"B": base["B"] * (1.0 + (change or 0.0))}
+        tile = tile_of(TOP, base, points, np.full(size, 20.0), Settings())
+        residual = TOP.identify_family(points)[1]
+        for outputs, about_other in ((["label_any_axis"], True), (["label"], False)):
+            plan = Plan(TOP, Settings(), outputs, nudged=change is not None)
+            prediction = theory.predict_runs(plan, tile)
+            assert (prediction.about_other_axes == about_other).all()
+            assert (prediction.family_residual <= 1e-13).all()
+            expected = residual if about_other else prediction.found.residual
+            np.testing.assert_array_equal(prediction.start_residual, expected)
+            if about_other:
+                assert (prediction.pushed == (change is not None)).all()
+                assert (prediction.start_residual > 1e-6).all() == (change is not None)
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(1e-9, Label.NOT_COMPUTED), (1e-5, REGULAR)])

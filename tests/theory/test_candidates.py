@@ -304,6 +304,33 @@ def test_motions_about_other_axes_are_elsewhere():
         assert (answer.answer, answer.elsewhere) == (Existence.EXACT, elsewhere)
 
 
+def test_rates_far_beyond_the_bound_are_no_motion():
+    """A free symmetric top about axes that are its own: with a bound far below its rates they would be what cancels."""
+    top = {
+        "A": 1.0,
+        "B": 1.0,
+        "C": 0.6,
+        "p0": 0.7,
+        "q0": 1.1,
+        "r0": 5.0,
+        "gamma10": 0.6,
+        "gamma20": 0.0,
+        "gamma30": 0.8,
+    }
+    points = {
+        name: np.array([top.get(name, parameter.default if name != "Mg" else 0.0)], float)
+        for name, parameter in TOP.parameters.items()
+    }
+    (body,) = starts_of(TOP, points)
+    momentum = np.linalg.norm([0.7, 1.1, 3.0])
+    for bound, expected in ((momentum / 7, Existence.EXACT), (momentum / 9, Existence.NEAR)):
+        answer, motion = of(steady.steady_motion)(
+            body.w, body.vectors, body.constants, body.rates, bound, 1.0, np.inf, np.inf
+        )
+        assert answer == expected
+        assert (motion.n == pytest.approx(momentum)) == (expected == Existence.EXACT)
+
+
 def test_the_residual_of_a_start():
     """|u' - n m gamma x e3| over the squared unit and |u - n gamma| across the third axis over the unit, the larger; less upright."""
     residual_of = of(prediction.residual_of)

@@ -93,16 +93,17 @@ MOVED = {"satellite": ("theta0", "m", "k3", "theta_dot0"), "fixed_point": ("thet
 ABOUT_THIRD = [(name, kind) for name, kind in KINDS if kind.split(",")[0] not in ("grioli", "balanced_field")]
 
 
+@pytest.mark.parametrize("count", [6, pytest.param(24, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", STARTS)
-def test_moved_starts_are_not_decided_otherwise_than_measured(name):
+def test_moved_starts_are_not_decided_otherwise_than_measured(name, count):
     """Starts moved by 1e-16 to 1e-1, spins up to 1e6, in any units."""
     system, rng = systems.get(name), np.random.default_rng(4)
     names = ["label", "status", "label_any_axis"]
     names += ["label_any_axis_inertial"] if name == "satellite" else []  # the kernel of other tests
     answers = set()
     for kind in [kind for other, kind in ABOUT_THIRD if other == name]:
-        points = STARTS[name][kind](rng, 24)
-        points = {key: values[:24].copy() for key, values in points.items()}
+        points = STARTS[name][kind](rng, count)
+        points = {key: values[:count].copy() for key, values in points.items()}
         size = points["A"].size
         which, moves = (
             rng.integers(4, size=size),

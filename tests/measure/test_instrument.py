@@ -51,6 +51,20 @@ def test_errors_that_could_change_a_label(measured, error, expected):
     assert not could_change(none, measured, error).any()
 
 
+def test_all_measurements_grow_or_fall_together():
+    """Means by their magnitude, and theta against them: of a sum, or of a difference with theta, 0.1 and 0.2 are 0.3."""
+
+    def of_sum(measured):
+        return np.abs(measured["mean"] + DRIFT) + measured["spread"] - measured["theta_min"] > 2.0
+
+    rule, error = Rule(of_sum, NAMES, {"mean": DRIFT}), of(0.1, 0.1, 0.1)
+    for mean in (0.0, -2 * DRIFT):
+        assert could_change(rule, of(mean, 0.75, 0.5), error).tolist() == [True]  # 1.75 + 0.3
+        assert could_change(rule, of(mean, 0.65, 0.5), error).tolist() == [False]
+        assert could_change(rule, of(mean, 1.25, 0.5), error).tolist() == [True]  # 2.25 - 0.3
+        assert could_change(rule, of(mean, 1.35, 0.5), error).tolist() == [False]
+
+
 def test_measurements_that_may_be_rounding_count_as_none():
     rule = Rule(label, NAMES, {"mean": DRIFT}, {"mean": np.array([0.1]), "spread": np.array([0.7])})
     measured = of(-1.45, 0.6)

@@ -1,5 +1,7 @@
 """The steps of the test of steady motions, by numbers of one start: candidates, phases, residuals, departures."""
 
+from types import FunctionType
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -346,3 +348,26 @@ def test_the_residual_of_a_start():
     assert residual_of(other) == pytest.approx(rest, rel=1e-12)
     upright = before._replace(w=(1e-13, 0.0, 2.0), vectors=((0.0, 1e-12, 1.0),), rates=(1e-12, 5e9, 0.0))
     assert residual_of(upright) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("m", "n", "p", "q"), [(-2.0, 4.0, 2, 1), (3.0, 1.0, 1, 3), (2.0, -np.pi, 1, 5), (0.0, 2.0, 1, 0)]
+)
+def test_the_nodes_of_the_test_are_equidistant_in_both_phases(m, n, p, q):
+    """For a right-hand side of degree 2: 4 (p + q) + 1 parts of p and q turns, against the sense of the rates, the first the last."""
+    nodes = []
+
+    def residual_at(*arguments):
+        nodes.append(arguments[-2:])
+        return ZERO
+
+    namespace = vars(steady) | {"DEGREE": 2, "PERIODS": of(steady.phases).__wrapped__.__globals__["PERIODS"]}
+    namespace |= {"residual_at": residual_at, "rounding": lambda *_: (1.0, 1.0, 1.0)}
+    for function in (steady.is_steady, steady.phases):
+        namespace[function.__name__] = FunctionType(function.__code__, namespace)
+    start, _ = start_of(LEAN, m, FIXED, n, vectors=(LEAN,))
+    assert namespace["is_steady"](start, (), Motion(LEAN, m, FIXED, n), 4.0, False)
+    angle = -2 * np.pi * np.arange(1, 4 * (p + q) + 2) / (4 * (p + q) + 1)
+    np.testing.assert_allclose(
+        nodes, np.transpose([np.sign(n) * p * angle, np.sign(m) * q * angle]), rtol=1e-14
+    )

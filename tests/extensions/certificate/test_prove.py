@@ -198,18 +198,14 @@ def test_labels_of_proofs_are_those_of_runs(name):
     points = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     points["theta0"] = points["theta0"] + 10.0 ** rng.uniform(-9, -3, points["A"].size)
     labels = ["label", "label_inertial"][: 2 if name == "satellite" else 1]
-    names = [*labels, "status", *(f"{each}_proof" for each in labels)]
-    options = {
-        "duration": 40.0,
-        "method": "rk8",
-        "rate_tolerance": 1e-3,
-        "variables": [*names, "predicted", "predicted_inertial"][: 7 if name == "satellite" else 4],
-    }
-    ds = label_points(name, points, **options)
-    for label in labels:
-        proved = (ds[f"{label}_proof"] != 0) & (ds.status == Status.OK)
+    proofs = [f"{label}_proof" for label in labels]
+    predicted = [label.replace("label", "predicted") for label in labels]
+    names = [*labels, *proofs, *predicted, "status"]
+    ds = label_points(name, points, duration=40.0, method="rk8", rate_tolerance=1e-3, variables=names)
+    for label, proof, own in zip(labels, proofs, predicted, strict=True):
+        proved = (ds[proof] != 0) & (ds.status == Status.OK)
         assert proved.sum() > 10
-        assert (ds[label] == ds[label.replace("label", "predicted")])[proved].all()
+        assert (ds[label] == ds[own])[proved].all()
 
 
 def test_runs_for_labels_say_what_proofs_would_save(whole):

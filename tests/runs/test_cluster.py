@@ -332,6 +332,8 @@ def test_versions_of_dask_and_answers_of_workers_are_compared_when_a_run_connect
 
 
 LISTENING = """
+import os
+
 import psutil
 from atlas.runs import cluster
 
@@ -342,17 +344,18 @@ if __name__ == "__main__":
         sockets = [c for each in processes for c in each.net_connections("inet") if c.status == "LISTEN"]
         ports = {each.laddr.port for each in sockets}
         print(*sorted({each.laddr.ip for each in sockets}), len(ports) >= 2, 8787 in ports)
+        print(*(client.submit(os.environ.get, name).result() for name in (*cluster.ALLOCATOR, "OMP_NUM_THREADS")))
 """
 
 
-def test_worker_processes_on_this_machine_listen_to_this_machine_only(tmp_path):
+def test_worker_processes_on_this_machine_listen_to_this_machine_only_and_keep_freed_memory(tmp_path):
     (tmp_path / "listening.py").write_text(LISTENING)
     done = subprocess.run(
         [sys.executable, "listening.py"], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300,
         env=os.environ | {"PYTHONPATH": str(Path(atlas.__file__).parents[1])},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == ["127.0.0.1 True False"]
+    assert done.stdout.splitlines() == ["127.0.0.1 True False", "268435456 33554432 1"]
     assert done.stderr == ""
 
 

@@ -155,8 +155,8 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Up to one node of each oscillation, whose passages of the rim the nodes may meet in the same phase.
-        missed = bound * step_sizes.sample_spacing / (2.0 * np.pi)
+        # Two nodes, or one of each oscillation, whose passages of the rim the nodes may meet in the same phase.
+        missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 

@@ -218,8 +218,12 @@ def test_expected_errors_of_the_statistics():
     angle = 0.2 * share + np.sin(0.7) * 0.002
     assert errors["theta_min"] == errors["theta_max"] == errors["sine_max"] == pytest.approx(angle)
     assert errors["outside"] == 0.0
-    partly = measured(theta_min=0.5, theta_max=0.7, outside=0.3)
-    assert Rates().errors(run_of(partly), np.zeros(1))["outside"] == 0.02
+    # Of the share of the nodes outside the cylinder: two nodes of 100, or one of each oscillation.
+    partly = run_of(measured(theta_min=0.5, theta_max=0.7, outside=0.3))
+    oscillations = 2.0 * STEPS.sample_spacing[0] / (2.0 * np.pi)
+    assert Rates().errors(partly, np.zeros(1))["outside"] == pytest.approx(oscillations, rel=1e-15)
+    partly.bound = np.array([0.2])
+    assert Rates().errors(partly, np.zeros(1))["outside"] == 0.02
     # Rounding counts more beside the vertical: 2 times 1e-16 times 100 over the sine.
     beside = measured(theta_min=1e-9, theta_max=0.7)
     assert Rates().errors(run_of(beside), np.zeros(1))["psi_dot_mean"] == pytest.approx(0.004 + 2e-5)

@@ -43,9 +43,13 @@ def is_measured(system: System, name: str) -> bool:
     return name not in others and data_variables(system)[name].dtype.startswith("float")
 
 
-def proofs_of_labels() -> dict[str, str]:
-    """Label variables, and the variables of flags that are not 0 where they are proved for every duration."""
-    return {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
+def proofs_of_labels(system: System | None = None) -> dict[str, str]:
+    """Label variables, of a system alone if it is given, and the flags that are not 0 where they are proved for every duration."""
+    proofs = {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
+    if system is None:
+        return proofs
+    registry = variables(system)
+    return {label: proof for label, proof in proofs.items() if proof in registry}
 
 
 def main_instrument(system: System) -> MainInstrument:

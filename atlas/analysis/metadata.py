@@ -7,7 +7,8 @@ import re
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import and_
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,7 @@ def without_run(ds: xr.Dataset) -> xr.DataArray | None:
     scene = scene_of(ds) if proofs else None
     if scene is None or not scene.settings.prove:
         return None
-    return proofs[0] if len(proofs) == 1 else proofs[0] & proofs[1]
+    return reduce(and_, proofs)
 
 
 def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:

@@ -30,8 +30,8 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
     frames = predicted_frames(system, base)
     names = {own: own.replace("predicted", "predicted_any_axis") for own in frames}
     if prediction.motion is None:
-        known = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
-        return {name: np.where(known, theory[own], 0).astype(np.int8) for own, name in names.items()}
+        membership = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
+        return {name: np.where(membership, theory[own], 0).astype(np.int8) for own, name in names.items()}
     tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
     # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
     s, m, fixed, n = prediction.motion
@@ -45,7 +45,7 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
         near = near_circle(system, tile.points, duration, tolerances.rate, frame_rate)
         columns = theory[own], exact, prediction.answer, theory["stable"], near, in_range
         result[names[own]] = predict_circles(
-            system, prediction.found, *columns, plan.nudged, plan.in_machine_code
+            system, prediction.test, *columns, plan.nudged, plan.in_machine_code
         )
     return result
 

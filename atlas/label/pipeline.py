@@ -348,7 +348,7 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
         "step": run.step_sizes.step_size,
         "step_ratio": run.step_sizes.step_ratio,
         "error_estimate": np.where(resolved, error, np.inf),
-        "condition_residual": runs.theory.prediction.found.residual,
+        "condition_residual": runs.theory.prediction.test.residual,
         "end_time": np.where(ended, integration.duration, runs.tile.duration) + transient,
     }
     return columns

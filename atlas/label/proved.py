@@ -35,7 +35,7 @@ def by_proof(
     tile, predicted = tile.subset(proved), dict[str, NDArray[Any]]()
     if plan.outputs is None or not PREDICTED.isdisjoint(plan.outputs):
         theory = predict_runs(plan, tile)
-        predicted = {**theory.variables, "condition_residual": theory.found.residual}
+        predicted = {**theory.variables, "condition_residual": theory.test.residual}
     progress(float(tile.duration.size))
     return proved, {
         **predicted,

@@ -36,7 +36,7 @@ from ..systems.gyrostat.system import log_growth
 from ..systems.jacobian import changes_volume
 from ..systems.steady import growth_about_vertical, lacks_theory, polynomial_degree
 from ..theory.motions import condition_residual, find_motions, predict_labels
-from ..theory.point import Found, Known
+from ..theory.point import Membership, SteadyTest
 from ..theory.prediction import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
 from ..theory.steady import Existence
 from .plan import Plan
@@ -56,7 +56,7 @@ class Prediction:
     variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
     # Of the start before the nudge, and the answers of the equations that `predict` leaves; None where the equations do not decide
     motion: TwoAxes | None
-    found: Found
+    test: SteadyTest
     answer: Flags
     family_residual: Array  # of the conditions of the family, at the start before the nudge
     # Of the conditions of a steady motion at the start that is integrated, about any axes or in the plane where `log_growth` is
@@ -80,24 +80,26 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
     tolerances, compiled = plan.settings.at(tile.rate_tolerance).tolerances, plan.in_machine_code
-    motion, found, family, family_residual = _found(system, base, points, until, tolerances, nudged, compiled)
+    motion, test, family, family_residual = _tests_and_families(
+        system, base, points, until, tolerances, nudged, compiled
+    )
     stable, growth_rate = system.linear_stability(base, family)
     varies, elsewhere = unsteady(system, family), on_other_axes(system, family)
     members, nudged_residual = np.flatnonzero(varies | elsewhere), family_residual.copy()
     if nudged and members.size:
         nudged_residual[members] = system.identify_family(subset(points, members))[1]
     growth = log_growth(system, base, family, growth_rate, until)
-    known = Known(varies, elsewhere, family_residual, nudged_residual, stable, growth)
+    membership = Membership(varies, elsewhere, family_residual, nudged_residual, stable, growth)
     frames = predicted_frames(system, base)
-    exact = exact_labels(system, base, family, motion, found.elsewhere, duration, tolerances)
+    exact = exact_labels(system, base, family, motion, test.elsewhere, duration, tolerances)
     own = exact["predicted"]
     inertial = exact.get("predicted_inertial", own)
     settings = system.frequency_bound(points), tolerances.rate, tolerances.angle, nudged, compiled
-    predicted = predict_labels(system, found, known, (own, inertial), *settings)
+    predicted = predict_labels(system, test, membership, (own, inertial), *settings)
     about_other_axes = elsewhere & (CIRCLES[0] in plan.instruments)
     log_growths = np.minimum(np.where(elsewhere & ~about_other_axes, 0.0, predicted.growth), MAX_LOG_GROWTH)
-    start_residual = np.where(varies | about_other_axes, nudged_residual, found.residual)
-    pushed = np.where(about_other_axes, nudged & (nudged_residual > ROUNDING_RESIDUAL), found.pushed)
+    start_residual = np.where(varies | about_other_axes, nudged_residual, test.residual)
+    pushed = np.where(about_other_axes, nudged & (nudged_residual > ROUNDING_RESIDUAL), test.pushed)
     may_settle = (tile.transient > 0) & ~((predicted.answer == Existence.EXACT) & ~pushed)
     labels = dict(zip(frames, (predicted.label, predicted.inertial), strict=False))
     forget_drifting(system, labels, may_settle, system.constants(points), system.initial_state(points))
@@ -108,11 +110,11 @@ def predict_runs(plan: Plan, tile: Grid) -> Prediction:
         **labels,
     }
     return Prediction(
-        variables, motion, found, predicted.answer, family_residual, start_residual, about_other_axes, pushed, log_growths, may_settle
+        variables, motion, test, predicted.answer, family_residual, start_residual, about_other_axes, pushed, log_growths, may_settle
     )  # fmt: skip
 
 
-def _found(
+def _tests_and_families(
     system: System,
     base: Points,
     points: Points,
@@ -120,7 +122,7 @@ def _found(
     tolerances: Tolerances,
     nudged: bool,
     in_machine_code: bool,
-) -> tuple[TwoAxes | None, Found, Flags, Array]:
+) -> tuple[TwoAxes | None, SteadyTest, Flags, Array]:
     """What the equations say of starts, and their families with the residuals of their conditions.
 
     Of a system of which the theorem says nothing the families decide: a start on one is exact, others have no label.
@@ -133,15 +135,15 @@ def _found(
         kept = (system.identify_family(points)[0] > 0) & (after <= ROUNDING_RESIDUAL)
         answer = np.where(family > 0, Existence.EXACT, Existence.NEAR).astype(np.int8)
         zero, pushed = np.zeros(size), nudged & ~kept
-        found = Found(answer, on_other_axes(system, family), family > 0, kept, pushed, after, zero, zero)
-        return None, found, family, residual
-    motion, found = find_motions(
+        test = SteadyTest(answer, on_other_axes(system, family), family > 0, kept, pushed, after, zero, zero)
+        return None, test, family, residual
+    motion, test = find_motions(
         system, base, points if nudged else None, duration, tolerances.rate, tolerances.angle, in_machine_code
     )
-    where = np.flatnonzero(found.may_be_member)
+    where = np.flatnonzero(test.may_be_member)
     part = base if where.size == size else subset(base, where)
     family[where], residual[where] = _identify(system, part)
-    return motion, found, family, residual
+    return motion, test, family, residual
 
 
 def forget_drifting(
@@ -175,8 +177,8 @@ class Theory:
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
             no, none = zero > 0, zero.astype(np.int8)
-            found = Found(none, no, no, no, no, zero, zero, zero)
-            nothing = Prediction({}, None, found, none, zero, zero, no, no, zero, no)
+            test = SteadyTest(none, no, no, no, no, zero, zero, zero)
+            nothing = Prediction({}, None, test, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.

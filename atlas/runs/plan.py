@@ -29,7 +29,7 @@ from ..measure.chaos import Chaos
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
 from ..systems.base import Array, extensions_of
-from ..variables import proofs_of_labels, variables
+from ..variables import proofs_of_labels
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
@@ -202,7 +202,7 @@ class ScenePlan:
         return method_lines(self.scene.settings.method, self.relative_costs)
 
     @property
-    def _predicted(self) -> NDArray[np.int64]:
+    def _few_points(self) -> NDArray[np.int64]:
         """Indices of points of the sample that are enough for shares of theory."""
         exists = np.flatnonzero(self.sample.exists)
         places = np.linspace(0, exists.size - 1, min(exists.size, MAX_PREDICTED))
@@ -210,19 +210,16 @@ class ScenePlan:
 
     def proof_lines(self) -> list[str]:
         """Of a run for labels alone: a sentence on the points whose labels a proof could give without a run, if some are."""
-        scene, registry = self.scene, variables(self.scene.system)
-        proofs = [
-            proof
-            for label, proof in proofs_of_labels().items()
-            if label in scene.outputs and proof in registry
-        ]
+        scene = self.scene
+        every = proofs_of_labels(scene.system)
+        proofs = [proof for label, proof in every.items() if label in scene.outputs]
         if not proofs or scene.settings.prove or scene.refine or not self.points.may_stop_early:
             return []
         from ..label.proved import proved_points
 
         plan = replace(self.points, outputs=[*scene.outputs, *proofs], in_machine_code=False)
-        proved, _ = proved_points(plan, self.sample.subset(self._predicted))
-        steps = self.step_sizes.without_unresolved().steps[self._predicted]
+        proved, _ = proved_points(plan, self.sample.subset(self._few_points))
+        steps = self.step_sizes.without_unresolved().steps[self._few_points]
         if not proved.any():
             return []
         return [
@@ -244,7 +241,7 @@ class ScenePlan:
         # `atlas check` loads no compiler.
         plan = replace(self.points, in_machine_code=False)
         drifting = (
-            predict_runs(plan, self.sample.subset(self._predicted)).variables["predicted"] == Label.DRIFTING
+            predict_runs(plan, self.sample.subset(self._few_points)).variables["predicted"] == Label.DRIFTING
         )
         if not drifting.any():
             return []

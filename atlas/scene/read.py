@@ -283,7 +283,7 @@ def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> 
             "integration.prove = true: not together with refine, whose borders are those of measured labels"
         )
     registry = variables(system)
-    every = {label: proof for label, proof in proofs_of_labels().items() if proof in registry}
+    every = proofs_of_labels(system)
     wanted = {proof for label, proof in every.items() if label in outputs}
     if not wanted:
         labels = (

@@ -9,9 +9,9 @@ import numpy as np
 from ..systems.base import Array, Flags, Mask, Points, System, TwoAxes, shape_of, within_range
 from ..systems.gyrostat.system import Gyrostat
 from ..systems.steady import lacks_theory, polynomial_degree
-from .compiled import of_system
+from .compiled import FEW_POINTS, of_system
 from .generated import load_constants, load_state
-from .point import Body, Found, Known, Predicted
+from .point import Body, Membership, StartLabels, SteadyTest
 from .prediction import find, predict, predict_circle, residual_of
 
 
@@ -45,7 +45,7 @@ def find_motions(
     rate_tolerance: Array | float,
     angle_tolerance: float,
     in_machine_code: bool = False,
-) -> tuple[TwoAxes, Found]:
+) -> tuple[TwoAxes, SteadyTest]:
     """The steady motion that each start is, or would be, and what the equations say of it, of a system of a `polynomial_degree`.
 
     Before a nudge and, unless points is None, after it. Inside a cone of angle_tolerance about the vertical, rad, only the tilt
@@ -56,24 +56,24 @@ def find_motions(
     settings = duration * one, rate_tolerance * one, angle_tolerance, points is not None
     axes = np.empty((8, one.size))
     flags, numbers = np.empty((4, one.size), bool), np.empty((3, one.size))
-    found = Found(np.empty(one.size, np.int8), *flags, *numbers)
+    test = SteadyTest(np.empty(one.size, np.int8), *flags, *numbers)
     find_all = of_system(find_starts, system, in_machine_code)
-    find_all(before, after, *settings, lacks_theory(system, base), axes, found)
-    return TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), found
+    find_all(before, after, *settings, lacks_theory(system, base), axes, test)
+    return TwoAxes(axes[0:3], axes[3], axes[4:7], axes[7]), test
 
 
 def find_starts(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacking, axes, columns):
     """Rows of axes: s, m, nu, n."""
     for i in range(duration.size):
         body, other = body_at(before, i), body_at(after, i)
-        motion, found = find(body, other, duration[i], rate_tolerance[i], angle_tolerance, nudged, lacking[i])
+        motion, test = find(body, other, duration[i], rate_tolerance[i], angle_tolerance, nudged, lacking[i])
         for k in range(3):
             axes[k, i], axes[4 + k, i] = motion.s[k], motion.nu[k]
         axes[3, i], axes[7, i] = motion.m, motion.n
-        columns.answer[i], columns.elsewhere[i] = found.answer, found.elsewhere
-        columns.may_be_member[i] = found.may_be_member
-        columns.kept[i], columns.pushed[i] = found.kept, found.pushed
-        columns.residual[i], columns.change[i], columns.away[i] = found.residual, found.change, found.away
+        columns.answer[i], columns.elsewhere[i] = test.answer, test.elsewhere
+        columns.may_be_member[i] = test.may_be_member
+        columns.kept[i], columns.pushed[i] = test.kept, test.pushed
+        columns.residual[i], columns.change[i], columns.away[i] = test.residual, test.change, test.away
 
 
 def body_at(starts, i):
@@ -85,7 +85,7 @@ def body_at(starts, i):
 
 
 @np.errstate(all="ignore")
-def condition_residual(system: System, points: Points, in_machine_code: bool = False) -> Array:
+def condition_residual(system: System, points: Points) -> Array:
     """How far each start is from a steady motion about the third axis and the vertical, (points,); 0 on an exact one.
 
     Of systems of which the theorem says nothing that of the families, nan without any.
@@ -94,7 +94,7 @@ def condition_residual(system: System, points: Points, in_machine_code: bool = F
         return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
     starts = Starts.of(system, points)
     residual = np.empty(starts.bound.size)
-    of_system(find_residuals, system, in_machine_code)(starts, residual)
+    of_system(find_residuals, system, residual.size > FEW_POINTS)(starts, residual)
     return residual
 
 
@@ -105,47 +105,47 @@ def find_residuals(starts, residual):
 
 def predict_labels(
     system: System,
-    found: Found,
-    known: Known,
+    test: SteadyTest,
+    membership: Membership,
     exact: tuple[Flags, Flags],
     bound: Array,
     rate_tolerance: Array | float,
     angle_tolerance: float,
     nudged: bool,
     in_machine_code: bool = False,
-) -> Predicted:
+) -> StartLabels:
     """What theory predicts of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
-    one = np.ones_like(found.residual)
+    one = np.ones_like(test.residual)
     label, inertial, answer = np.empty((3, one.size), np.int8)
-    result = Predicted(label, inertial, answer, np.empty(one.size))
+    result = StartLabels(label, inertial, answer, np.empty(one.size))
     by_equations = isinstance(polynomial_degree(system), int)
     settings = bound * one, rate_tolerance * one, angle_tolerance, nudged, by_equations
-    of_system(predict_starts, system, in_machine_code)(found, known, *exact, *settings, result)
+    of_system(predict_starts, system, in_machine_code)(test, membership, *exact, *settings, result)
     return result
 
 
 def predict_starts(
-    found, known, exact, inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations, result
+    test, membership, exact, inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations, result
 ):
     for i in range(bound.size):
-        of_family = Known(
-            known.varies[i], known.elsewhere[i], known.residual[i], known.nudged_residual[i], known.stable[i], known.growth[i]
+        of_family = Membership(
+            membership.varies[i], membership.elsewhere[i], membership.residual[i], membership.nudged_residual[i], membership.stable[i], membership.growth[i]
         )  # fmt: skip
         settings = bound[i], rate_tolerance[i], angle_tolerance, nudged, by_equations
-        prediction = predict(found_at(found, i), of_family, exact[i], inertial[i], *settings)
+        prediction = predict(steady_test_at(test, i), of_family, exact[i], inertial[i], *settings)
         result.label[i], result.inertial[i], result.answer[i], result.growth[i] = prediction
 
 
-def found_at(found, i):
-    return Found(
-        found.answer[i], found.elsewhere[i], found.may_be_member[i], found.kept[i], found.pushed[i],
-        found.residual[i], found.change[i], found.away[i],
+def steady_test_at(test, i):
+    return SteadyTest(
+        test.answer[i], test.elsewhere[i], test.may_be_member[i], test.kept[i], test.pushed[i],
+        test.residual[i], test.change[i], test.away[i],
     )  # fmt: skip
 
 
 def predict_circles(
     system: System,
-    found: Found,
+    test: SteadyTest,
     own: Flags,
     exact: Flags,
     answer: Flags,
@@ -158,11 +158,11 @@ def predict_circles(
     """Labels about any axes, see `predict_circle`."""
     labels = np.empty(own.shape, np.int8)
     label_all = of_system(label_circles, system, in_machine_code)
-    label_all(found, own, exact, answer, stable, near, in_range, nudged, labels)
+    label_all(test, own, exact, answer, stable, near, in_range, nudged, labels)
     return labels
 
 
-def label_circles(found, own, exact, answer, stable, near, in_range, nudged, labels):
+def label_circles(test, own, exact, answer, stable, near, in_range, nudged, labels):
     for i in range(own.size):
         of_start = own[i], exact[i], answer[i], stable[i], near[i], in_range[i]
-        labels[i] = predict_circle(found_at(found, i), *of_start, nudged)
+        labels[i] = predict_circle(steady_test_at(test, i), *of_start, nudged)

@@ -46,7 +46,7 @@ class Start(NamedTuple):
     vertical: Vector  # of the frame
 
 
-class Found(NamedTuple):
+class SteadyTest(NamedTuple):
     """What the equations say of a start, before a nudge where nothing else is said."""
 
     answer: Value  # of Existence
@@ -59,7 +59,7 @@ class Found(NamedTuple):
     away: Value  # departure of the nudged start from a steady motion, in tolerances
 
 
-class Known(NamedTuple):
+class Membership(NamedTuple):
     """What the families say of a start."""
 
     varies: Value  # whether its motion turns about the vertical at a varying rate
@@ -70,7 +70,7 @@ class Known(NamedTuple):
     growth: Value  # of a distance from the motion until the end of the run, as a logarithm; nan where it is unknown
 
 
-class Predicted(NamedTuple):
+class StartLabels(NamedTuple):
     """What theory predicts of a start."""
 
     label: Value  # of Label, in the system's frame
@@ -124,9 +124,7 @@ def length(a):
 def unit(a, otherwise):
     """The vector over its length, another one where that is 0."""
     size = length(a)
-    if size == 0.0:
-        return otherwise
-    return a[0] / size, a[1] / size, a[2] / size
+    return otherwise if size == 0.0 else divided(a, size)
 
 
 def rotate(a, axis, cosine, sine):

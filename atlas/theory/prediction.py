@@ -22,8 +22,16 @@ import numpy as np
 from ..flags import Label, Stability
 from ..systems.base import FAMILY_TOLERANCE
 from .generated import derivatives, frame_motion, frame_motion_change
-from .point import Found, Predicted, fmax, larger, length, minus, over, scaled, smaller
-from .steady import FAR, Existence, departure, motion_about_third, start_on_axis, steady_motion
+from .point import StartLabels, SteadyTest, fmax, larger, length, minus, over, scaled, smaller
+from .steady import (
+    FAR,
+    Existence,
+    departure,
+    exact_motion,
+    motion_about_third,
+    start_on_axis,
+    steady_motion,
+)
 
 # Relative rounding error of an initial state: an unstable motion amplifies it.
 ROUNDOFF = 1e-16
@@ -51,23 +59,18 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
     residual = residual_of(after)
     upright = abs(before.rates[0]) <= FAMILY_TOLERANCE
     may_be_member = nudged or answer != Existence.FAR or residual <= NEARBY or upright
-    kept, pushed, change, away = True, False, 0.0, 0.0
+    kept, pushed, change, away = not nudged, False, 0.0, 0.0
     if nudged:
         # Only a start that fails by at most the tolerance of families may be on a motion again.
         beside = residual <= FAMILY_TOLERANCE
-        kept = (elsewhere or beside) and is_exact(after)
+        start = start_on_axis(after.w, after.vectors, after.constants, after.rates)
+        if elsewhere or beside:
+            kept, _ = exact_motion(start, after.constants, after.rates, after.bound)
+        kept = kept and after.in_range
         pushed = not (beside and kept)
         if after.in_range:
-            change, away = changes(before, after, duration, rate_tolerance, angle_tolerance)
-    return motion, Found(answer, elsewhere, may_be_member, kept, pushed, residual, change, away)
-
-
-def is_exact(body):
-    """Whether a start is a steady motion as exactly as rounding allows, whatever the duration and the tolerances."""
-    answer, _ = steady_motion(
-        body.w, body.vectors, body.constants, body.rates, body.bound, 1.0, np.inf, np.inf
-    )
-    return body.in_range and answer == Existence.EXACT
+            change, away = changes(before, after, start, duration, rate_tolerance, angle_tolerance)
+    return motion, SteadyTest(answer, elsewhere, may_be_member, kept, pushed, residual, change, away)
 
 
 def residual_of(body):
@@ -90,13 +93,12 @@ def residual_of(body):
     return larger(change, over(rest, unit))
 
 
-def changes(before, after, duration, rate_tolerance, angle_tolerance):
+def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
     """By how much a nudge changes rates at most from a steady motion, and the departure to first order, in tolerances.
 
     The departure is the least change of the rates; the oscillation may be some times as large, that of psi' by 1 / sin(theta).
-    Inside the cone the tilt is no measure of it, but the change of the angular velocity.
+    Inside the cone the tilt is no measure of it, but the change of the angular velocity. start: of `after`.
     """
-    start = start_on_axis(after.w, after.vectors, after.constants, after.rates)
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)
     u, vertical = frame_motion(after.w, after.vectors, after.constants)
@@ -108,51 +110,51 @@ def changes(before, after, duration, rate_tolerance, angle_tolerance):
 
 
 def predict(
-    found, known, exact, exact_inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations
+    test, membership, exact, exact_inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations
 ):
     """What theory predicts of a start.
 
     exact: the labels of the statistics of the exact motion; by_equations: whether the answer of `find` is that of the equations.
     """
-    answer = found.answer
-    if known.varies and (nudged or known.residual <= ROUNDING_RESIDUAL):
+    answer = test.answer
+    if membership.varies and (nudged or membership.residual <= ROUNDING_RESIDUAL):
         answer = Existence.EXACT
-    label = label_of(found, known, answer, exact, nudged)
-    inertial = label_of(found, known, answer, exact_inertial, nudged)
-    growth = known.growth
-    if growth != growth or (known.varies and label == Label.DRIFTING):
+    label = label_of(test, membership, answer, exact, nudged)
+    inertial = label_of(test, membership, answer, exact_inertial, nudged)
+    growth = membership.growth
+    if growth != growth or (membership.varies and label == Label.DRIFTING):
         growth = 0.0
-    residual = known.nudged_residual if known.varies or known.elsewhere else found.residual
+    residual = membership.nudged_residual if membership.varies or membership.elsewhere else test.residual
     limit = fmax(0.0, rounding_limit(residual, bound, rate_tolerance, angle_tolerance))
     is_near = residual > ROUNDING_RESIDUAL and growth > limit
     if by_equations and not nudged and answer == Existence.EXACT and is_near:
         answer = Existence.NEAR
         label = label if label == Label.DRIFTING else Label.NOT_COMPUTED
         inertial = inertial if inertial == Label.DRIFTING else Label.NOT_COMPUTED
-    return Predicted(label, inertial, answer, growth)
+    return StartLabels(label, inertial, answer, growth)
 
 
-def label_of(found, known, answer, exact, nudged):
+def label_of(test, membership, answer, exact, nudged):
     """The label of a start in one frame, before growth decides."""
     if answer == Existence.EXACT:
-        label = after_nudge(exact, known.stable) if found.pushed else exact
+        label = after_nudge(exact, membership.stable) if test.pushed else exact
     else:
         label = Label.DRIFTING if answer == Existence.FAR else Label.NOT_COMPUTED
-    if not nudged or known.varies or label == Label.DRIFTING:
+    if not nudged or membership.varies or label == Label.DRIFTING:
         return label
-    if found.away > FAR:
+    if test.away > FAR:
         return Label.DRIFTING
-    return Label.NOT_COMPUTED if found.change > KEPT else label
+    return Label.NOT_COMPUTED if test.change > KEPT else label
 
 
-def predict_circle(found, own, exact, answer, stable, near, in_range, nudged):
+def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
     """The label about any axes: of the exact motion about other axes, else its own; a start near a circle does not drift.
 
     own, answer: of `predict`; exact: of the circle of the exact motion; near: whether the start may stay on a circle.
     """
-    elsewhere, label = found.elsewhere and answer == Existence.EXACT, own
+    elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:
-        label = after_nudge(exact, stable) if nudged and not found.kept else exact
+        label = after_nudge(exact, stable) if nudged and not test.kept else exact
     # Beside a stable motion about the third axis a nudge may lead to one about other axes.
     beside = elsewhere or not nudged or stable != Stability.STABLE
     if label != Label.DRIFTING or (answer == Existence.EXACT and beside) or not in_range or not near:

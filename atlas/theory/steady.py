@@ -86,9 +86,18 @@ def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance,
     rates: (sin theta, n, m) of System.steady_rates; bound: of frequencies.
     """
     start = start_on_axis(w, vectors, constants, rates)
+    is_exact, motion = exact_motion(start, constants, rates, bound)
+    if is_exact:
+        return Existence.EXACT, motion
+    change = departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance)
+    return Existence.FAR if change > FAR else Existence.NEAR, motion
+
+
+def exact_motion(start, constants, rates, bound):
+    """Whether a start is a steady motion as exactly as rounding allows, and which; about the third axis and the vertical if not."""
     about_third = motion_about_third(start, rates)
     if is_beside(start, about_third, bound) and is_steady(start, constants, about_third, bound, False):
-        return Existence.EXACT, about_third
+        return True, about_third
     if abs(dot(start.u, start.acceleration)) <= GATE * length(start.u) * bound**2:
         second = second_derivative(start, constants)
         for which in range(CANDIDATES):
@@ -96,9 +105,8 @@ def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance,
             # Rates far beyond the bound cancel, and their errors are as large.
             near = fmax(abs(motion.m), abs(motion.n)) <= 8 * bound and is_beside(start, motion, bound)
             if near and is_steady(start, constants, motion, bound, True):
-                return Existence.EXACT, motion
-    change = departure(start, constants, about_third, bound, duration, rate_tolerance, angle_tolerance)
-    return Existence.FAR if change > FAR else Existence.NEAR, about_third
+                return True, motion
+    return False, about_third
 
 
 def start_at(w, vectors, constants):

@@ -247,7 +247,7 @@ def test_a_nudge_off_a_motion_about_other_axes_is_weighed_by_the_conditions_of_i
             prediction = theory.predict_runs(plan, tile)
             assert (prediction.about_other_axes == about_other).all()
             assert (prediction.family_residual <= 1e-13).all()
-            expected = residual if about_other else prediction.found.residual
+            expected = residual if about_other else prediction.test.residual
             np.testing.assert_array_equal(prediction.start_residual, expected)
             if about_other:
                 assert (prediction.pushed == (change is not None)).all()
@@ -262,7 +262,7 @@ def test_rates_that_rounding_hides_have_no_prediction_about_any_axes(rate, expec
         "fixed_point", 1, A=1.0, B=1.0, C=0.4, Mg=0.0, p0=spin * np.sqrt(0.2), q0=0.0, r0=spin, gamma10=0.0, gamma20=0.6, gamma30=0.8
     )  # fmt: skip
     prediction, labels = predictions(TOP, points, duration=1.0, tolerances=(rate, 1e-5))
-    assert prediction.found.elsewhere.tolist() == [True]
+    assert prediction.test.elsewhere.tolist() == [True]
     np.testing.assert_allclose(np.abs([prediction.motion.spin_rate, prediction.motion.precession_rate]), 6e4)
     assert labels["predicted_any_axis"].tolist() == [expected]
 

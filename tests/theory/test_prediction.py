@@ -7,19 +7,19 @@ import pytest
 
 from atlas.flags import Label, Stability
 from atlas.measure.instrument import Tolerances
-from atlas.theory.point import Found, Known
+from atlas.theory.point import Membership, SteadyTest
 from atlas.theory.prediction import after_nudge, predict, predict_circle, rounding_limit
 from atlas.theory.steady import FAR, Existence
 
 REGULAR, PERMANENT, DRIFTING, NONE = (
     Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION, Label.DRIFTING, Label.NOT_COMPUTED,
 )  # fmt: skip
-EXACT = Found(Existence.EXACT, False, True, True, False, 0.0, 0.0, 0.0)
-MEMBER = Known(False, False, 0.0, 0.0, Stability.STABLE, 0.0)
+EXACT = SteadyTest(Existence.EXACT, False, True, True, False, 0.0, 0.0, 0.0)
+MEMBER = Membership(False, False, 0.0, 0.0, Stability.STABLE, 0.0)
 
 
-def predicted(found, known, exact=REGULAR, inertial=PERMANENT, nudged=False, by_equations=True):
-    return predict(found, known, exact, inertial, 2.0, 1e-5, 1e-3, nudged, by_equations)
+def predicted(test, membership, exact=REGULAR, inertial=PERMANENT, nudged=False, by_equations=True):
+    return predict(test, membership, exact, inertial, 2.0, 1e-5, 1e-3, nudged, by_equations)
 
 
 @pytest.mark.parametrize(
@@ -57,9 +57,9 @@ def test_a_motion_in_the_plane_is_exact_before_a_nudge_or_to_rounding():
 )
 def test_beside_a_motion_its_stability_decides(exact, stable, label):
     assert after_nudge(exact, stable) == label
-    known, pushed = MEMBER._replace(stable=stable), EXACT._replace(kept=False, pushed=True)
-    assert predicted(pushed, known, exact, nudged=True)[0] == label
-    assert predicted(EXACT, known, exact, nudged=True)[0] == exact  # on another exact start
+    membership, pushed = MEMBER._replace(stable=stable), EXACT._replace(kept=False, pushed=True)
+    assert predicted(pushed, membership, exact, nudged=True)[0] == label
+    assert predicted(EXACT, membership, exact, nudged=True)[0] == exact  # on another exact start
 
 
 def test_the_size_of_a_nudge_is_weighed_but_for_motions_in_the_plane():
@@ -81,15 +81,15 @@ def test_a_distance_that_grows_beyond_the_tolerances_leaves_drifting_alone():
     for elsewhere, exact, growth, residual in product(
         (False, True), (REGULAR, DRIFTING), (0.9, 1.1), (1e-14, 1e-12)
     ):
-        found = EXACT._replace(elsewhere=elsewhere, residual=1.0 if elsewhere else residual)
-        known = MEMBER._replace(elsewhere=elsewhere, nudged_residual=residual, growth=growth * limit)
-        label, _, answer, kept = predicted(found, known, exact)
+        test = EXACT._replace(elsewhere=elsewhere, residual=1.0 if elsewhere else residual)
+        membership = MEMBER._replace(elsewhere=elsewhere, nudged_residual=residual, growth=growth * limit)
+        label, _, answer, kept = predicted(test, membership, exact)
         is_near = growth > 1 and residual > 1e-13
         assert answer == (Existence.NEAR if is_near else Existence.EXACT)
         assert label == (NONE if is_near and exact == REGULAR else exact)
         assert kept == growth * limit
-        assert predicted(found, known, exact, nudged=True)[2] == Existence.EXACT
-        assert predicted(found, known, exact, by_equations=False)[2] == Existence.EXACT
+        assert predicted(test, membership, exact, nudged=True)[2] == Existence.EXACT
+        assert predicted(test, membership, exact, by_equations=False)[2] == Existence.EXACT
 
 
 def test_growth_is_none_where_it_is_unknown_and_where_a_motion_in_the_plane_drifts():
@@ -105,8 +105,8 @@ def test_labels_about_any_axes(near, nudged):
     other, far = EXACT._replace(elsewhere=True, kept=False), EXACT._replace(answer=Existence.FAR)
     stable, unstable = Stability.STABLE, Stability.UNSTABLE
 
-    def label(found, own, answer, stability, in_range=True):
-        return predict_circle(found, own, REGULAR, answer, stability, near, in_range, nudged)
+    def label(test, own, answer, stability, in_range=True):
+        return predict_circle(test, own, REGULAR, answer, stability, near, in_range, nudged)
 
     assert label(other, DRIFTING, Existence.EXACT, stable) == REGULAR
     assert label(other, DRIFTING, Existence.EXACT, unstable) == (DRIFTING if nudged else REGULAR)

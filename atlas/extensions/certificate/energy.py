@@ -63,7 +63,7 @@ def symmetric(body, w, alpha, gamma):
     """Of a symmetric body in a frame of two directions, by its third axis in that frame, with the S of the start."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
-    start = alpha[2], gamma[0] * alpha[1] - gamma[1] * alpha[0], gamma[2]
+    start = alpha[2], cross(gamma, alpha)[2], gamma[2]
     Q = body.alpha.gradient * (C - A), 0.0, turn**2 * A + body.gamma.gradient * (C - A)
     c = body.alpha.field[2], 0.0, body.gamma.field[2] - turn * (C * w3 + k3)
     square = square_of(body.inertia, w, scaled(turn, gamma), 2)
@@ -126,8 +126,8 @@ def attitude(body, w, alpha, gamma):
     M = size_of(radius, third) + size_of(normal, third) + GRADIENT * size
     limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
     offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)
-    apart = dot(offsets[0], offsets[0]) + dot(offsets[1], offsets[1]) + dot(offsets[2], offsets[2])
-    distance = 2 * np.arcsin(np.sqrt(apart / 8))
+    square = dot(offsets[0], offsets[0]) + dot(offsets[1], offsets[1]) + dot(offsets[2], offsets[2])
+    distance = 2 * np.arcsin(np.sqrt(square / 8))
     angle = reach((energy, slope, -least / 2, M / 6), limit, distance)
     theta = np.arctan2(np.hypot(g[0], g[1]), g[2])
     return rigid(body, theta, angle, 2 * (energy + slope**2 / least), 0.0)

@@ -18,7 +18,7 @@ from .proofs import BOUND, PROOFS, Proof
 from .top import top
 
 
-class Proved(NamedTuple):
+class LabelProofs(NamedTuple):
     """Labels of every duration and how they are proved, in the system's frame and in inertial space."""
 
     kind: int  # value of Proof
@@ -30,31 +30,31 @@ class Proved(NamedTuple):
 
 def prove_in_space(body, w, gamma, is_axial, tolerances):
     """Of a body about a fixed point."""
-    proved = Proved(Proof.NONE, 0, Proof.NONE, 0, np.nan)
+    proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if body.turn != 0:
-        return proved
+        return proofs
     if is_axial:
-        proved = with_bounds(proved, Proof.MOMENTA, top(body, w, gamma, tolerances), 0.0, tolerances)
+        proofs = with_bounds(proofs, Proof.MOMENTA, top(body, w, gamma, tolerances), 0.0, tolerances)
     inertia = body.inertia
     n = dot(times(inertia, w), gamma) / dot(times(inertia, gamma), gamma)
-    if proved.kind == Proof.NONE and is_slow(body, w, scaled(n, gamma), tolerances):
-        proved = with_bounds(proved, Proof.ENERGY, in_space(body, w, gamma), 0.0, tolerances)
-    return proved
+    if proofs.kind == Proof.NONE and is_slow(body, w, scaled(n, gamma), tolerances):
+        proofs = with_bounds(proofs, Proof.ENERGY, in_space(body, w, gamma), 0.0, tolerances)
+    return proofs
 
 
 def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
     """Of a body in a frame of two directions."""
-    proved = Proved(Proof.NONE, 0, Proof.NONE, 0, np.nan)
+    proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
         # No rotation of a symmetric body about its axis changes the energy, whose minima the other rules would seek in vain.
         bounds = symmetric(body, w, alpha, gamma)
-        return with_bounds(proved, Proof.ENERGY, bounds, frame_rate, tolerances)
+        return with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
     if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
-        return proved
+        return proofs
     if np.hypot(gamma[0], gamma[1]) < tolerances.angle:
         bounds = upright(body, w, alpha, gamma)
-        proved = with_bounds(proved, Proof.ENERGY, bounds, frame_rate, tolerances)
-    return with_bounds(proved, Proof.ENERGY, attitude(body, w, alpha, gamma), frame_rate, tolerances)
+        proofs = with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
+    return with_bounds(proofs, Proof.ENERGY, attitude(body, w, alpha, gamma), frame_rate, tolerances)
 
 
 def is_slow(body, w, turn, tolerances):
@@ -63,17 +63,17 @@ def is_slow(body, w, turn, tolerances):
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 
 
-def with_bounds(proved, kind, bounds, frame_rate, tolerances):
+def with_bounds(proofs, kind, bounds, frame_rate, tolerances):
     """What is proved with the bounds of one more rule; the first proof of a label counts."""
     deviation = largest_deviation(bounds, tolerances)
     label = label_of(bounds, deviation, tolerances, 0.0)
     inertial = label_of(bounds, deviation, tolerances, frame_rate)
     own, inertial_kind = kind if label else 0, kind if inertial else 0
-    if proved.kind:
-        own, label = proved.kind, proved.label
-    if proved.inertial_kind:
-        inertial_kind, inertial = proved.inertial_kind, proved.inertial_label
-    return Proved(own, label, inertial_kind, inertial, fmin(proved.bound, deviation))
+    if proofs.kind:
+        own, label = proofs.kind, proofs.label
+    if proofs.inertial_kind:
+        inertial_kind, inertial = proofs.inertial_kind, proofs.inertial_label
+    return LabelProofs(own, label, inertial_kind, inertial, fmin(proofs.bound, deviation))
 
 
 class Bodies(NamedTuple):
@@ -119,11 +119,11 @@ def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bou
         body = body_at(bodies, i)
         tolerances = Tolerances(rate[i], angle)
         if single:
-            proved = prove_in_space(body, w, gamma, axial[i], tolerances)
+            proofs = prove_in_space(body, w, gamma, axial[i], tolerances)
         else:
-            proved = prove_in_frame(body, w, alpha, gamma, axial[i], frame_rate[i], tolerances)
-        kinds[0, i], labels[0, i], bound[i] = proved.kind, proved.label, proved.bound
-        kinds[1, i], labels[1, i] = proved.inertial_kind, proved.inertial_label
+            proofs = prove_in_frame(body, w, alpha, gamma, axial[i], frame_rate[i], tolerances)
+        kinds[0, i], labels[0, i], bound[i] = proofs.kind, proofs.label, proofs.bound
+        kinds[1, i], labels[1, i] = proofs.inertial_kind, proofs.inertial_label
 
 
 @np.errstate(all="ignore")

@@ -8,6 +8,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
+VECTOR_BITS = 512  # the longest vectors of any processor
+
 
 @intrinsic
 def full_vectors(typingctx):
@@ -23,7 +25,7 @@ def full_vectors(typingctx):
             line.align = 64
         builder.asm(ir.FunctionType(ir.VoidType(), [line.type]), "", "r", [line], side_effect=True)
         # An attribute with a value, which `add` of llvmlite refuses.
-        set.add(builder.function.attributes, '"prefer-vector-width"="512"')
+        set.add(builder.function.attributes, f'"prefer-vector-width"="{VECTOR_BITS}"')
         return context.get_dummy_value()
 
     return types.void(), generate

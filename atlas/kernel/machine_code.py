@@ -14,6 +14,7 @@ import io
 import logging
 import os
 import pickle
+import platform
 import shutil
 import stat
 import sys
@@ -34,6 +35,7 @@ except ValueError as error:
     threads = os.environ.get("NUMBA_NUM_THREADS")
     raise BadInput(f"Numba cannot be used: {one_line(error)} (NUMBA_NUM_THREADS={threads})") from None
 from numba.core.caching import NullCache
+from numba.core.codegen import get_host_cpu_features
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
@@ -64,11 +66,15 @@ CALLED = INLINE.replace("forceinline=True, ", "")
 _FASTMATH = f" fastmath={OPTIONS['fastmath']!r},"
 UNFUSED = CALLED.replace(_FASTMATH, "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
-# Settings of Numba that change the machine code of a kernel, unlike threads, caches, messages, dumps, GPUs and profiling.
-MACHINE_CODE_SETTINGS = {
+# Settings of Numba that choose the processor: they change machine code, but numbers only where multiply and add are not fused.
+PROCESSOR_SETTINGS = {
     "CPU_NAME": "processor that the code is for",
     "CPU_FEATURES": "instructions that it may use",
     "ENABLE_AVX": "whether it may use AVX",
+}
+# Settings of Numba that change the machine code of a kernel, unlike threads, caches, messages, dumps, GPUs and profiling.
+MACHINE_CODE_SETTINGS = {
+    **PROCESSOR_SETTINGS,
     "OPT": "level of optimisation",
     "LOOP_VECTORIZE": "order of the sums in loops",
     "SLP_VECTORIZE": "vectors made of scalars",
@@ -84,9 +90,39 @@ MACHINE_CODE_SETTINGS = {
 _INTRINSICS = Path(__file__).with_name("intrinsics.py").read_bytes() + Path(__file__).read_bytes()
 
 
+# A product and a sum, which LLVM may fuse.
+FUSIBLE = """define double @f(double %x, double %y, double %z) {
+    %p = fmul contract double %x, %y
+    %s = fadd contract double %p, %z
+    ret double %s
+}"""
+
+
 def cpu() -> str:
-    """Name of the processor type as LLVM sees it; kernels of two types may differ in the last bit."""
-    return str(llvm.get_host_cpu_name())
+    """Name of the processor type that kernels are compiled for, in the words of LLVM."""
+    config: Any = numba.config
+    return str(config.CPU_NAME or llvm.get_host_cpu_name())
+
+
+def architecture() -> str:
+    """The processor as far as numbers of kernels depend on it: its architecture, and whether it fuses multiply and add.
+
+    Its name, and the length of its vectors, change no bit: each lane of a vector is one motion.
+    """
+    config: Any = numba.config
+    features = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
+    return platform.machine() + (" with fused multiply-add" if _fuses(cpu(), features) else "")
+
+
+@functools.lru_cache(maxsize=8)
+def _fuses(name: str, features: str) -> bool:
+    """Whether code for a processor fuses multiply and add where it may."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    machine = llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features)
+    texts = FUSIBLE, FUSIBLE.replace("contract", "")
+    fused, separate = (machine.emit_assembly(llvm.parse_assembly(text)) for text in texts)
+    return bool(fused != separate)
 
 
 def settings() -> dict[str, str]:
@@ -94,6 +130,11 @@ def settings() -> dict[str, str]:
     with global_compiler_lock:  # `_at_level` changes two of them for a while
         numba.config.reload_config()  # the compiler does so, too: environment variables may have changed
         return {name: str(getattr(numba.config, name, None)) for name in MACHINE_CODE_SETTINGS}
+
+
+def numeric_settings() -> dict[str, str]:
+    """The settings that change numbers, by name: whether multiply and add are fused is known by `architecture`."""
+    return {name: value for name, value in settings().items() if name not in PROCESSOR_SETTINGS}
 
 
 def module_text(
@@ -132,15 +173,24 @@ def _statements(source: str) -> tuple[_Statement, ...]:
 
 
 def digest(source: str) -> str:
-    """Hash of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
+    """Hash of the machine code of a kernel: its syntax tree (comments and layout do not count), compilers, CPU, options."""
     return _hash([statement.tree for statement in _statements(source)], _environment())
+
+
+def numeric_digest(source: str) -> str:
+    """Hash of all that the numbers of a kernel depend on: equal for processors alike, unlike their machine code."""
+    environment = "\n".join((*_compilers(), architecture(), repr(numeric_settings())))
+    return _hash([statement.tree for statement in _statements(source)], environment)
 
 
 def _environment() -> str:
     """Compilers, CPU and options, on which the machine code of every syntax tree depends."""
     features = ",".join(sorted(k for k, v in llvm.get_host_cpu_features().items() if v))
-    python = f"{sys.version_info.major}.{sys.version_info.minor}"
-    return "\n".join((numba.__version__, llvmlite.__version__, cpu(), features, repr(settings()), python))
+    return "\n".join((*_compilers(), cpu(), features, repr(settings())))
+
+
+def _compilers() -> tuple[str, ...]:
+    return numba.__version__, llvmlite.__version__, f"{sys.version_info.major}.{sys.version_info.minor}"
 
 
 def _hash(trees: Iterable[str], environment: str) -> str:

@@ -74,8 +74,8 @@ def slope_kernel(system: System) -> ModuleType:
 
 @cache
 def kernel_hash(*sources: str) -> str:
-    """Hashes of sources with compilers and processor type, recorded in every atlas."""
-    return "-".join(map(_jit().digest, sources))
+    """Hashes of sources with compilers and architecture, recorded in every atlas."""
+    return "-".join(map(_jit().numeric_digest, sources))
 
 
 def _jit() -> Any:

@@ -117,6 +117,8 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
         contents = f"{tiles.count + 3} files, "
     stored = _stored_bytes(plan, cost, points + expected.proved)
+    is_joined = "://" not in out and not out.endswith("/") and Path(out).suffix in finished.suffixes()
+    folder = _folder_bytes(plan, cost, points + expected.proved, scene.size, is_joined=is_joined)
     lines = [
         f"{scene.size} points, about {points:.0f} to integrate, {division}",
         *(
@@ -126,7 +128,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         ),
         *grid.not_computed(scene, plan.sample),
         f"{'store' if finished.is_store(out) else 'file'}: about {stored / 1e6:.3g} MB; run folder: {contents}about"
-        f" {(stored + HEADER_BYTES * tiles.count) / 1e6:.3g} MB",
+        f" {folder / 1e6:.3g} MB",
         "processor time: " + ", ".join(f"{each:.3g} h by {name}" for name, each in hours.items()),
         f"time: about {clock(seconds)} on {processors} {'processes' if workers else 'threads'}"
         f" ({plan.mean_steps:.4g} steps a point, {1e9 * cost.seconds_per_step * processors:.3g} ns a step and"
@@ -178,14 +180,28 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     return points * (cost.stored_bytes_per_point + others)
 
 
+def _bytes_per_point(scene: Scene) -> int:
+    """Bytes of a point in a tile, uncompressed."""
+    return sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
+
+
+def _folder_bytes(
+    plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
+) -> float:
+    """Bytes on the disk of the tiles of so many points, which are compressed unless they are to be joined."""
+    stored = points * _bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
+    return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
+
+
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
     """Raise BadInput if the missing points of a run do not fit onto a disk, together with its joined file if it gets one."""
     scene, free = plan.scene, shutil.disk_usage(folder).free
-    if 2 * scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values()) < free:
+    if 2 * scene.size * _bytes_per_point(scene) < free:
         return  # they fit even without compression
-    points = float(plan.sample.exists.mean()) * (missing + is_joined * scene.size)
-    tiles = math.ceil(missing / math.prod(plan.tiling.tile))
-    needed = _stored_bytes(plan, _measure(plan, 1), points) + HEADER_BYTES * tiles
+    cost, share = _measure(plan, 1), float(plan.sample.exists.mean())
+    needed = _folder_bytes(plan, cost, share * missing, missing, is_joined=is_joined)
+    if is_joined:
+        needed += _stored_bytes(plan, cost, share * scene.size)
     if needed > free:
         raise BadInput(
             f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"

@@ -62,7 +62,7 @@ def run(
     stop_after : float, optional
         Seconds after which no tile begins; tiles at work are finished. Needs `out`.
     reuse : str, Path or sequence of them, optional
-        Earlier atlases, also unfinished run folders, on the same processor by the same programs: points that they share
+        Earlier atlases, also unfinished run folders, on processors alike by the same programs: points that they share
         with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states
         which points were taken from where.
 

@@ -41,12 +41,11 @@ from .levels import Level, Part
 from .memory import Advance, Execution, evaluate_at, for_each_tile
 from .plan import ScenePlan, differences, identity
 from .reuse import Earlier
-from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RunFolder, remove_empty, result_hash
+from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RUN_SUFFIX, RunFolder, remove_empty, result_hash
 
 MAX_DAMAGE_WARNINGS = 5
 # Most seconds between two checks of the tiles that other processes compute; the first pause is claims.POLL.
 MAX_CLAIM_POLL = 10.0
-RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
 Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # all that a process needs to compute a tile
 
 

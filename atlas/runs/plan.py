@@ -30,6 +30,7 @@ from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
 from ..systems.base import Array, extensions_of
 from ..variables import proofs_of_labels
+from .processor import library_bits
 
 if TYPE_CHECKING:
     from ..label.plan import Plan
@@ -252,7 +253,7 @@ class ScenePlan:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Versions, hashes and processor on which bits depend; BadInput if sources changed since the import."""
+    """Versions, hashes and facts of the processor on which bits depend; BadInput if sources changed since the import."""
     import llvmlite
     import numba
     import scipy
@@ -278,9 +279,9 @@ def identity(plan: Plan) -> dict[str, str]:
         **{f"extension_{each.name}": each.code for each in extensions},
         **system_code,
         "kernel": kernel,
-        "cpu": machine_code.cpu(),
-        **{f"NUMBA_{name}": value for name, value in machine_code.settings().items()},
-        "numpy_simd": " ".join(np.show_config(mode="dicts")["SIMD Extensions"].get("found", ())),
+        "architecture": machine_code.architecture(),
+        "library_bits": library_bits(),
+        **{f"NUMBA_{name}": value for name, value in machine_code.numeric_settings().items()},
         "python": f"{sys.version_info.major}.{sys.version_info.minor}",
         "libc": " ".join(platform.libc_ver()) or platform.release(),
         **{module.__name__: str(module.__version__) for module in (np, numba, llvmlite, scipy, netCDF4)},

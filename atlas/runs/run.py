@@ -38,7 +38,7 @@ from ..store import dataset, finished, progress
 from ..store.dataset import Block
 from ..store.place import CLOCK, located, place_at
 from ..store.tally import Totals
-from ..store.tile import DamagedTile, Tiles
+from ..store.tile import LEVEL, DamagedTile, Tiles
 from ..store.tiling import Tiling, tile_types
 from ..variables import COMPUTED, variables
 from . import claims
@@ -59,6 +59,7 @@ PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | d
 )
 ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
+RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
 TALLY = "tally"  # entry of the encoding of a dataset of a whole run
 RESULT = "atlas_result"  # attribute of an atlas: its `result_hash`
 
@@ -74,7 +75,9 @@ class RunFolder:
         self.tiling.check()
         computed = {} if self.scene.refine is None else {COMPUTED.name: COMPUTED.dtype}
         self.types = tile_types(self.scene) | computed
-        self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling)
+        # Tiles that are soon joined are not compressed twice; a store in the network is slower than that.
+        level = 0 if isinstance(path, Path) and path.suffix == RUN_SUFFIX else LEVEL
+        self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling, level=level)
 
     def __reduce__(self) -> Any:
         return RunFolder.open, (self.path,)
@@ -281,6 +284,7 @@ class RunFolder:
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
+        attributes["atlas_cpu"] = ", ".join(sorted(totals.cpu)) or attributes["atlas_cpu"]
         attributes[RESULT] = result_hash(self.manifest["scene"], self.manifest["identity"])
         attributes["atlas_seconds"] = seconds = totals.seconds
         computed = totals.points - totals.reused.total()

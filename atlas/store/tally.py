@@ -66,6 +66,7 @@ class Totals:
     points: int = 0
     seconds: float = 0.0
     by: Counter[str] = field(default_factory=Counter)  # tiles by the processes that computed them
+    cpu: Counter[str] = field(default_factory=Counter)  # tiles by the processor
     reused: Counter[str] = field(default_factory=Counter)  # points by the earlier atlas
     tally: Tally = field(default_factory=Tally)
 
@@ -73,7 +74,8 @@ class Totals:
         """Add a tile by its header, or other totals by `table`."""
         self.points += header["points"]
         self.seconds += header["seconds"]
-        self.by.update([header["by"]] if isinstance(header["by"], str) else header["by"])
+        for name, tiles in {"by": self.by, "cpu": self.cpu}.items():
+            tiles.update([header[name]] if isinstance(header[name], str) else header[name])
         self.reused.update(header["reused"])
         self.tally.add(**header["tally"])
 

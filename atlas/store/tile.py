@@ -34,8 +34,10 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# Number of points with a motion, seconds, processes that computed the tile, numbers of points by their earlier atlas.
-HEADER_TYPES = {"computed": int, "seconds": (int, float), "by": str, "reused": dict, "tally": dict}
+# Number of points with a motion, seconds, processes and processor that computed the tile, numbers of points by their earlier atlas.
+HEADER_TYPES = {
+    "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
+}  # fmt: skip
 # Tiles of fewer points in a folder are read one by one: threads would wait for each other.
 MIN_PARALLEL_POINTS = 4096
 
@@ -44,12 +46,12 @@ class DamagedTile(Exception):
     """A tile that exists but cannot be used; the message gives the reason."""
 
 
-def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray]) -> bytes:
-    """The content of a tile of flat columns of one length."""
+def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: int = LEVEL) -> bytes:
+    """The content of a tile of flat columns of one length, compressed at a level of zlib."""
     parts, table = list[bytes](), {}
     for name, values in columns.items():
         planes = np.ascontiguousarray(values).view(np.uint8).reshape(values.size, -1).T
-        parts.append(zlib.compress(np.ascontiguousarray(planes).data, LEVEL))
+        parts.append(zlib.compress(np.ascontiguousarray(planes).data, level))
         table[name] = values.dtype.str, len(parts[-1])
     line = json.dumps({**header, "points": values.size, "columns": table}).encode()
     content = b"".join([line, b"\n", *parts])
@@ -95,6 +97,7 @@ class Tiles:
     types: Mapping[str, str]
     tiling: Tiling
     points: np.ndarray | None = None  # flat indices in the grid, if the tiles cover a part of it
+    level: int = LEVEL  # of zlib
     listing: tuple[int, set[int]] | None = None  # number of a folder, and the tiles in it
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
@@ -109,10 +112,13 @@ class Tiles:
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
         """Write a tile with facts of HEADER_TYPES, and return its header; OSError if it reads back otherwise."""
+        from ..kernel.machine_code import cpu
+
         columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
-        header = {"key": self.key, "tile": tile, "host": socket.gethostname(), "reused": {}, **facts}
+        header = {"key": self.key, "tile": tile, "host": socket.gethostname(), "cpu": cpu(), "reused": {}}
+        header |= facts
         header["tally"] = vars(Tally.of(columns))
-        name, content = self.name(tile), encode(header, columns)
+        name, content = self.name(tile), encode(header, columns, self.level)
         self.place.write(name, content)
         if self.place.read(name, MAX_TILE_BYTES) != content:
             raise OSError(errno.EIO, "read back otherwise than it was written", name)

@@ -207,11 +207,11 @@ def test_atlases_of_other_programs_and_changed_ones_are_refused(old, scene_text,
     with pytest.raises(BadInput, match="there is no such file"):
         atlas.run(scene, reuse=tmp_path / "none.nc", progress=False)
     atlas.run(load_scene(scene_text({})), f"{tmp_path}/night/", progress=False)
-    other = plan.identity(Plan.of(scene)) | {"cpu": "abacus"}
+    other = plan.identity(Plan.of(scene)) | {"architecture": "abacus"}
     monkeypatch.setattr(reuse, "identity", lambda plan: other)
     for path, reason in (
         (old, "different is the programs or the processor"),
-        (tmp_path / "night", "is cpu .*abacus now"),
+        (tmp_path / "night", "is architecture .*abacus now"),
     ):
         with pytest.raises(BadInput, match=reason):
             atlas.run(scene, reuse=path, progress=False)

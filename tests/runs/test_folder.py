@@ -150,10 +150,10 @@ def test_a_run_of_another_scene_or_processor_is_refused_with_the_differences(sce
     with pytest.raises(BadInput, match=r"fixed\.m \(0\.5 in the folder, 0\.6 now\)"):
         atlas.run(load_scene(scene_text({"fixed.m": 0.6})), out, progress=False)
     manifest = files.parsed((tmp_path / "run" / "manifest.json").read_text(), is_sealed=True)
-    manifest["identity"]["cpu"] = "abacus"
+    manifest["identity"]["architecture"] = "abacus"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "manifest.json").write_text(files.sealed(with_key(manifest)))
-    with pytest.raises(BadInput, match=r"cpu \(abacus in the folder"):
+    with pytest.raises(BadInput, match=r"architecture \(abacus in the folder"):
         atlas.run(scene, f"{tmp_path}/other/", progress=False)
     assert {p: p.read_bytes() for p in before} == before
 
@@ -188,7 +188,7 @@ def test_an_unreadable_manifest_is_refused_and_left_unchanged(scene, tmp_path, m
     [
         ("tile", [0, 0]), ("tile", [1]), ("tile", ["a", "b"]), ("tile", [-1, 5]), ("tile", [1, True]), ("tile", [3, 5]),
         ("tile", {}), ("tile", [10, 7]), ("provenance", ["a"]), ("provenance", None), ("provenance", {"a": {}}),
-        ("provenance", {"a": 10**400}), ("provenance", {"a": "\ud800"}), ("identity", {"cpu": 1}), ("scene", 3), ("key", 3),
+        ("provenance", {"a": 10**400}), ("provenance", {"a": "\ud800"}), ("identity", {"architecture": 1}), ("scene", 3), ("key", 3),
     ],
 )  # fmt: skip
 def test_a_manifest_with_values_of_other_kinds_is_refused_in_one_line(
@@ -349,7 +349,7 @@ def test_a_process_whose_folder_is_removed_says_so(
 def test_the_key_of_a_run_depends_on_scene_identity_and_tiling(scene, scene_text, tmp_path, monkeypatch):
     run = empty_run_folder(scene, tmp_path / "run")
     assert with_key(run.manifest)["key"] == run.key == run.manifest["key"]
-    other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "abacus"}}
+    other = run.manifest | {"identity": run.manifest["identity"] | {"architecture": "abacus"}}
     keys = {run.key, with_key(other)["key"]}
     keys.add(empty_run_folder(load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "other").key)
     monkeypatch.setenv("ATLAS_TILE_POINTS", "7")

@@ -87,18 +87,19 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.tiles.indices(3))
-    other = run.manifest | {"identity": run.manifest["identity"] | {"cpu": "another"}}
+    other = run.manifest | {"identity": run.manifest["identity"] | {"architecture": "another"}}
     foreign = replace(run.tiles, key=with_key(other)["key"])
     foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")
     assert state(run.tiles).damaged == {3: "it is a tile of another run or place"}
     before = run.place.walk()
     with monkeypatch.context() as patched:
-        patched.setattr(machine_code, "cpu", lambda: "another")
+        patched.setattr(machine_code, "architecture", lambda: "another")
         for shared in ({}, {"shard": (1, 2)}):
-            with pytest.raises(BadInput, match=r"differs in cpu \(.* in the folder, another now\)$"):
+            with pytest.raises(BadInput, match=r"differs in architecture \(.* in the folder, another now\)$"):
                 atlas.run(scene, place, progress=False, **shared)
         with pytest.raises(
-            BadInput, match=r"would compute other bits.* differs in cpu \(.*, another in the worker\)$"
+            BadInput,
+            match=r"would compute other bits.* differs in architecture \(.*, another in the worker\)$",
         ):
             folders.check_worker(place, None, run.key)
     assert sorted(run.place.walk()) == sorted(before)

@@ -227,6 +227,7 @@ def nearest_trajectory(
     ds: xr.Dataset, coordinates: Mapping[str, float], samples: int, degrees: bool = False
 ) -> xr.Dataset:
     """Motion, in rad, of the point of an atlas nearest to some values, integrated as the atlas was."""
+    from ..label.plan import Plan
     from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 
     system = system_of(ds)
@@ -247,4 +248,7 @@ def nearest_trajectory(
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     given = {name: value for name, value in start.items() if not math.isnan(value)}
-    return trajectory_of_point(system, given, Duration(float(point["end_time"])), samples, settings_of(ds))
+    # The kernel of `label_points` for the parameters that were given, as far as values tell.
+    varied = [name for name in given if ds[name].ndim or given[name] != system.parameters[name].default]
+    plan = Plan.of_points(system, settings_of(ds), None, varied)
+    return trajectory_of_point(plan, given, Duration(float(point["end_time"])), samples)

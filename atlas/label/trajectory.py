@@ -20,7 +20,7 @@ from ..kernel.tableaux import METHODS, Method
 from ..scene import checks, grid
 from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.read import check_at_points, check_unit, parse_duration
-from ..scene.tables import point_columns
+from ..scene.tables import point_columns, table
 from ..store import dataset
 from ..systems.base import Array, Points, System, check_possible
 from ..variables import main_instrument
@@ -107,18 +107,17 @@ def trajectory(
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     description = systems.get(system)
     length = parse_duration(duration, names=description.parameters)
-    return trajectory_of_point(description, point, length, samples, settings)
+    source = table(point, description.parameters)
+    # The kernel of `label_points` for the same parameters.
+    plan = Plan.of_points(description, settings, None, source)
+    return trajectory_of_point(plan, source, length, samples)
 
 
 def trajectory_of_point(
-    system: System,
-    point: Mapping[str, Any],
-    duration: Duration,
-    samples: int,
-    settings: Settings,
-    title: str = "",
+    plan: Plan, point: Mapping[str, Any], duration: Duration, samples: int, title: str = ""
 ) -> xr.Dataset:
-    """Motion of one point with these settings, see `trajectory`."""
+    """Motion of one point by the kernel of a plan, see `trajectory`."""
+    system, settings = plan.system, plan.settings
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     points, size = point_columns(system, point)
     if size != 1:
@@ -133,7 +132,6 @@ def trajectory_of_point(
             raise BadInput(f"no motion: {grid.sentence(reason, system, None, duration)}")
     settings = settings.with_number(float(rate_tolerance[0]))
     at_point, ensemble = settings.at(rate_tolerance), Ensemble.of(system, points)
-    plan = Plan(system, settings)
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound, _ = numeric_bound.along_runs(
             system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
@@ -187,7 +185,8 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
     title = f"{scene.title}: trajectory at {place}"
     duration, settings = Duration(float(located.until[0])), scene.settings
     settings = settings.with_number(float(located.rate_tolerance[0]))
-    return trajectory_of_point(scene.system, point, duration, samples, settings, title)
+    plan = replace(Plan.of(scene), settings=settings, outputs=None)
+    return trajectory_of_point(plan, point, duration, samples, title)
 
 
 def _states(

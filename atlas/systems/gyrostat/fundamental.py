@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..base import Array
 
 # Points side by side, over which the innermost loops become vector instructions; fewer take as long.
-LANES = 64
+LANES, GROUP = 64, 8
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
 RESCALING = 16  # steps after which matrices are rescaled, lest they overflow, and phases computed anew
 STEPS = 4096  # largest number in a call, some tenths of a second that cannot be interrupted; a multiple of RESCALING
@@ -62,7 +62,7 @@ def _compile() -> Any:
     """The function `integrate` in machine code."""
     from ...kernel import machine_code  # here, because every command imports the systems
 
-    numbers = {"LANES": repr(LANES), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
+    numbers = {"GROUP": repr(GROUP), "GAUSS": repr(GAUSS), "RESCALING": repr(RESCALING)}
     functions = {each.__name__: inspect.getsource(each) for each in _FUNCTIONS}
     return machine_code.load(machine_code.module_text(numbers, functions, machine_code.CALLED)).integrate
 
@@ -71,7 +71,7 @@ def combine(x, a, y, b, z, c, out):
     """out = x a + y b + z c, (size, size, LANES) each."""
     for i in range(a.shape[0]):
         for j in range(a.shape[0]):
-            for lane in range(LANES):
+            for lane in range(a.shape[2]):
                 out[i, j, lane] = x * a[i, j, lane] + y * b[i, j, lane] + z * c[i, j, lane]
 
 
@@ -82,14 +82,14 @@ def multiply(a, b, out, subtract):
         for j in range(size):
             if subtract:
                 for k in range(0, size, 2):
-                    for lane in range(LANES):
+                    for lane in range(a.shape[2]):
                         pair = a[i, k, lane] * b[k, j, lane] + a[i, k + 1, lane] * b[k + 1, j, lane]
                         out[i, j, lane] -= pair
             else:
-                for lane in range(LANES):
+                for lane in range(a.shape[2]):
                     out[i, j, lane] = a[i, 0, lane] * b[0, j, lane] + a[i, 1, lane] * b[1, j, lane]
                 for k in range(2, size, 2):
-                    for lane in range(LANES):
+                    for lane in range(a.shape[2]):
                         out[i, j, lane] += (
                             a[i, k, lane] * b[k, j, lane] + a[i, k + 1, lane] * b[k + 1, j, lane]
                         )
@@ -99,23 +99,23 @@ def solve(a, b):
     """Replace b by the solution x of a x = b, and a by its factors; a is near the identity and needs no pivots."""
     size = a.shape[0]
     for k in range(size):
-        for lane in range(LANES):
+        for lane in range(a.shape[2]):
             a[k, k, lane] = 1.0 / a[k, k, lane]
         for i in range(k + 1, size):
-            for lane in range(LANES):
+            for lane in range(a.shape[2]):
                 a[i, k, lane] *= a[k, k, lane]
             for j in range(k + 1, size):
-                for lane in range(LANES):
+                for lane in range(a.shape[2]):
                     a[i, j, lane] -= a[i, k, lane] * a[k, j, lane]
             for j in range(size):
-                for lane in range(LANES):
+                for lane in range(a.shape[2]):
                     b[i, j, lane] -= a[i, k, lane] * b[k, j, lane]
     for i in range(size - 1, -1, -1):
         for j in range(size):
             for k in range(i + 1, size):
-                for lane in range(LANES):
+                for lane in range(a.shape[2]):
                     b[i, j, lane] -= a[i, k, lane] * b[k, j, lane]
-            for lane in range(LANES):
+            for lane in range(a.shape[2]):
                 b[i, j, lane] *= a[i, i, lane]
 
 
@@ -124,7 +124,7 @@ def add(total, error, change):
     size = total.shape[0]
     for i in range(size):
         for j in range(size):
-            for lane in range(LANES):
+            for lane in range(total.shape[2]):
                 before, increment = total[i, j, lane], change[i, j, lane] + error[i, j, lane]
                 after = before + increment
                 added = after - before
@@ -142,7 +142,7 @@ def at_nodes(part, phases, turns, nodes):
         cosine, sine = phases[0, node], phases[1, node]
         for i in range(size):
             for j in range(size):
-                for lane in range(LANES):
+                for lane in range(part.shape[3]):
                     c, s = cosine[lane], sine[lane]
                     nodes[node, i, j, lane] = (
                         part[0, i, j, lane]
@@ -151,7 +151,7 @@ def at_nodes(part, phases, turns, nodes):
                         + part[3, i, j, lane] * (c * c - s * s)
                         + part[4, i, j, lane] * (2 * c * s)
                     )
-        for lane in range(LANES):
+        for lane in range(part.shape[3]):
             c, s = cosine[lane], sine[lane]
             cosine[lane] = c * turns[0, lane] - s * turns[1, lane]
             sine[lane] = s * turns[0, lane] + c * turns[1, lane]
@@ -188,16 +188,16 @@ def exponential(nodes, identity, space, z):
 
 def rescale(matrix, error, log_scale):
     """Divide matrices and their errors by the power of 2 below the largest entry, whose logarithm is added for each point."""
-    size, largest = matrix.shape[0], np.zeros(LANES)
+    size, largest = matrix.shape[0], np.zeros(matrix.shape[2])
     for i in range(size):
         for j in range(size):
-            for lane in range(LANES):
+            for lane in range(matrix.shape[2]):
                 largest[lane] = max(largest[lane], abs(matrix[i, j, lane]))
-    for lane in range(LANES):
+    for lane in range(matrix.shape[2]):
         largest[lane] = np.exp2(np.floor(np.log2(largest[lane])))  # divides without an error
     for i in range(size):
         for j in range(size):
-            for lane in range(LANES):
+            for lane in range(matrix.shape[2]):
                 matrix[i, j, lane] /= largest[lane]
                 error[i, j, lane] /= largest[lane]
     for point in range(log_scale.size):
@@ -212,12 +212,13 @@ def integrate(parts, turn, begin, end, result, log_scale):
     rescaled, the logarithms of the factors added to log_scale.
     """
     size, points, harmonic = parts.shape[2], parts.shape[4], parts.shape[1] == 5
-    part, nodes = np.zeros((5, size, size, LANES)), np.empty((3, size, size, LANES))
-    identity, space = np.zeros((size, size, LANES)), np.empty((5, size, size, LANES))
-    matrix, change = np.empty((size, size, LANES)), np.empty((size, size, LANES))
-    product, error = np.empty((size, size, LANES)), np.zeros((size, size, LANES))
-    phases, turns, turn_of = np.empty((2, 3, LANES)), np.empty((2, LANES)), np.empty(LANES)
-    for lane in range(LANES):
+    lanes = -(-points // GROUP) * GROUP
+    part, nodes = np.zeros((5, size, size, lanes)), np.empty((3, size, size, lanes))
+    identity, space = np.zeros((size, size, lanes)), np.empty((5, size, size, lanes))
+    matrix, change = np.empty((size, size, lanes)), np.empty((size, size, lanes))
+    product, error = np.empty((size, size, lanes)), np.zeros((size, size, lanes))
+    phases, turns, turn_of = np.empty((2, 3, lanes)), np.empty((2, lanes)), np.empty(lanes)
+    for lane in range(lanes):
         point = min(lane, points - 1)
         turn_of[lane] = turn[point]
         turns[0, lane], turns[1, lane] = np.cos(turn[point]), np.sin(turn[point])
@@ -231,12 +232,12 @@ def integrate(parts, turn, begin, end, result, log_scale):
             for k in range(parts.shape[1]):
                 for i in range(size):
                     for j in range(size):
-                        for lane in range(LANES):
+                        for lane in range(lanes):
                             part[k, i, j, lane] = of_step[k, i, j, min(lane, points - 1)]
         if harmonic:
             if step % RESCALING == 0:
                 for node in range(3):
-                    for lane in range(LANES):
+                    for lane in range(lanes):
                         phase = (step + 0.5 + GAUSS * (node - 1)) * turn_of[lane]
                         phases[0, node, lane], phases[1, node, lane] = np.cos(phase), np.sin(phase)
             at_nodes(part, phases, turns, nodes)

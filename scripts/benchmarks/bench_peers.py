@@ -63,9 +63,9 @@ SLOWER = ("n", "m", "theta_dot0", "k1", "k2", "k3", "h1", "h3")
 Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 
 
-def satellites(count: int) -> dict[str, np.ndarray]:
+def satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random satellites with every term of the paper present."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     names = [name for name in SATELLITE.parameters if name != "damping"]
     points = {name: rng.normal(size=count) * 0.3 for name in names} | {"damping": np.zeros(count)}
     points |= {
@@ -76,16 +76,16 @@ def satellites(count: int) -> dict[str, np.ndarray]:
     return points | {"Omega": np.ones(count), "theta0": rng.uniform(0.2, 2.9, count)}
 
 
-def slender(count: int) -> dict[str, np.ndarray]:
+def slender(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """The same with C down to 0.01: a little energy on the third axis makes it spin fast for a while."""
-    points = satellites(count)
-    C = 10.0 ** np.random.default_rng(1).uniform(-2, -1, count)
+    points = satellites(count, seed)
+    C = 10.0 ** np.random.default_rng(seed + 1).uniform(-2, -1, count)
     return points | {"A": np.ones(count), "B": 1 + 0.5 * C, "C": C}
 
 
-def tops(count: int) -> dict[str, np.ndarray]:
+def tops(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random bodies about a fixed point with weight, field and rotor."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed + 2)
     points = {name: np.full(count, p.default) for name, p in TOP.parameters.items()}
     points |= {name: rng.normal(size=count) * 0.3 for name in TOP_RANDOM}
     points |= {name: rng.uniform(1, 1.4, count) for name in ("A", "B")}
@@ -94,9 +94,9 @@ def tops(count: int) -> dict[str, np.ndarray]:
     }  # fmt: skip
 
 
-def slow_satellites(count: int) -> dict[str, np.ndarray]:
+def slow_satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """The satellites with rates and rotors of 0.3 of the size, fewer of which are chaotic."""
-    points = satellites(count)
+    points = satellites(count, seed)
     return points | {name: 0.3 * points[name] for name in SLOWER}
 
 
@@ -581,13 +581,15 @@ def main() -> None:
         "--only", nargs="+", help="integrators whose names contain one of these, beside this package"
     )
     parser.add_argument("--docs", metavar="FOLDER", type=Path, help="write README.md, docs/ of this folder")
+    parser.add_argument("--seed", type=int, default=0, help="of the random bodies")
     options = parser.parse_args()
     # One processor for all, also for libraries with threads of their own.
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     ratios: dict[str, dict[str, str]] = {}
     for bodies, study in STUDIES.items():
-        study = replace(study, duration=options.duration or study.duration)
+        bodies_of_seed = partial(study.points, seed=options.seed)
+        study = replace(study, points=bodies_of_seed, duration=options.duration or study.duration)
         points = regular_points(study, max(options.points // study.share, 1))
         peers = all_peers(study, points)
         required = options.docs is not None and options.only is None

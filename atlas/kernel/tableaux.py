@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from math import factorial
 from typing import Any
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -16,18 +19,15 @@ class Method:
     order: int  # global order
     a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
     b: tuple[float, ...]  # weights of the stages
-    # To leading order a step has the phase error dispersion * y^(order + 1) and the relative loss of amplitude
-    # dissipation * y^dissipation_order.
-    dispersion: float
-    dissipation: float
-    dissipation_order: int
-    stability: float  # largest stable y
-    kernel_step: float = (
-        1.0  # length of the step in the kernel's unit of time, in which most coefficients are 1
-    )
-    step_cost: float = (
-        1.0  # processor time of a step, samples included, over a step of rk4: see bench_methods.py
-    )
+    # To leading order a step has the error dispersion * y^(order + 1), of the phase in methods of even order, and the relative
+    # loss of amplitude dissipation * y^dissipation_order. What is not given, here and below, follows from the tableau.
+    dispersion: float = 0.0
+    dissipation: float = 0.0
+    dissipation_order: int = 0
+    stability: float = 0.0  # largest stable y
+    kernel_step: float = 1.0  # length of the step in the kernel's unit of time: most coefficients are 1
+    # Processor time of a step, samples included, over a step of rk4: see bench_methods.py
+    step_cost: float = 0.0
 
     def __post_init__(self) -> None:
         if [len(row) for row in self.a] != list(range(len(self.b))):
@@ -36,6 +36,36 @@ class Method:
         second = sum(weight * sum(row) for weight, row in zip(self.b, self.a, strict=True))
         if abs(first - 1.0) > 1e-14 or abs(second - 0.5) > 1e-14:
             raise ValueError(f"{self.name}: sum b = {first} (1) and sum b c = {second} (1/2)")
+        derived = {"step_cost": self.stages / 4} | self._on_oscillations()
+        for name, value in derived.items():
+            if not getattr(self, name):
+                object.__setattr__(self, name, value)
+
+    def _on_oscillations(self) -> dict[str, float]:
+        """The errors and the limit of stability, of R(z) = 1 + sum b a^(k-1) 1 z^k at z = iy, by which a step multiplies x."""
+        a = np.array([(*row, *[0.0] * (self.stages - len(row))) for row in self.a])
+        column, R = np.ones(self.stages), [1.0]
+        for _ in self.b:
+            R.append(float(np.dot(self.b, column)))
+            column = a @ column
+        ratio = np.convolve(R, [(-1) ** k / factorial(k) for k in range(2 * self.stages + 4)])  # R(z) exp(-z)
+        leading = [k for k in range(1, 2 * self.stages + 4) if abs(ratio[k]) * factorial(k) > 1e-6]
+        if leading[0] != self.order + 1:
+            raise ValueError(f"{self.name}: its order on oscillations is {leading[0] - 1}, not {self.order}")
+        even = next(k for k in leading if k % 2 == 0)
+        dissipation = -ratio[even] * (-1) ** (even // 2)
+        if dissipation < 0:
+            raise ValueError(
+                f"{self.name}: no step is stable, for the amplitude of oscillations grows by any"
+            )
+        signs = 1j ** np.arange(len(R))
+        growth = np.convolve(R * signs, R / signs).real[even::2]  # (|R|^2 - 1) / y^even, by powers of y^2
+        squares = np.roots(growth[::-1])
+        limits = squares.real[(squares.real > 0) & (np.abs(squares.imag) <= 1e-9 * np.abs(squares))]
+        return {
+            "dispersion": abs(ratio[self.order + 1]), "dissipation": dissipation, "dissipation_order": even,
+            "stability": float(np.sqrt(limits.min())),
+        }  # fmt: skip
 
     @property
     def stages(self) -> int:
@@ -59,7 +89,6 @@ RK4 = Method(
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
     dispersion=float(Fraction(1, 120)),
     dissipation=float(Fraction(1, 144)),
-    dissipation_order=6,
     stability=8**0.5,
     kernel_step=2.0,
 )
@@ -91,7 +120,6 @@ RK8 = Method(
      0.3111643669578199, -0.1521609496625161, 0.20136540080403034, 0.04471061572777259),
     dispersion=6.402e-8,
     dissipation=2.277e-8,
-    dissipation_order=10,
     stability=5.960359811702219,
     step_cost=8.0,
 )  # fmt: skip

@@ -1,11 +1,11 @@
 """Processor time of the methods at the tolerance of each scene, beside the estimate that `atlas check` prints.
 
-python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 4096] [--rounds 3]
+python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 4096] [--rounds 3] [--method rk8]
 
 Without scenes, all scenes of configs/ that set a tolerance. One thread; the methods take turns, and the least time of
 the rounds counts. Points are integrated to the end of their runs, with all statistics; "with theory" is the time of
 everything that a tile of the scene needs, in which points may end when their label is certain. The cost of a step is in
-units of a step of rk4; its median over the scenes is the `step_cost` of rk8 in atlas/engine/tableaux.py. "Other label"
+units of a step of rk4; its median over the scenes is the `step_cost` of the method in atlas/kernel/tableaux.py. "Other label"
 counts the points with different labels among those that both methods label, "unresolved" those without label by each.
 """
 
@@ -25,30 +25,30 @@ import numpy as np
 import atlas
 from atlas.flags import Label
 from atlas.kernel.ensemble import Ensemble
+from atlas.kernel.tableaux import METHODS
 from atlas.label.pipeline import evaluate
 from atlas.runs.plan import ScenePlan
 from atlas.scene import grid
 from atlas.scene.model import Scene
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-METHODS = ("rk4", "rk8")
 COLUMNS = (
-    "rk4, µs a point", "rk8 / rk4", "estimated", "with theory", "cost of a step", "other label", "unresolved"
+    "rk4, µs a point", "{} / rk4", "estimated", "with theory", "cost of a step", "other label", "unresolved"
 )  # fmt: skip
 T = TypeVar("T")
 
 
 class Comparison:
-    """Both methods at some points of a scene."""
+    """A method beside rk4 at some points of a scene."""
 
-    def __init__(self, scene: Scene, count: int, rounds: int):
+    def __init__(self, scene: Scene, count: int, rounds: int, method: str):
         indices = np.unique(np.linspace(0, scene.size - 1, count).round().astype(np.int64))
         points = grid.points_at_indices(scene, indices)
         self.points = points.subset(points.exists)
         self.size = self.points.duration.size
-        scenes = [replace(scene, settings=replace(scene.settings, method=method)) for method in METHODS]
+        scenes = [replace(scene, settings=replace(scene.settings, method=name)) for name in ("rk4", method)]
         plans = [ScenePlan(each, self.points) for each in scenes]
-        self.estimate = plans[0].relative_costs["rk8"]
+        self.estimate = plans[0].relative_costs[method]
         sizes = [plan.step_sizes for plan in plans]
         ensemble = Ensemble.of(scene.system, self.points.points)
         integrations = [
@@ -96,17 +96,19 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", type=Path, default=sorted(CONFIGS.glob("*.toml")))
     parser.add_argument("--points", type=int, default=4096, help="points of a scene (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--method", default="rk8", choices=sorted(METHODS.keys() - {"rk4"}))
     options = parser.parse_args()
-    print(f"| scene | {' | '.join(COLUMNS)} |\n{'|---' * (1 + len(COLUMNS))}|")
+    columns = " | ".join(COLUMNS).format(options.method)
+    print(f"| scene | {columns} |\n{'|---' * (1 + len(COLUMNS))}|")
     comparisons = []
     for path in options.scenes:
         scene = atlas.load_scene(path)
         if scene.settings.step is None:
-            comparisons.append(Comparison(scene, options.points, options.rounds))
+            comparisons.append(Comparison(scene, options.points, options.rounds, options.method))
             print(f"| {path.stem} | {comparisons[-1]} |", flush=True)
     ratios = [comparison.ratio for comparison in comparisons]
     print(
-        f"rk8 / rk4 from {min(ratios):.2f} to {max(ratios):.2f}, median {median(ratios):.2f};"
+        f"{options.method} / rk4 from {min(ratios):.2f} to {max(ratios):.2f}, median {median(ratios):.2f};"
         f" median cost of a step {median(comparison.step_cost for comparison in comparisons):.1f}"
     )
 

@@ -45,12 +45,13 @@ class Extension:
         Name of a variable from theory -> function of a system that returns these `DerivedVariable` by name, or none of a
         system that they have no meaning for.
     instruments : mapping of str to str, optional
-        Name of a measured variable -> `Instrument` that makes it.
+        Name of a measured variable -> object of a subclass of `atlas.measure.instrument.Instrument` that makes it.
     methods : mapping of str to str, optional
         Name of a method of `System` that asks extensions -> function of the system and the arguments of the method, which
         returns None where it has no answer.
     families : mapping of str to str, optional
-        Name of a family of steady motions -> function of a system that returns these `Family` by name, with fixed flags.
+        Name of a family of steady motions -> function of a system that returns these `Family` by name; their flags follow
+        those of the system's own.
     lines : mapping of str to str, optional
         Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind; of one or two
         axes, all lines that these maps show.

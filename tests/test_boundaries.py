@@ -40,9 +40,9 @@ REPLACED = {
         kernel.machine_code.llvm.get_host_cpu_features plotting.trajectory.ANIMATIONS..mp4 runs.folder.identity
         runs.refine.os.sysconf runs.reuse.identity runs/test_identity.py:?.?
     """,
-    "the installed packages, their code, and the systems of this process": """
+    "the installed packages, their code, and the systems, instruments and methods of this process": """
         extension._found sources.AT_IMPORT sources.OF_FOLDERS.? sources.PACKAGE sources.read systems.SYSTEMS
-        systems.steady.arithmetic.functions
+        systems.steady.arithmetic.functions kernel.tableaux.METHODS.rk6 variables.INSTRUMENTS
     """,
     "another process, or the end of this one, at this very moment": """
         runs.folder.complete runs.run.RunFolder.? runs.run.RunFolder.join runs.run.RunFolder.prepare runs.run.RunFolder.remove

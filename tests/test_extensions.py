@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import atlas
-from atlas import BadInput, cli, extension
+from atlas import BadInput, cli, extension, systems
 from atlas.analysis.published import published_equations
 from atlas.extension import PARTS, Extension, extensions
 from atlas.label.plan import Plan
@@ -116,17 +116,44 @@ def module(folder, name, record, **files):
     return package
 
 
-def test_a_family_without_a_reserved_flag_is_refused(installed_extensions, tmp_path, monkeypatch, scene_text):
+def test_families_of_others_have_flags_after_those_of_the_system(
+    installed_extensions, tmp_path, monkeypatch, scene_text
+):
+    """And after the reserved ones, which stay as they are; the name of a family of the system is refused."""
     module(tmp_path, "tumbling", "", theory="""
-from atlas.systems.base import Family
+from atlas.systems.base import Condition, Family
+NEVER = Condition("1 = 0", lambda points: 1.0 + 0.0 * points["n"])
 def families(system):
-    return {"tumbling": Family("tumbling")}
+    return {"tumbling": Family("tumbling", title="tumbles", conditions=(NEVER,))} if system.frame == "orbital" else {}
+def repeated(system):
+    return {"cylindrical": Family("cylindrical", conditions=(NEVER,))}
 """)  # fmt: skip
     monkeypatch.syspath_prepend(tmp_path)
+    before = variables(SATELLITE)["family"].flags
     new = Extension("tumbling", "tumbling", "more families", families={"tumbling": "theory:families"})
     installed_extensions({**extensions(), "tumbling": new})
-    with pytest.raises(BadInput, match="an extension has a family tumbling, for which no flag is reserved"):
+    assert list(variables(SATELLITE)["family"].flags.items()) == [*before.items(), ("tumbling", "tumbles")]
+    assert families_of(SATELLITE)["tumbling"].flag == len(before)
+    assert atlas.load_scene(scene_text({"family": {"name": "tumbling"}})).family == "tumbling"
+    new = Extension("tumbling", "tumbling", "more families", families={"cylindrical": "theory:repeated"})
+    installed_extensions({**extensions(), "tumbling": new})
+    message = "^the system satellite: an extension has a family cylindrical too; rename one$"
+    with pytest.raises(BadInput, match=message):
         atlas.load_scene(scene_text({}))
+
+
+def test_a_subclass_of_the_satellite_is_its_authors_own_system(monkeypatch):
+    """Its families are those that it inherits, without families of extensions that are about the equations of the satellite."""
+
+    class Mine(type(SATELLITE)):
+        name, title = "mine", "a satellite of my own"
+
+    monkeypatch.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
+    mine = systems.register(Mine)
+    ds = atlas.label_points("mine", {"theta0": 0.3}, duration=1.0, progress=False)
+    assert list(families_of(mine)) == list(SATELLITE.families)
+    assert ds.family.flag_meanings.split() == ["none", *SATELLITE.families]
+    assert "plane_period" not in variables(mine)
 
 
 def test_a_broken_record_leaves_everything_else_working(tmp_path):

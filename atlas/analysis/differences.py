@@ -23,7 +23,7 @@ from .metadata import flag_names, flags_of, has_flags, numeric_coordinates, scen
 
 OVER_BOUND = (
     *RATES,
-    *circle.RATES,
+    *circle.AXIS_RATES,
 )  # variables whose error is relative to the bound of the fastest frequency
 
 

@@ -39,9 +39,9 @@ class Plug(Protocol):
         """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
 
         Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
-        time, is in slot i & 3 of `nodes`, the three before it in the other slots: see `integrate.motion_at`; slopes are per
-        1 / inverse_unit. None: the constants are levels of the energy, the first of the equations' INTEGRALS, and the sums
-        count those above them of every `integrate.NODES_PER_LEVEL`-th node.
+        time, is nodes[i & 3, row, l] with the rows of `statistics.Node`; the three before it are in the other slots. None: the
+        constants are levels of the energy, the first of the equations' INTEGRALS, and the sums count those above them of every
+        `integrate.NODES_PER_LEVEL`-th node.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:

@@ -66,10 +66,9 @@ from .poles import (
     turns_near_vertical,
 )
 from .sampling import END, LONG, rule_position, stretched
-from .statistics import Row, accumulate, begin, end, extend, may_extend
+from .statistics import Node, Row, accumulate, begin, end, extend, may_extend
 
-# Components of the motion, u1, u2, u3, g1, g2, g3: rows of a node, followed by their derivatives.
-MOTION = 6
+MOTION = 6  # components of the motion, rows of a `Node` that are followed by their derivatives
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
 # One node in so many is compared with levels of the energy.
@@ -102,8 +101,8 @@ def store_motion(nodes, slot, row, l, motion):
 
 def motion_at(nodes, slot, l):
     return (
-        nodes[slot, 0, l], nodes[slot, 1, l], nodes[slot, 2, l],
-        nodes[slot, 3, l], nodes[slot, 4, l], nodes[slot, 5, l],
+        nodes[slot, Node.U1, l], nodes[slot, Node.U2, l], nodes[slot, Node.U3, l],
+        nodes[slot, Node.G1, l], nodes[slot, Node.G2, l], nodes[slot, Node.G3, l],
     )  # fmt: skip
 
 
@@ -290,8 +289,8 @@ def mark(turning, near, stats, nodes, spacing, interval, intervals):
     """Write 1.0 into `turning` for lanes that may turn beyond their extremes, into `near` for lanes that may pass the vertical."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
-        slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
-        turning[l] = may_extend(stats, l, nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1)
+        slope_0, slope_1 = spacing * nodes[first, Node.DG3, l], spacing * nodes[second, Node.DG3, l]
+        turning[l] = may_extend(stats, l, nodes[first, Node.G3, l], nodes[second, Node.G3, l], slope_0, slope_1)  # fmt: skip
         near[l], _ = near_vertical(nodes, first, second, l, spacing, interval, intervals)
 
 
@@ -301,8 +300,8 @@ def queue_turns(turns, lanes, count, turning, nodes, slots, spacing, first_node,
     for l in range(WIDTH):
         if turning[l] > 0.0:
             lanes[count] = l
-            slope_0, slope_1 = spacing * nodes[first, 11, l], spacing * nodes[second, 11, l]
-            x = place_of_turn(nodes[first, 5, l], nodes[second, 5, l], slope_0, slope_1)
+            slope_0, slope_1 = spacing * nodes[first, Node.DG3, l], spacing * nodes[second, Node.DG3, l]
+            x = place_of_turn(nodes[first, Node.G3, l], nodes[second, Node.G3, l], slope_0, slope_1)
             store_turn(turns, count, nodes, slots, l, spacing, interval - first_node, x)
             count += 1
     return count
@@ -328,12 +327,10 @@ def near_vertical(nodes, first, second, l, spacing, interval, intervals):
 
     A run that begins or ends near the vertical may have a zero there although sin^2 theta has no minimum.
     """
-    slope_0 = spacing * (nodes[first, 3, l] * nodes[first, 9, l] + nodes[first, 4, l] * nodes[first, 10, l])
-    slope_1 = spacing * (
-        nodes[second, 3, l] * nodes[second, 9, l] + nodes[second, 4, l] * nodes[second, 10, l]
-    )
-    sin2_0 = nodes[first, 3, l] * nodes[first, 3, l] + nodes[first, 4, l] * nodes[first, 4, l]
-    sin2_1 = nodes[second, 3, l] * nodes[second, 3, l] + nodes[second, 4, l] * nodes[second, 4, l]
+    slope_0 = spacing * (nodes[first, Node.G1, l] * nodes[first, Node.DG1, l] + nodes[first, Node.G2, l] * nodes[first, Node.DG2, l])  # fmt: skip
+    slope_1 = spacing * (nodes[second, Node.G1, l] * nodes[second, Node.DG1, l] + nodes[second, Node.G2, l] * nodes[second, Node.DG2, l])  # fmt: skip
+    sin2_0 = nodes[first, Node.G1, l] * nodes[first, Node.G1, l] + nodes[first, Node.G2, l] * nodes[first, Node.G2, l]  # fmt: skip
+    sin2_1 = nodes[second, Node.G1, l] * nodes[second, Node.G1, l] + nodes[second, Node.G2, l] * nodes[second, Node.G2, l]  # fmt: skip
     near, instant = turns_near_vertical(sin2_0, slope_0, slope_1)
     at_start = (1.0 if interval == 0 else 0.0) * ((1.0 - near) if sin2_0 < NEAR_END else 0.0)
     at_end = (1.0 if interval == intervals - 1 else 0.0) * ((1.0 - near) if sin2_1 < NEAR_END else 0.0)

@@ -73,6 +73,17 @@ class Row(Counted):
     ZERO_2_IMAG = auto()
 
 
+class Node(IntEnum):
+    """Rows of a node of a motion: `frame_motion` of the equations, u of the body and the vertical g, and their derivatives.
+
+    u is in rad per time unit. Derivatives are by the kernel's unit of time, in which nodes are `spacing` apart: over 1 time unit
+    they are `inverse_unit` times as large.
+    """
+
+    U1, U2, U3, G1, G2, G3 = range(6)
+    DU1, DU2, DU3, DG1, DG2, DG3 = range(6, 12)
+
+
 @dataclass(frozen=True)
 class Statistic:
     """A measured variable of the atlas."""

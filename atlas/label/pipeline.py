@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..flags import Label, Status
+from ..flags import Status
 from ..kernel import blocks, numeric_bound
 from ..kernel.ensemble import Ensemble
 from ..kernel.generated import WIDTH
@@ -335,10 +335,10 @@ def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict
     }
     columns["status"] = status = runs.status(run, step_sensitive)
     run = runs.with_growth(run, status)
+    registry = variables(run.system)
     with np.errstate(invalid="ignore"):
-        for name, label in run.labels().items():
-            label[integration.stopped_early] = Label.DRIFTING
-            columns[name] = np.where(status == Status.OK, label, Label.UNRESOLVED).astype(np.int8)
+        for name, rule in run.rules.items():
+            columns[name] = rule.column(name, registry, run, status == Status.OK)
     for instrument in run.instruments:
         columns |= instrument.columns(run, columns)
     ended = integration.stopped_early | ~run.step_sizes.resolved

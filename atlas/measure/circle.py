@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..flags import Agreement, Label, Status
 from ..kernel.ensemble import Ensemble
+from ..kernel.statistics import Node
 from ..kernel.stepsize import ROUNDING
 from ..systems.base import Array, Flags, Mask, Points, System
 from ..systems.vectors import cross, dot
@@ -55,12 +56,12 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
     """Add a node to the sums of lane l, see `kernel.ensemble.Plug`."""
     slot, weight = i & 3, 0.5 if i == 0 or i == intervals else 1.0
     rate = axes[a + Axis.FRAME_RATE, l]
-    u1 = nodes[slot, 0, l] + rate * nodes[slot, 3, l]
-    u2 = nodes[slot, 1, l] + rate * nodes[slot, 4, l]
-    u3 = nodes[slot, 2, l] + rate * nodes[slot, 5, l]
-    d1 = (nodes[slot, 6, l] + rate * nodes[slot, 9, l]) * inverse_unit
-    d2 = (nodes[slot, 7, l] + rate * nodes[slot, 10, l]) * inverse_unit
-    d3 = (nodes[slot, 8, l] + rate * nodes[slot, 11, l]) * inverse_unit
+    u1 = nodes[slot, Node.U1, l] + rate * nodes[slot, Node.G1, l]
+    u2 = nodes[slot, Node.U2, l] + rate * nodes[slot, Node.G2, l]
+    u3 = nodes[slot, Node.U3, l] + rate * nodes[slot, Node.G3, l]
+    d1 = (nodes[slot, Node.DU1, l] + rate * nodes[slot, Node.DG1, l]) * inverse_unit
+    d2 = (nodes[slot, Node.DU2, l] + rate * nodes[slot, Node.DG2, l]) * inverse_unit
+    d3 = (nodes[slot, Node.DU3, l] + rate * nodes[slot, Node.DG3, l]) * inverse_unit
     x0, y0, z0 = axes[a + Axis.START_X, l], axes[a + Axis.START_Y, l], axes[a + Axis.START_Z, l]
     x = axes[a + Axis.X1, l] * u1 + axes[a + Axis.X2, l] * u2 + axes[a + Axis.X3, l] * u3 - x0
     y = axes[a + Axis.Y1, l] * u1 + axes[a + Axis.Y2, l] * u2 + axes[a + Axis.Y3, l] * u3 - y0
@@ -197,9 +198,7 @@ def _angle(a: Array, b: Array) -> Array:
     return np.asarray(np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(a, b)))
 
 
-# Label about any axis -> label about the third axis and the vertical.
-LABELS = {"label_any_axis": "label", "label_any_axis_inertial": "label_inertial"}
-RATES = ("precession_rate", "spin_rate")
+AXIS_RATES = ("precession_rate", "spin_rate")
 ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
 # The measurements of a circle from which a label is decided.
 STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
@@ -226,7 +225,7 @@ class Circle(Instrument):
     frame.
     """
 
-    name: str = "label_any_axis"  # a key of LABELS
+    name: str = "label_any_axis"  # or label_any_axis_inertial
 
     sums, given, add_node = len(Sum), len(Axis), staticmethod(add_to_circle)
 
@@ -286,7 +285,7 @@ class Circle(Instrument):
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Statistics of the circles by name, "label:statistic", and RATES and ANGLES."""
+        """Statistics of the circles by name, "label:statistic", and AXIS_RATES and ANGLES."""
         circle = circle_statistics(*run.plugged(self), run.integration.intervals)
         with np.errstate(all="ignore"):
             circle["precession"] = np.hypot(circle["radius"], circle["height"] - circle["spin"])
@@ -296,7 +295,7 @@ class Circle(Instrument):
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
         """The label about any axis, given the label about the third axis and the vertical."""
-        own_label = rules[LABELS[self.name]].decide(run.measured)
+        own_label = rules[self.name.replace("_any_axis", "")].decide(run.measured)
 
         def label_of(measured: Measured) -> Flags:
             return label(self._statistics(measured), own_label, run.settings.tolerances)
@@ -337,7 +336,7 @@ class Circle(Instrument):
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
+        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -353,12 +352,12 @@ class Circle(Instrument):
             return np.minimum(error, 1.0)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of one of RATES over the bound."""
-        return self._change(run, other, RATES) / run.bound
+        """Largest difference of one of AXIS_RATES over the bound."""
+        return self._change(run, other, AXIS_RATES) / run.bound
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Largest difference of one of ANGLES, or of RATES over the bound."""
-        return np.fmax(self._change(run, coarse, RATES) / run.bound, self._change(run, coarse, ANGLES))
+        """Largest difference of one of ANGLES, or of AXIS_RATES over the bound."""
+        return np.fmax(self._change(run, coarse, AXIS_RATES) / run.bound, self._change(run, coarse, ANGLES))
 
     def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
         """Largest difference of one of these values; 0 without a difference."""
@@ -367,7 +366,7 @@ class Circle(Instrument):
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         ok = columns["status"] == Status.OK
-        names = () if self.inertial else (*RATES, *ANGLES)
+        names = () if self.inertial else (*AXIS_RATES, *ANGLES)
         return {name: np.where(ok, columns[name], np.nan) for name in names}
 
 
@@ -394,7 +393,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """RATES and ANGLES, nan for motions that are not steady; of a regular precession about the third axis, if it is one."""
+    """AXIS_RATES and ANGLES, nan for motions that are not steady; of a regular precession about the third axis, if it is one."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)

@@ -1,8 +1,7 @@
 """Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
 
-An instrument is a frozen object of a class derived from `Instrument`, whose defaults contribute nothing. The main instrument of
-a plan (`label.plan`) integrates the points in its kernel; the others add sums to that kernel (`kernel.ensemble.Plug`), or run a
-kernel of their own.
+An instrument is a frozen object of a class derived from `Instrument`. The main one of a plan (`label.plan`) integrates the points
+in its kernel; the others add sums to that kernel (`kernel.ensemble.Plug`), or run a kernel of their own.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import BadInput, allowed_text
 from ..kernel.ensemble import Ensemble, Integration
 from ..kernel.statistics import Row
 from ..kernel.stepsize import ROUNDING, StepSizes
@@ -115,6 +115,9 @@ class Rule:
     means: Mapping[str, Array | float] = field(default_factory=dict)
     # What rounding alone may add to some of the statistics of a steady motion, in their units
     rounding: Mapping[str, Array] = field(default_factory=dict)
+    # Flags of its variable by name: where a run ended early, because it was certain to drift; where the status is not ok
+    drifting: str = "drifting"
+    unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
         """The measurements, of which those that may be rounding alone count as none; the same object where there are none."""
@@ -129,6 +132,18 @@ class Rule:
     def decide(self, measured: Measured) -> Flags:
         """The label by measurements `without_rounding`."""
         return self.label(self.without_rounding(measured))
+
+    def column(self, name: str, registry: Mapping[str, Variable], run: Run, resolved: Mask) -> Flags:
+        """Its variable; resolved: where the status is ok. BadInput for what is no flag of the variable."""
+        flags, rule = list(registry[name].flags or ()) if name in registry else [], f"the rule of {name}"
+        for flag in (self.drifting, self.unresolved):
+            if flag not in flags:
+                raise BadInput(f"{rule}: {flag!r} is no flag of this variable; {allowed_text(flag, flags)}")
+        label = np.where(run.integration.stopped_early, flags.index(self.drifting), self.decide(run.measured))
+        label = np.where(resolved, label, flags.index(self.unresolved)).astype(np.int8)
+        if label.size and not 0 <= label.min() <= label.max() < len(flags):
+            raise BadInput(f"{rule}: flags {label.min()} to {label.max()}; allowed: 0 to {len(flags) - 1}")
+        return label
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
@@ -258,7 +273,17 @@ class Run:
 
 
 class Instrument:
-    """A measurement."""
+    """A measurement: variables of an atlas, and how they follow from runs.
+
+    A subclass must implement `variables`, or `every_variable` if they are those of every system, and what they follow from:
+    `measurements` of numbers, `rules` of labels, or else `columns`. All else may be overridden, and by default contributes nothing:
+
+    Where it measures
+        `wanted`, by a scene; in its kernel `sums`, `given`, `add_node`, `constants`; `needs_whole_run`; without a run `proofs_of`,
+        `proofs`; with tangent vectors `needs_growth`.
+    Errors
+        Of numbers `relative_error`, `pair_error`, `rate_change`; of the statistics of rules `errors`, `rounding`, `outcome_differs`.
+    """
 
     # Of instruments that add to the sums of the kernel: see `kernel.ensemble.Plug`.
     sums, given = 0, 0
@@ -329,7 +354,10 @@ class Instrument:
 
 
 class MainInstrument(Instrument):
-    """An instrument whose kernel integrates the points."""
+    """An instrument whose kernel integrates the points.
+
+    It must implement `unsteadiness` and `largest` as well, and `early_stop_rate` if it overrides `may_stop_early`.
+    """
 
     has_theory = False  # whether theory predicts its labels
     quantity = ""  # name of its quantities in one word

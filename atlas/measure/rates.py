@@ -14,7 +14,7 @@ from ..flags import Agreement, Label, Stability, Status, reserved_families
 from ..kernel.statistics import NEEDS_PSI, RATES, STATISTICS, Row, finish
 from ..kernel.stepsize import INTERPOLATION_ERROR, ROUNDING, StepSettings, StepSizes
 from ..kernel.tableaux import METHODS
-from ..systems.base import Array, Flags, Mask, System
+from ..systems.base import Array, Flags, Mask, System, families_of
 from ..systems.steady import polynomial_degree
 from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Tolerances, Variable
 
@@ -49,8 +49,10 @@ class Rates(MainInstrument):
     """The main instrument of a body in a frame."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        own = {name: family.title for name, family in system.families.items()}
-        families = {"none": "no family of steady motions", **own, **reserved_families(system.name)}
+        own, every = (
+            {n: f.title for n, f in each.items()} for each in (system.families, families_of(system))
+        )
+        families = {"none": "no family of steady motions"} | own | reserved_families(system.name) | every
         flag = [
             Variable("label", "int8", "1", f"kind of motion in the {system.frame} frame", Label.meanings()),
             Variable("label_inertial", "int8", "1", "kind of motion in the inertial frame", Label.meanings()),
@@ -228,7 +230,7 @@ def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable,
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}
-    has_families = bool(system.families or reserved_families(system.name))
+    has_families = bool(families_of(system) or reserved_families(system.name))
     if not has_families:
         missing |= {"family", "stable", "growth_rate"}
     if not (predicted := has_families or isinstance(polynomial_degree(system), int)):

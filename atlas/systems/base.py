@@ -70,7 +70,7 @@ class TwoAxes(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Where the third axis is, of steady motions."""
+    """Where the third axis of a steady motion is."""
 
     text: str  # a sentence
     # (measured variables, where the axis stayed on the vertical, largest rate and angle that count as zero) -> whether a motion
@@ -225,7 +225,7 @@ def _or_extension(method: _F) -> _F:
 
 
 class System(ABC):
-    """A physical system: what engine, labels, scenes and figures use of it.
+    """A physical system: what kernels, labels, scenes and figures use of it.
 
     A system is written as a subclass. What it must give is its names, `equations`, `parameters` and
     `initial_state`, and either the motion of a body relative to a frame (``frame_motion`` of the equations) or
@@ -318,8 +318,8 @@ class System(ABC):
         """Upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
 
         The step sizes and the check for under-resolved points depend on it, so it must hold for the whole
-        motion and not only at the start. The default is the numeric one at the start (`jacobian.frequency`), which
-        the engine raises along each motion.
+        motion and not only at the start. The default is the numeric one at the start (`jacobian.frequency`), which is
+        raised along each motion.
         """
         return frequency(self.equations, self.initial_state(points), self.constants(points))
 
@@ -565,18 +565,17 @@ def within_range(system: System, points: Points) -> Mask:
 
 @cache
 def families_of(system: System) -> Mapping[str, Family]:
-    """Families of steady motions by name: of the system, then of extensions, which have the reserved flags and titles."""
+    """Families of steady motions by name: of the system, then of extensions, of which ours have reserved flags and titles."""
     added: dict[str, Family] = {}
     for families in extension.every("families"):
         added |= families(system)
-    if unknown := added.keys() - reserved_families(system.name).keys():
-        raise BadInput(
-            f"the system {system.name}: an extension has a family {min(unknown)}, for which no flag is reserved"
-        )
-    every = dict(system.families)
-    for flag, (name, title) in enumerate(reserved_families(system.name).items(), 1 + len(every)):
+    if repeated := added.keys() & system.families.keys():
+        raise BadInput(f"the system {system.name}: an extension has a family {min(repeated)} too; rename one")
+    every, reserved = dict(system.families), reserved_families(system.name)
+    titles = {name: family.title for name, family in added.items()} | reserved
+    for flag, name in enumerate(dict.fromkeys([*reserved, *added]), 1 + len(every)):
         if name in added:
-            every[name] = replace(added[name], name=name, flag=flag, title=title)
+            every[name] = replace(added[name], name=name, flag=flag, title=titles[name])
     return MappingProxyType(every)
 
 

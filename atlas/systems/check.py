@@ -32,7 +32,7 @@ REPLACED = {
     "possible_body": "moments_of_inertia names the parameters that the triangle inequality is about",
     "check_possible": "possible_start and start_condition say which starts are possible",
     "equal_parameters": "specialization receives every pair of parameters that are equal at all points",
-    "reserved_families": "flags of families of extensions are reserved in atlas/flags.py",
+    "reserved_families": "`families` of an extension, whose flags follow those of the system",
     "within_range": "theory makes no prediction where parameters are beyond 1e60",
     "despun_equivalent": "`despun` of a Gyrostat",
 }

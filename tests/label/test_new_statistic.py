@@ -1,7 +1,5 @@
 """A statistic is one instrument: that of docs/examples against a reference, and in no kernel that is not asked for it."""
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,25 +14,20 @@ from atlas.label.plan import Plan
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
 
-EXAMPLE = Path(__file__).parents[2] / "docs/examples/largest_nutation_rate.py"
+EXAMPLE = Path(__file__).parents[2] / "docs/examples/largest_nutation_rate/largest_nutation_rate/rate.py"
 FIXED_POINT = SYSTEMS["fixed_point"]
 
 
 @pytest.fixture
-def instrument(monkeypatch):
-    spec = importlib.util.spec_from_file_location("largest_nutation_rate", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)
-    spec.loader.exec_module(module)
-    instrument = module.LargestNutationRate()
-    variables.INSTRUMENTS.append(instrument)
-    yield instrument
-    variables.INSTRUMENTS.remove(instrument)
+def instrument(install_example):
+    install_example("largest_nutation_rate")
+    return variables.instruments()[-1]
 
 
 def test_the_largest_nutation_rate(instrument, monkeypatch):
     """Of spinning tops, by the interpreted kernel, against DOP853 at many instants."""
     assert len(EXAMPLE.read_text().splitlines()) <= 45
+    assert type(instrument).__name__ == "LargestNutationRate"
     assert "theta_dot_max" in variables.variables(FIXED_POINT)
     assert Plan(FIXED_POINT, Settings(), ["label"]).plugs == ()
     kernel = plain_module(FIXED_POINT.equations, "rk8", plugs=(instrument,))

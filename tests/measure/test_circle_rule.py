@@ -7,7 +7,7 @@ import pytest
 
 from atlas.flags import Label, Status
 from atlas.measure import circle as any_axis
-from atlas.measure.circle import ANGLES, CIRCLES, RATES, Circle, label, values
+from atlas.measure.circle import ANGLES, AXIS_RATES, CIRCLES, Circle, label, values
 from atlas.measure.instrument import Rule, RunSettings, Tolerances
 from atlas.systems import SYSTEMS
 
@@ -94,10 +94,10 @@ OTHER = circle_of(spin=-3.0, sine=np.sin(LEAN)) | one(
 
 
 def values_of(own, *, of_circle=OTHER, **third):
-    """RATES and ANGLES; own: whether the motion is steady about the third axis."""
+    """AXIS_RATES and ANGLES; own: whether the motion is steady about the third axis."""
     measured = THIRD | one(**third) | ({} if own else one(theta_dot_rms=1.0))
     result = values(of_circle, measured, TOLERANCES)
-    assert result.keys() == {*RATES, *ANGLES}
+    assert result.keys() == {*AXIS_RATES, *ANGLES}
     return {name: float(value[0]) for name, value in result.items()}
 
 
@@ -219,8 +219,8 @@ def test_relative_error_of_rates_and_angles(of_circle, own, growth, rates, expec
 
 def test_differences_of_two_runs():
     run, other = (SimpleNamespace(bound=np.array([4.0]), measured=one(**each)) for each in (
-        dict.fromkeys((*RATES, *ANGLES), 1.0),
-        dict.fromkeys((*RATES, *ANGLES), 1.0) | {"spin_rate": 1.6, "precession_rate": np.nan, "nutation": 0.9},
+        dict.fromkeys((*AXIS_RATES, *ANGLES), 1.0),
+        dict.fromkeys((*AXIS_RATES, *ANGLES), 1.0) | {"spin_rate": 1.6, "precession_rate": np.nan, "nutation": 0.9},
     ))  # fmt: skip
     assert Circle().rate_change(run, other) == pytest.approx(0.15)
     assert Circle().pair_error(run, other, None) == pytest.approx(0.15)
@@ -250,9 +250,9 @@ def test_who_wants_a_circle():
 
 
 def test_columns_are_those_of_labelled_points():
-    columns = {name: np.array([1.0, 2.0]) for name in (*RATES, *ANGLES)}
+    columns = {name: np.array([1.0, 2.0]) for name in (*AXIS_RATES, *ANGLES)}
     columns["status"] = np.array([Status.STEP_SENSITIVE, Status.OK])
     own = Circle().columns(None, columns)
-    assert own.keys() == {*RATES, *ANGLES}
+    assert own.keys() == {*AXIS_RATES, *ANGLES}
     assert all(np.isnan(value[0]) and value[1] == 2.0 for value in own.values())
     assert CIRCLES[1].columns(None, columns) == {}

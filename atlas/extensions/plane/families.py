@@ -17,7 +17,6 @@ from ...systems.satellite import SATELLITE
 from ...systems.satellite import conditions as the
 from ...systems.satellite.families import nearest_pole
 from ...systems.satellite.initial import directions
-from ...systems.satellite.system import Satellite
 from ...systems.vectors import ratio
 
 if TYPE_CHECKING:
@@ -93,5 +92,5 @@ FAMILIES = {
 
 
 def families(system: System) -> dict[str, Family]:
-    """The families of a satellite."""
-    return FAMILIES if isinstance(system, Satellite) else {}
+    """The families of the satellite; equations of a system derived from it may be others."""
+    return FAMILIES if system is SATELLITE else {}

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset, unsteady
-from ...systems.satellite.system import Satellite
+from ...systems.satellite import SATELLITE
 
 _CHUNK = 4096  # points whose multipliers are computed between two pauses
 
 
 def variables(system: System) -> dict[str, DerivedVariable]:
-    """Period and multipliers of motions of a satellite in the plane; nan elsewhere."""
-    if not isinstance(system, Satellite):
+    """Period and multipliers of motions of the satellite in the plane; nan elsewhere."""
+    if system is not SATELLITE:
         return {}
     names = ("plane_period", "plane_trace", "plane_second")
 

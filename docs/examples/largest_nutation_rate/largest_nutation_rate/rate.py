@@ -3,18 +3,18 @@
 import numpy as np
 
 from atlas.kernel.poles import place_of_turn
+from atlas.kernel.statistics import Node
 from atlas.measure.instrument import Instrument, Variable
 
 
 def nutation_rate(nodes, slot, l, spacing):
     """theta' at a node, and its change by the next node at the present rate."""
-    u1, u2, g1, g2 = nodes[slot, 0, l], nodes[slot, 1, l], nodes[slot, 3, l], nodes[slot, 4, l]
-    d1, d2, e1, e2 = nodes[slot, 6, l], nodes[slot, 7, l], nodes[slot, 9, l], nodes[slot, 10, l]
+    u1, d1, u2, d2 = nodes[slot, Node.U1, l], nodes[slot, Node.DU1, l], nodes[slot, Node.U2, l], nodes[slot, Node.DU2, l]  # fmt: skip
+    g1, e1, g2, e2 = nodes[slot, Node.G1, l], nodes[slot, Node.DG1, l], nodes[slot, Node.G2, l], nodes[slot, Node.DG2, l]  # fmt: skip
     sine = max(np.sqrt(g1 * g1 + g2 * g2), 1e-150)
     rate = (u1 * g2 - u2 * g1) / sine
-    return rate, spacing * (
-        (d1 * g2 + u1 * e2 - d2 * g1 - u2 * e1) - rate * (g1 * e1 + g2 * e2) / sine
-    ) / sine
+    change = (d1 * g2 + u1 * e2 - d2 * g1 - u2 * e1) - rate * (g1 * e1 + g2 * e2) / sine
+    return rate, spacing * change / sine
 
 
 def extend_largest(sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit):
@@ -40,3 +40,6 @@ class LargestNutationRate(Instrument):
 
     def relative_error(self, run):
         return (run.bound * run.step_sizes.sample_spacing) ** 4 / 384  # of the cubics
+
+
+RATE = LargestNutationRate()

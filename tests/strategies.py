@@ -6,10 +6,12 @@ Points are dictionaries of arrays of one length, as the package takes them.
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from atlas.kernel.specialization import Specialization
@@ -80,6 +82,36 @@ def random_fixed_points(rng: np.random.Generator, count: int, **given) -> Points
     points |= {name: rng.normal(size=count) for name in names}
     points |= {"theta0": rng.uniform(0.2, 2.9, count), "phi0": rng.uniform(0, 2 * np.pi, count)}
     return default_points("fixed_point", count, **points | given)
+
+
+def random_points(system: str, rng: np.random.Generator, count: int, **given) -> Points:
+    """Random points of any system: what must be positive about 1, damping and optional parameters at their defaults."""
+    points = {}
+    for name, parameter in SYSTEMS[system].parameters.items():
+        if parameter.low == 0.0 and parameter.open_low:
+            points[name] = rng.uniform(0.8, 1.5, count)
+        elif parameter.low < 0.0 and not np.isnan(parameter.default):
+            points[name] = rng.normal(size=count)
+    if "theta0" in points:
+        points["theta0"] = rng.uniform(0.3, 2.8, count)
+    return default_points(system, count, **points | given)
+
+
+class BySystem(dict):
+    """What tests need of each system, by its name; the test of a system of which there is nothing is skipped."""
+
+    def __missing__(self, system: str):
+        pytest.skip(f"nothing is given here of the system {system}")
+
+
+class RandomPoints(dict):
+    """Name of a system -> function (rng, count, given) of random points."""
+
+    def __missing__(self, system: str):
+        return partial(random_points, system)
+
+
+RANDOM = RandomPoints(satellite=random_satellites, fixed_point=random_fixed_points)
 
 
 def symmetric_fixed_points(rng: np.random.Generator, count: int, **given) -> Points:

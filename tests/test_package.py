@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import atlas
+from atlas import sources
 from atlas.systems import SYSTEMS
 from atlas.systems.base import families_of
 from atlas.variables import variables
@@ -37,6 +38,35 @@ def test_data_flows_one_way():
         [sys.executable, "-c", code], cwd=PACKAGE.parent, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout
+
+
+def test_the_sources_on_which_numbers_depend_are_all_that_the_computation_imports():
+    """What a tile is computed and written by, and what that imports, but for modules that no number passes through."""
+    without_numbers = {
+        "_version.py", "errors.py", "extension.py", "files.py", "hdf5.py", "interruption.py", "process.py", "sources.py",
+        "store/__init__.py", "store/place.py", "store/progress.py", "store/tally.py",
+    }  # fmt: skip
+    for pattern in sources.NUMERIC_SOURCES:
+        assert list(PACKAGE.glob(pattern)), f"{pattern}: there is no such file"
+    found, waiting = set(), ["label/pipeline.py", "label/points.py", "store/tile.py"]
+    while waiting:
+        path = PACKAGE / waiting.pop()
+        if path in found:
+            continue
+        found.add(path)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                base = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
+                for file in (
+                    base.with_suffix(".py"),
+                    base / "__init__.py",
+                    *(base / f"{a.name}.py" for a in node.names),
+                ):
+                    if file.exists() and file != PACKAGE / "__init__.py":
+                        waiting.append(file.relative_to(PACKAGE).as_posix())
+    names = {path.relative_to(PACKAGE).as_posix() for path in found}
+    assert names - sources.read().keys() <= without_numbers
+    assert len(names) > 80
 
 
 @pytest.mark.parametrize("command", [["--help"], ["check", "configs/quickstart.toml"], ["--version"]])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from plain_kernel import plain_module
-from strategies import random_fixed_points, random_satellites
+from strategies import RANDOM
 
 from atlas.kernel import assemble, blocks
 from atlas.kernel.ensemble import Ensemble
@@ -11,8 +11,6 @@ from atlas.kernel.specialization import kernel
 from atlas.kernel.statistics import Row
 from atlas.measure.circle import CIRCLES, Axis, Sum
 from atlas.systems import SYSTEMS
-
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 
 
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from strategies import random_fixed_points, random_satellites
+from strategies import RANDOM
 
 from atlas.kernel.differentiate import differential
 from atlas.systems import SYSTEMS, arithmetic
 
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 STEP = 1e-30
 
 

@@ -8,7 +8,7 @@ import pytest
 from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
-from strategies import random_fixed_points, random_satellites
+from strategies import RANDOM
 
 from atlas.kernel import blocks
 from atlas.kernel.ensemble import Ensemble
@@ -18,7 +18,6 @@ from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
 
 SATELLITE = SYSTEMS["satellite"]
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 
 
 @pytest.fixture(params=["compiled", "plain"])

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from installed import example_scenes
-from strategies import evaluate, specialization_of
+from strategies import BySystem, evaluate, specialization_of
 
 import atlas
 from atlas.flags import Label, Status
@@ -36,7 +36,7 @@ def random_points(system, count, rng, zero=(), symmetric=False):
     return points | ({"B": points["A"]} if symmetric else {})
 
 
-CASES = {
+CASES = BySystem({
     "satellite": [
         (("mu1", "mu2", "mu3"), False), (("h1", "h3"), False), (("h1", "h3", "k1", "k2"), False),
         (("mu1", "mu2", "k1", "k2"), True), (("h1", "h3", "k1", "k2"), True),
@@ -46,7 +46,7 @@ CASES = {
         (("damping", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2"), True),
     ],
     "fixed_point": [(("damping",), False)],
-}  # fmt: skip
+})  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from strategies import default_points, random_fixed_points, random_satellites
+from strategies import RANDOM, default_points
 from truth import worst_point
 
 import atlas
@@ -15,7 +15,6 @@ from atlas.systems import SYSTEMS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 COUNT = 64
 
 

@@ -30,6 +30,8 @@ def labelled(system: str, points, duration, variables: Sequence[str] = VARIABLES
 def cases_of(system: str, *classes: str):
     """Verified cases of a system, and their points as columns."""
     cases = [case for case in CASES["cases"] if case["system"] == system and case["class"] in classes]
+    if not cases:
+        pytest.skip(f"there are no cases of the system {system}")
     return cases, columns_of(system, [case["points"] for case in cases])
 
 

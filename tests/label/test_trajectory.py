@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from strategies import BySystem
 
 import atlas
 from atlas.label.trajectory import trajectory_of_scene
@@ -15,19 +16,21 @@ from atlas.systems import SYSTEMS
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
-POINTS = {
-    "satellite": {"theta0": 0.7, "k3": 0.3, "m": 0.4},
-    "fixed_point": {"theta0": 0.7, "l3": 0.3, "n": 0.2, "Mg": 1.0},
-}
+POINTS = BySystem(
+    {
+        "satellite": {"theta0": 0.7, "k3": 0.3, "m": 0.4},
+        "fixed_point": {"theta0": 0.7, "l3": 0.3, "n": 0.2, "Mg": 1.0},
+    }
+)
 # Motions that pass near the vertical: of a smooth motion, a sum over a few samples may be near the truth by chance.
-MOTIONS = {
+MOTIONS = BySystem({
     "satellite": {
         "theta0": 1.0, "psi0": 1.0, "phi0": 4.0, "theta_dot0": -1.0, "n": 0.01, "m": 5.0, "k3": -7.0, "B": 1.1
     },
     "fixed_point": {
         "theta0": 1.0, "psi0": -4.0, "phi0": 1.0, "theta_dot0": -1.0, "n": 0.01, "m": 0.1, "Mg": 1.0, "z0": 1.0
     },
-}  # fmt: skip
+})  # fmt: skip
 DURATION = 12.0
 
 

@@ -57,7 +57,12 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
     for name in sources:
         more = (0.037,) if name in ("scaled", "unscaled") else ()
         result = getattr(equations, name)(state.T, constants.T, *more)
-        flat = [part for item in result for part in (item if isinstance(item, tuple) else (item,))]
+        many = [isinstance(item, tuple) or np.ndim(item) == 2 for item in result]  # state or constants
+        flat = [
+            part
+            for item, several in zip(result, many, strict=True)
+            for part in (item if several else (item,))
+        ]
         expected.append(np.stack(np.broadcast_arrays(*flat), -1).ravel())
         calls.append(f"data[0].map((y, i) => {name}$(y, data[1][i]{', 0.037' if more else ''}))")
     values = node(translate(sources), f"[{', '.join(calls)}]", [state.tolist(), constants.tolist()])

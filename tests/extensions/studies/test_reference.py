@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from plain_kernel import plain_module
-from strategies import default_points, evaluate
+from strategies import BySystem, default_points, evaluate
 
 import atlas
 from atlas.extensions.studies import reference
@@ -142,10 +142,9 @@ PASSAGES = Settings(tolerance=1e-9, cylinder_tolerance=1e-7)
 def passages_near_the_vertical(name):
     """Points, durations and the statistics of the reference, which are those of both methods."""
     system, rng = SYSTEMS[name], np.random.default_rng(4)
-    given = {
-        "satellite": {"mu1": 0.2, "h3": 0.4, "k3": 0.3},
-        "fixed_point": {"Mg": 1.0, "z0": 0.6, "l3": 0.3},
-    }
+    given = BySystem(
+        satellite={"mu1": 0.2, "h3": 0.4, "k3": 0.3}, fixed_point={"Mg": 1.0, "z0": 0.6, "l3": 0.3}
+    )
     points = default_points(name, 24, A=1.0, B=1.2, C=0.8, theta0=0.7, theta_dot0=-1.0, **given[name])
     points |= {
         "m": rng.uniform(-1.0, 1.0, 24),

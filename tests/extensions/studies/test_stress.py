@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from strategies import default_points, evaluate
+from strategies import BySystem, default_points, evaluate
 
 from atlas import cli
 from atlas.extensions.studies import exact, stress, stress_truth
@@ -60,7 +60,9 @@ def studies(share):
 
     The satellite comes last: a second process begins with tests that compile its kernels, see conftest.py.
     """
-    return {name: stress.stress(name, sample(SYSTEMS[name], share)) for name in ("fixed_point", "satellite")}
+    return BySystem(
+        {name: stress.stress(name, sample(SYSTEMS[name], share)) for name in ("fixed_point", "satellite")}
+    )
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

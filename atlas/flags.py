@@ -27,10 +27,7 @@ class Label(Flag):
 
     NOT_COMPUTED = 0, "not computed"
     REGULAR_PRECESSION = 1, "theta, psi' and phi' are constant, psi' and phi' are not zero"
-    PERMANENT_ROTATION = (
-        2,
-        "theta, psi' and phi' are constant and psi' or phi' is zero, or the third axis stays on the vertical",
-    )
+    PERMANENT_ROTATION = 2, "theta, psi' and phi' are constant and psi' or phi' is zero, or the third axis stays on the vertical"  # fmt: skip
     DRIFTING = 3, "theta, psi' or phi' varies"
     UNRESOLVED = 4, "not decided: see status"
 
@@ -52,10 +49,7 @@ class Steadiness(Flag):
 class Status(Flag):
     """How far a label can be trusted."""
 
-    NOT_COMPUTED = (
-        0,
-        "not computed: no motion of the family, no start or no duration is defined here",
-    )
+    NOT_COMPUTED = 0, "not computed: no motion of the family, no start or no duration is defined here"  # fmt: skip
     OK = 1, "integrated and resolved"
     NOT_FINITE = 2, "the state or a statistic overflowed or became NaN"
     DRIFT_EXCEEDED = 3, "a first integral changed by more than drift_tolerance"
@@ -64,14 +58,8 @@ class Status(Flag):
         5,
         "the label changes when the step is halved, or could by as much as the measurements did, or another step changes a statistic more than errors explain",
     )
-    ROUNDOFF_DECIDED = (
-        6,
-        "rounding errors decide: the start is exactly on an unstable motion, or what varies may be rounding alone",
-    )
-    IMPOSSIBLE_BODY = (
-        7,
-        "not computed: no rigid body has these moments of inertia, one is larger than the sum of the others",
-    )
+    ROUNDOFF_DECIDED = 6, "rounding errors decide: the start is exactly on an unstable motion, or what varies may be rounding alone"  # fmt: skip
+    IMPOSSIBLE_BODY = 7, "not computed: no rigid body has these moments of inertia, one is larger than the sum of the others"  # fmt: skip
 
 
 class Agreement(Flag):
@@ -97,10 +85,7 @@ class EnergyStability(Flag):
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
     YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"
-    NO = (
-        2,
-        "no such minimum: unstable, or stable by gyroscopic terms or a momentum that internal dissipation destroys",
-    )
+    NO = 2, "no such minimum: unstable, or stable by gyroscopic terms or a momentum that internal dissipation destroys"  # fmt: skip
 
 
 class StabilityKind(Flag):
@@ -109,16 +94,10 @@ class StabilityKind(Flag):
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
     ENERGY_STABLE = 1, "stable by the energy: small dissipation inside the body leaves it stable"
     GYROSCOPIC = 2, "linearly stable and no minimum of the energy: dissipation destroys the stability"
-    MARGINAL = (
-        3,
-        "no exponent grows, but exponents coincide or the energy is degenerate: may grow like a power of time",
-    )
+    MARGINAL = 3, "no exponent grows, but exponents coincide or the energy is degenerate: may grow like a power of time"  # fmt: skip
     LINEARLY_STABLE = 4, "linearly stable; stability by the energy is not known"
     UNSTABLE = 5, "some characteristic exponent has a positive real part"
-    ENERGY_STABLE_AXIAL = (
-        6,
-        "stable by the energy as long as the axial momentum is kept: internal dissipation changes it",
-    )
+    ENERGY_STABLE_AXIAL = 6, "stable by the energy as long as the axial momentum is kept: internal dissipation changes it"  # fmt: skip
 
 
 class NonlinearStability(Flag):
@@ -149,10 +128,7 @@ class Completeness(Flag):
     COMPLETE = 0, "every equilibrium is listed, and none is near a bifurcation"
     NEAR_BIFURCATION = 1, "equilibria merge or appear near this body: their number is not certain"
     NOT_ISOLATED = 2, "some equilibria form circles or larger sets, each of which is listed once"
-    NOT_LISTED = (
-        3,
-        "none is listed: they form surfaces, merge here, or the numbers of the body differ too much in magnitude",
-    )
+    NOT_LISTED = 3, "none is listed: they form surfaces, merge here, or the numbers of the body differ too much in magnitude"  # fmt: skip
     IMPOSSIBLE_BODY = 4, "no rigid body has these moments of inertia"
 
 
@@ -166,19 +142,13 @@ class SettledBy(Flag):
         "attitude and rates are within 1e-3 (rad, and of the frame's or the natural rate) of the equilibrium; a saddle (end_index above 0) may only"
         " be passed",
     )
-    UNDECIDED = (
-        3,
-        "an error of the size of the tolerance at the start can change the motion before it settles: no end",
-    )
+    UNDECIDED = 3, "an error of the size of the tolerance at the start can change the motion before it settles: no end"  # fmt: skip
 
 
 class BifurcationKind(Flag):
     """Kinds of points where branches of equilibria meet."""
 
-    UNRESOLVED = (
-        0,
-        "branches end or change their stability between two values, and no single bifurcation explains it",
-    )
+    UNRESOLVED = 0, "branches end or change their stability between two values, and no single bifurcation explains it"  # fmt: skip
     FOLD = 1, "two branches end in each other"
     PITCHFORK = 2, "a branch changes its stability, and others end at it on one side"
     EXCHANGE = 3, "a branch changes its stability, and no other ends there"
@@ -191,10 +161,7 @@ class Regularity(Flag):
     STEADY = 1, "a steady motion whose neighbours stay near it for the run"
     REGULAR = 2, "not steady, mean MEGNO below 2.5: no exponential separation during the run"
     CHAOTIC = 3, "not steady, mean MEGNO above 5: neighbouring motions separate exponentially"
-    UNDECIDED = (
-        4,
-        "not steady, mean MEGNO between 2.5 and 5, or growth that one passage of an unstable motion explains",
-    )
+    UNDECIDED = 4, "not steady, mean MEGNO between 2.5 and 5, or growth that one passage of an unstable motion explains"  # fmt: skip
     HYPERBOLIC = 5, "mean MEGNO above 5 of a steady motion, or from a start on an unstable one: not chaotic"
 
 

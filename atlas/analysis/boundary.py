@@ -28,7 +28,7 @@ from .metadata import (
     scene_of,
     system_of,
 )
-from .plane import IN_SPACE, Plane, Theory
+from .plane import IN_SPACE, Plane, Predictions
 from .select import plane_of
 from .tracer import (
     Classes,
@@ -127,18 +127,18 @@ def borders(plane: Plane, variable: str = "label") -> Lines:
 class Kind(NamedTuple):
     """A kind of border."""
 
-    # Theory, frame, whether motions are nudged -> classes of points, 1 and 2 on the two sides of a line, 0 where there is no line.
-    classes: Callable[[Theory, str, bool], np.ndarray]
+    # Predictions, frame, whether motions are nudged -> classes of points, 1 and 2 on the two sides of a line, 0 where there is no line.
+    classes: Callable[[Predictions, str, bool], np.ndarray]
     of_frame: bool = True
     rate: str = ""  # which is 0 on the line
 
 
-def _labels(theory: Theory, frame: str, nudged: bool) -> np.ndarray:
+def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
     sides = Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION
     return np.select([theory.exists & (theory.frames[frame][0] == side) for side in sides], [1, 2], 0)
 
 
-def _signs(rate: str, theory: Theory, frame: str, nudged: bool) -> np.ndarray:
+def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
     """Signs of a rate of regular precessions; a nudged unstable motion has no label of its own, so that no line divides it."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)

@@ -34,7 +34,7 @@ BAND = 0.02
 # of 1e-3 may stay within it while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
 # Variations of the rates, of which the largest is the unsteadiness of a point.
-RATES = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
+VARIATIONS = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
 # Variables by which motions in the plane are compared with the stability of theory.
 OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
 
@@ -76,7 +76,7 @@ def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
                 f"{flags}: not in this dataset; a comparison needs label and predicted, from [outputs] of the scene"
             )
         flags_of(ds, flags, len(Label), "damaged, averaged or masked")
-    ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *RATES) if name in ds]]
+    ds = ds[[name for name in ("label", "predicted", *OF_PLANE, *VARIATIONS) if name in ds]]
     label = ds["label"]
     for variable, array in ds.items():
         if {*array.dims} != {*label.dims} or (variable == "predicted" and array.dims != label.dims):
@@ -176,7 +176,7 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
         return []
     # By whole arrays: xarray 2026.9 cannot choose single points of transposed variables that it reads lazily.
     values = {name: array.values.ravel()[disagree] for name, array in ds.data_vars.items()}
-    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *(values[n] for n in RATES if n in ds)])
+    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *(values[n] for n in VARIATIONS if n in ds)])
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims

@@ -94,7 +94,7 @@ def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
 
 
 # Coordinates count as equal within this relative difference, or within so many spacings of their type of float.
-ROUNDING, SPACINGS = 1e-9, 8
+COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
 MAX_COMPARED = 400  # points at which coordinates are compared
 CHANGED = (
     "the datasets of several scenes were joined, or coordinates were changed; use an atlas as its run made it"
@@ -162,7 +162,7 @@ def axis_values(here: np.ndarray, axis: Axis) -> Array:
 def _close(here: np.ndarray, own: Array) -> Mask:
     """Whether values of a coordinate equal others to rounding; near 0 to the rounding of differences of numbers of about 1."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
-    return np.asarray(np.isclose(here, own, max(ROUNDING, SPACINGS * float(spacing)), 1e-15))
+    return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
 
 def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
@@ -342,7 +342,7 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
 
 
 def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> np.ndarray:
-    """Values of a variable of flags from 0 to count - 1; BadInput, which begins with words, for others."""
+    """Values of a variable of flags from 0 to count - 1; for others BadInput, whose message begins with `words`."""
     values = ds[name].values
     if values.dtype.kind not in "iu" or is_averaged(ds[name]) or not ((values >= 0) & (values < count)).all():
         raise BadInput(f"{name}: {words}: not the flags of an atlas, 0 to {count - 1}")

@@ -28,7 +28,7 @@ IN_SPACE = " in space"
 
 
 @dataclass(frozen=True)
-class Theory:
+class Predictions:
     """Predictions of theory at some points of a plane; arrays of shape (points,)."""
 
     exists: Mask  # whether the scene has a motion there
@@ -121,7 +121,7 @@ class Plane:
         scene = replace(self.scene, duration=Duration(1.0))
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
-    def theory(self, coordinates: Mapping[str, Array]) -> Theory:
+    def theory(self, coordinates: Mapping[str, Array]) -> Predictions:
         """Predictions for exact motions in the plane; without a motion only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
@@ -131,7 +131,7 @@ class Plane:
         if system.frame_rate is not None:
             in_space = {"n": n + system.frame_rate(points.base), "m": m}
             frames[IN_SPACE] = predicted["predicted_inertial"], in_space
-        return Theory(points.exists, predicted["stable"], frames)
+        return Predictions(points.exists, predicted["stable"], frames)
 
     def derived(self, coordinates: Mapping[str, Array], names: Collection[str]) -> dict[str, NDArray[Any]]:
         """Variables from theory in the plane, by their names."""

@@ -132,7 +132,7 @@ def generated_numbers(
     """The numbers that `generated` declares."""
     plugged, observables = sum(plug.sums for plug in plugs), len(observable_names(equations))
     strobed = len(getattr(equations, "STROBED", ()))
-    observed = observe.FIRST_ROW + observe.FIELDS * (observables + strobed)
+    observed = observe.FIRST_ROW + len(observe.Field) * (observables + strobed)
     measured = {
         "OBSERVABLES": observables,
         "PLUGGED": plugged,

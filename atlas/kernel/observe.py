@@ -7,6 +7,8 @@ at the periods alone. With the value f0 at the start, g = f - f0 and u from -1/2
 give mean, standard deviation and slope of the line fitted to f.
 """
 
+from enum import IntEnum
+
 import numpy as np
 
 from .generated import (
@@ -32,14 +34,18 @@ from .generated import (
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
 from .poles import place_of_turn, turns_twice
 
-# Rows of the sums: the change of first integrals; then FIELDS rows for each observable: f0, the sums, the extremes, and the
-# largest distance of a node from the cubic through its two neighbours.
+# Rows of the sums: the change of first integrals, then from FIRST_ROW on those of `Field` for each observable.
 CHANGE, FIRST_ROW = 0, 1
-START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS, FIELDS = 0, 1, 2, 3, 4, 5, 6, 7
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_CHANGE = 4
 # Relative change of an observable that may be rounding.
-ROUNDING = 1e-14
+CHANGE_ROUNDING = 1e-14
+
+
+class Field(IntEnum):
+    """Rows of an observable: f0, the sums, the extremes, and the largest distance of a node from the cubic through its neighbours."""
+
+    START, TOTAL, SQUARE, TREND, LEAST, LARGEST, ROUGHNESS = range(7)
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
@@ -51,9 +57,9 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     state, constants = aligned_empty((STATES, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
-    sums, turning = aligned_empty((FIRST_ROW + FIELDS * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
+    sums, turning = aligned_empty((FIRST_ROW + len(Field) * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
     if STROBED:  # the given constants are the nodes between two instants
-        sums = aligned_empty((FIRST_ROW + FIELDS * (OBSERVABLES + STROBED), WIDTH))
+        sums = aligned_empty((FIRST_ROW + len(Field) * (OBSERVABLES + STROBED), WIDTH))
         strobes, period = aligned_empty((STROBED, WIDTH)), aligned_empty((WIDTH,))
     for block in range(first_block, last_block):
         stride = steps_per_node[block]
@@ -102,10 +108,10 @@ def begin(sums, nodes):
         for l in range(WIDTH):
             sums[row, l] = 0.0
     for k in range(OBSERVABLES):
-        row = FIRST_ROW + FIELDS * k
+        row = FIRST_ROW + len(Field) * k
         for l in range(WIDTH):
             value = nodes[0, k, l]
-            sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l] = value, value, value
+            sums[row + Field.START, l], sums[row + Field.LEAST, l], sums[row + Field.LARGEST, l] = value, value, value  # fmt: skip
 
 
 def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights):
@@ -119,16 +125,16 @@ def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_we
         slope_weight -= slope_weights[intervals - i]
     u, du = i / intervals - 0.5, 1.0 / intervals
     for k in range(OBSERVABLES):
-        row = FIRST_ROW + FIELDS * k
+        row = FIRST_ROW + len(Field) * k
         for l in range(WIDTH):
             value = nodes[slot, k, l]
-            g, slope = value - sums[row + START, l], nodes[slot, OBSERVABLES + k, l] * spacing
-            sums[row + TOTAL, l] += weight * g + slope_weight * slope
-            sums[row + SQUARE, l] += g * (weight * g + 2.0 * slope_weight * slope)
-            sums[row + TREND, l] += weight * u * g + slope_weight * (u * slope + du * g)
-            least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
-            sums[row + LEAST, l] = value if value < least else least
-            sums[row + LARGEST, l] = value if value > largest else largest
+            g, slope = value - sums[row + Field.START, l], nodes[slot, OBSERVABLES + k, l] * spacing
+            sums[row + Field.TOTAL, l] += weight * g + slope_weight * slope
+            sums[row + Field.SQUARE, l] += g * (weight * g + 2.0 * slope_weight * slope)
+            sums[row + Field.TREND, l] += weight * u * g + slope_weight * (u * slope + du * g)
+            least, largest = sums[row + Field.LEAST, l], sums[row + Field.LARGEST, l]
+            sums[row + Field.LEAST, l] = value if value < least else least
+            sums[row + Field.LARGEST, l] = value if value > largest else largest
 
 
 def add_strobes(sums, strobes, state, constants, period, i, intervals):
@@ -137,25 +143,26 @@ def add_strobes(sums, strobes, state, constants, period, i, intervals):
         store_strobes(strobes, l, load_state(state, l), load_constants(constants, l))
     u = i / intervals - 0.5
     for k in range(STROBED):
-        row = FIRST_ROW + FIELDS * (OBSERVABLES + k)
+        row = FIRST_ROW + len(Field) * (OBSERVABLES + k)
         for l in range(WIDTH):
             value = strobes[k, l]
             if i == 0:
-                sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l] = value, value, value
+                sums[row + Field.START, l], sums[row + Field.LEAST, l], sums[row + Field.LARGEST, l] = value, value, value  # fmt: skip
             weight = 1.0 if np.floor(i / period[l] + 0.5) * period[l] == i else 0.0
-            g, least, largest = value - sums[row + START, l], sums[row + LEAST, l], sums[row + LARGEST, l]
-            sums[row + TOTAL, l] += weight * g
-            sums[row + SQUARE, l] += weight * g * g
-            sums[row + TREND, l] += weight * u * g
-            sums[row + LEAST, l] = value if weight > 0.0 and value < least else least
-            sums[row + LARGEST, l] = value if weight > 0.0 and value > largest else largest
+            g = value - sums[row + Field.START, l]
+            least, largest = sums[row + Field.LEAST, l], sums[row + Field.LARGEST, l]
+            sums[row + Field.TOTAL, l] += weight * g
+            sums[row + Field.SQUARE, l] += weight * g * g
+            sums[row + Field.TREND, l] += weight * u * g
+            sums[row + Field.LEAST, l] = value if weight > 0.0 and value < least else least
+            sums[row + Field.LARGEST, l] = value if weight > 0.0 and value > largest else largest
 
 
 def compare_with_neighbours(sums, nodes, i, spacing):
     """Update the largest distance of a node from the Hermite cubic of its neighbours, here of node i - 1 from i - 2 and i."""
     before, middle, after = (i - 2) & 3, (i - 1) & 3, i & 3
     for k in range(OBSERVABLES):
-        row, slope_row = FIRST_ROW + FIELDS * k + ROUGHNESS, OBSERVABLES + k
+        row, slope_row = FIRST_ROW + len(Field) * k + Field.ROUGHNESS, OBSERVABLES + k
         for l in range(WIDTH):
             expected = 0.5 * (nodes[before, k, l] + nodes[after, k, l])
             expected += 0.25 * spacing * (nodes[before, slope_row, l] - nodes[after, slope_row, l])
@@ -167,15 +174,15 @@ def extend_between(sums, nodes, turning, i, interval, spacing):
     """Extend the extremes to the turning points between two nodes; the last four nodes are i - 3 to i."""
     first, second = interval & 3, (interval + 1) & 3
     for k in range(OBSERVABLES):
-        row, slope_row = FIRST_ROW + FIELDS * k, OBSERVABLES + k
+        row, slope_row = FIRST_ROW + len(Field) * k, OBSERVABLES + k
         for l in range(WIDTH):
             f0, f1 = nodes[first, k, l], nodes[second, k, l]
             s0, s1 = nodes[first, slope_row, l] * spacing, nodes[second, slope_row, l] * spacing
             margin = 0.25 * (abs(s0) + abs(s1))
-            above = 1.0 if max(f0, f1) + margin > sums[row + LARGEST, l] else 0.0
-            below = 1.0 if min(f0, f1) - margin < sums[row + LEAST, l] else 0.0
+            above = 1.0 if max(f0, f1) + margin > sums[row + Field.LARGEST, l] else 0.0
+            below = 1.0 if min(f0, f1) - margin < sums[row + Field.LEAST, l] else 0.0
             possible = above if s0 > 0.0 else below
-            twice = turns_twice(f0, f1, s0, s1, ROUNDING * (abs(f0) + abs(f1))) * max(above, below)
+            twice = turns_twice(f0, f1, s0, s1, CHANGE_ROUNDING * (abs(f0) + abs(f1))) * max(above, below)
             turning[l] = possible if s0 * s1 < 0.0 else twice
         for l in range(WIDTH):
             if turning[l] > 0.0:
@@ -184,9 +191,9 @@ def extend_between(sums, nodes, turning, i, interval, spacing):
                     nodes[first, slope_row, l] * spacing, nodes[second, slope_row, l] * spacing,
                 )  # fmt: skip
                 value = interpolated(nodes, i, k, l, spacing, interval - (i - 3) + x)
-                least, largest = sums[row + LEAST, l], sums[row + LARGEST, l]
-                sums[row + LEAST, l] = value if value < least else least
-                sums[row + LARGEST, l] = value if value > largest else largest
+                least, largest = sums[row + Field.LEAST, l], sums[row + Field.LARGEST, l]
+                sums[row + Field.LEAST, l] = value if value < least else least
+                sums[row + Field.LARGEST, l] = value if value > largest else largest
 
 
 def interpolated(nodes, i, k, l, spacing, x):

@@ -26,19 +26,12 @@ NEWTON_STEPS = 3
 class Passage(IntEnum):
     """Rows of a passage near the vertical; the first six begin four rows each, one for each node."""
 
-    G1 = 0
-    G1_SLOPE = 4
-    G2 = 8
-    G2_SLOPE = 12
-    U3 = 16
-    U3_SLOPE = 20
+    G1, G1_SLOPE, G2, G2_SLOPE, U3, U3_SLOPE = range(0, 24, 4)
     TIME = 24  # real instant near the zeros, counted from the first of the four nodes
-    Z_REAL = 25  # a zero or its approximation, counted likewise
-    Z_IMAG = 26
+    Z_REAL, Z_IMAG = range(25, 27)  # a zero or its approximation, counted likewise
     FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
     VERTICAL = 28  # the sign of g3
-    PSI_DOT_REFERENCE = 29  # the sums count psi' and phi' from here
-    PHI_DOT_REFERENCE = 30
+    PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # the sums count psi' and phi' from here
 
 
 PASSAGE_ROWS = max(Passage) + 1
@@ -47,22 +40,13 @@ PASSAGE_ROWS = max(Passage) + 1
 class Term(IntEnum):
     """Rows of the result of `pole_terms`: a zero z, and the coefficients of 1 / (t - z) in the squares of the rates."""
 
-    Z_REAL = 0  # counted from the first of the four nodes
-    Z_IMAG = 1
+    Z_REAL, Z_IMAG = range(2)  # counted from the first of the four nodes
     CHANGE = 2  # square of the last change of the zero
     SIN2_THETA = 3  # at the real part of the zero
-    THETA_REAL = 4
-    THETA_IMAG = 5
-    PSI_REAL = 6
-    PSI_IMAG = 7
-    PHI_REAL = 8
-    PHI_IMAG = 9
+    THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)
     # Excess of the sums over their integrals, see `sum_errors`.
-    THETA_DOT_SQUARED_ERROR = 10
-    PSI_DOT_ERROR = 11
-    PSI_DOT_SQUARED_ERROR = 12
-    PHI_DOT_ERROR = 13
-    PHI_DOT_SQUARED_ERROR = 14
+    THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
+    PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
@@ -246,12 +230,7 @@ TURN_STEPS = 5
 class Turn(IntEnum):
     """Rows of a turning point: the vertical and its derivatives at four nodes, four rows each."""
 
-    G1 = 0
-    G1_SLOPE = 4
-    G2 = 8
-    G2_SLOPE = 12
-    G3 = 16
-    G3_SLOPE = 20
+    G1, G1_SLOPE, G2, G2_SLOPE, G3, G3_SLOPE = range(0, 24, 4)
     TIME = 24  # first approximation, counted from the first of the four nodes
     NODE = 25  # the node before it, counted likewise
 

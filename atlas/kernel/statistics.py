@@ -8,7 +8,7 @@ that only some scenes ask for are instruments (`measure.instrument`). No traject
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, auto
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,57 +27,27 @@ NO_ZERO = -1e3
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
-class Counted(IntEnum):
-    """Enumeration whose values count from 0."""
-
-    @staticmethod
-    def _generate_next_value_(name: str, start: int, count: int, last_values: list[int]) -> int:
-        return count
-
-
-class Row(Counted):
+class Row(IntEnum):
     """Rows of the kernel's output: sums, their quadrature errors, extremes, references; theta at both ends in rad."""
 
-    OUTSIDE = auto()
-    THETA_DOT_SQUARED = auto()
-    THETA_DOT_CHANGE = auto()
-    THETA_DOT_CHANGE_SQUARED = auto()
-    PSI_DOT = auto()
-    PSI_DOT_SQUARED = auto()
-    PHI_DOT = auto()
-    PHI_DOT_SQUARED = auto()
-    NORMAL_RATE = auto()
-    NORMAL_RATE_SQUARED = auto()
-    THETA_DOT_SQUARED_ERROR = auto()
-    PSI_DOT_ERROR = auto()
-    PSI_DOT_SQUARED_ERROR = auto()
-    PHI_DOT_ERROR = auto()
-    PHI_DOT_SQUARED_ERROR = auto()
-    AXIS_1 = auto()
-    AXIS_2 = auto()
-    COS_THETA_MIN = auto()
-    COS_THETA_MAX = auto()
-    SIN2_THETA_MIN_ABOVE = auto()  # where cos theta > 0
-    SIN2_THETA_MIN_BELOW = auto()  # where cos theta < 0
-    SIN2_THETA_MAX = auto()
-    DRIFT = auto()
-    THETA_DOT_REFERENCE = auto()
-    PSI_DOT_REFERENCE = auto()
-    PHI_DOT_REFERENCE = auto()
-    NORMAL_RATE_REFERENCE = auto()
-    FIRST_THETA = auto()
-    LAST_THETA = auto()
-    ZERO_1_REAL = auto()  # the last two zeros of zeta with a correction
-    ZERO_1_IMAG = auto()
-    ZERO_2_REAL = auto()
-    ZERO_2_IMAG = auto()
+    OUTSIDE, THETA_DOT_SQUARED, THETA_DOT_CHANGE, THETA_DOT_CHANGE_SQUARED = range(4)
+    PSI_DOT, PSI_DOT_SQUARED, PHI_DOT, PHI_DOT_SQUARED, NORMAL_RATE, NORMAL_RATE_SQUARED = range(4, 10)
+    THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
+    PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
+    AXIS_1, AXIS_2, COS_THETA_MIN, COS_THETA_MAX = range(15, 19)
+    # Above and below the equator, cos theta = 0
+    SIN2_THETA_MIN_ABOVE, SIN2_THETA_MIN_BELOW, SIN2_THETA_MAX, DRIFT = range(19, 23)
+    THETA_DOT_REFERENCE, PSI_DOT_REFERENCE, PHI_DOT_REFERENCE, NORMAL_RATE_REFERENCE = range(23, 27)
+    FIRST_THETA, LAST_THETA = range(27, 29)
+    # The last two zeros of zeta with a correction
+    ZERO_1_REAL, ZERO_1_IMAG, ZERO_2_REAL, ZERO_2_IMAG = range(29, 33)
 
 
 class Node(IntEnum):
     """Rows of a node of a motion: `frame_motion` of the equations, u of the body and the vertical g, and their derivatives.
 
-    u is in rad per time unit. Derivatives are by the kernel's unit of time, in which nodes are `spacing` apart: over 1 time unit
-    they are `inverse_unit` times as large.
+    u is in rad per time unit. Derivatives are by the kernel's unit of time, in which nodes are `spacing` apart; times
+    `inverse_unit` they are by the time unit.
     """
 
     U1, U2, U3, G1, G2, G3 = range(6)

@@ -14,7 +14,9 @@ from .tableaux import METHODS, Method
 MAX_STEPS_PER_SAMPLE = 16
 # Share of the rate tolerance that an automatic step may spend on a motion that turns at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
-ROUNDING = 1e-16
+ROUNDING = (
+    1e-16  # relative error of a state by a step, or at the start, where an unstable motion amplifies it
+)
 # A run is resolved up to this step ratio and this dissipation error.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
 # Steps of a run that is not resolved: enough to show an overflow, because it gets no label in any case.
@@ -51,12 +53,10 @@ class StepSizes:
     # At the end of the run, for an oscillation at the frequency bound: phase error in rad, relative loss of amplitude
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
-    rate_error: NDArray[
-        np.float64
-    ]  # expected variation of a steady rate as large as the bound, rad per time unit
-    periods: NDArray[
-        np.int64
-    ]  # of the run, with equally many nodes in each; 0: nothing is measured once a period
+    # Expected variation of a steady rate as large as the bound, rad per time unit
+    rate_error: NDArray[np.float64]
+    # Of the run, with equally many nodes in each; 0: nothing is measured once a period
+    periods: NDArray[np.int64]
     transient: NDArray[np.float64]  # time before the run, time units
     transient_steps: NDArray[np.int64]  # steps in it, about as long as those of the run
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from math import factorial
 from typing import Any
 
@@ -87,8 +86,8 @@ RK4 = Method(
     4,
     ((), (0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
     (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    dispersion=float(Fraction(1, 120)),
-    dissipation=float(Fraction(1, 144)),
+    dispersion=1 / 120,
+    dissipation=1 / 144,
     stability=8**0.5,
     kernel_step=2.0,
 )

@@ -9,6 +9,8 @@ length of a step, and at the end of the run. With L the logarithm of the growth 
 are sums by the trapezoidal rule over the nodes; time is counted in steps.
 """
 
+from enum import IntEnum
+
 import numpy as np
 
 from .generated import (
@@ -34,8 +36,12 @@ from .tableaux import METHODS
 
 # The method of all runs with tangent vectors: it needs less time than rk4 for a given error.
 METHOD = METHODS["rk8"]
-# Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L.
-LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN, SUMS = 0, 1, 2, 3, 4, 5, 6
+
+
+class Growth(IntEnum):
+    """Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L."""
+
+    LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN = range(6)
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
@@ -46,7 +52,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     extended, constants = aligned_empty((STATES + TANGENT, WIDTH)), aligned_empty((CONSTANTS, WIDTH))
     weight, sums, norm = (
         aligned_empty((TANGENT, WIDTH)),
-        aligned_empty((SUMS, WIDTH)),
+        aligned_empty((len(Growth), WIDTH)),
         aligned_empty((WIDTH,)),
     )
     for block in range(first_block, last_block):
@@ -58,7 +64,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             for row in range(TANGENT):
                 extended[STATES + row, l] = tangent0[row, p]
                 weight[row, l] = weights[row, p]
-            for row in range(SUMS):
+            for row in range(len(Growth)):
                 sums[row, l] = 0.0 if first_node[block] == 0 else out[row, p]
         for node in range(first_node[block], last_node[block]):
             begin = node * steps[block] // nodes[block]
@@ -85,18 +91,18 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             store_state(state0, p, y)
             for row in range(TANGENT):
                 tangent0[row, p] = extended[STATES + row, l]
-            for row in range(SUMS):
+            for row in range(len(Growth)):
                 out[row, p] = sums[row, l]
 
 
 def add_stretch(sums, l, log_growth, length, time):
     """Add the part of a run between two nodes to the sums of lane l: logarithm of the growth, its length, time at its end."""
-    before = sums[LOG_GROWTH, l]
+    before = sums[Growth.LOG_GROWTH, l]
     after = before + log_growth
-    sums[LOG_GROWTH, l] = after
-    sums[LOG_INTEGRAL, l] += 0.5 * length * (before + after)
-    megno = 2.0 * (after - sums[LOG_INTEGRAL, l] / time)
-    sums[MEGNO_INTEGRAL, l] += 0.5 * length * (sums[MEGNO, l] + megno)
-    sums[MEGNO, l] = megno
-    sums[HIGHEST, l] = max(sums[HIGHEST, l], after)
-    sums[DRAWDOWN, l] = max(sums[DRAWDOWN, l], sums[HIGHEST, l] - after)
+    sums[Growth.LOG_GROWTH, l] = after
+    sums[Growth.LOG_INTEGRAL, l] += 0.5 * length * (before + after)
+    megno = 2.0 * (after - sums[Growth.LOG_INTEGRAL, l] / time)
+    sums[Growth.MEGNO_INTEGRAL, l] += 0.5 * length * (sums[Growth.MEGNO, l] + megno)
+    sums[Growth.MEGNO, l] = megno
+    sums[Growth.HIGHEST, l] = max(sums[Growth.HIGHEST, l], after)
+    sums[Growth.DRAWDOWN, l] = max(sums[Growth.DRAWDOWN, l], sums[Growth.HIGHEST, l] - after)

@@ -9,7 +9,7 @@ from ..measure.circle import label as circle_label
 from ..scene.grid import Grid
 from ..systems.base import FAMILY_TOLERANCE, Array, Mask, Points, System, TwoAxes, within_range
 from ..systems.jacobian import derivatives
-from ..systems.steady import ROUNDING
+from ..systems.steady import TERM_ROUNDING
 from ..systems.vectors import cross, length
 from ..theory.motions import predict_circles
 from .plan import Plan
@@ -35,7 +35,7 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
     tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
     # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
     s, m, fixed, n = prediction.motion
-    across, error = np.abs(n) * length(cross(s, fixed)), ROUNDING * (np.abs(n) + np.abs(m)) ** 2
+    across, error = np.abs(n) * length(cross(s, fixed)), TERM_ROUNDING * (np.abs(n) + np.abs(m)) ** 2
     rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
     in_range, result = within_range(system, base), {}
     for own, frame_rate in frames.items():

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..flags import Agreement, Label, Stability
 from ..kernel.ensemble import Ensemble
-from ..kernel.stepsize import StepSettings, StepSizes
+from ..kernel.stepsize import ROUNDING, StepSettings, StepSizes
 from ..measure import rates
 from ..measure.circle import CIRCLES
 from ..measure.instrument import Measured, Run, Tolerances, could_change
@@ -37,7 +37,7 @@ from ..systems.jacobian import changes_volume
 from ..systems.steady import growth_about_vertical, lacks_theory, polynomial_degree
 from ..theory.motions import condition_residual, find_motions, predict_labels
 from ..theory.point import Membership, SteadyTest
-from ..theory.prediction import ROUNDING_RESIDUAL, ROUNDOFF, rounding_limit
+from ..theory.prediction import ROUNDING_RESIDUAL, rounding_limit
 from ..theory.steady import Existence
 from .plan import Plan
 
@@ -184,7 +184,7 @@ class Theory:
         # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmin(
-            np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDOFF / growth_in_step), FAMILY_TOLERANCE
+            np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDING / growth_in_step), FAMILY_TOLERANCE
         )
         exact = ~prediction.pushed if plan.nudged else prediction.start_residual <= max_residual
         on_motion = (prediction.family_residual <= ROUNDING_RESIDUAL) & (not plan.nudged)
@@ -212,7 +212,7 @@ class Theory:
         residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
-        measured = np.log(sine / np.fmax(residual, ROUNDOFF))  # of a tilt by as much as the residual
+        measured = np.log(sine / np.fmax(residual, ROUNDING))  # of a tilt by as much as the residual
         growth = np.where(self.unknown_growth, measured, growth)
         tolerances = run.settings.tolerances
         return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)

@@ -40,7 +40,7 @@ MAX_ROUGHNESS = 0.3
 # Least order in the step of the errors of statistics: the order of rk4; quadrature and interpolation have 8.
 STATISTICS_ORDER = 4
 # Rounding error of a statistic in units of the largest value of its observable.
-ROUNDING = 1e-15
+STATISTIC_ROUNDING = 1e-15
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ class Observables(MainInstrument):
         # An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's neighbours.
         allowed = MAX_ROUGHNESS + radians**4 / 12
         rough = np.zeros(run.ensemble.size, bool)
-        for first in range(observe.FIRST_ROW, len(sums), observe.FIELDS):
-            least, largest, distance = sums[first + observe.LEAST : first + observe.FIELDS]
+        for first in range(observe.FIRST_ROW, len(sums), len(observe.Field)):
+            least, largest, distance = sums[first + observe.Field.LEAST : first + len(observe.Field)]
             rounding = 1e-9 * np.maximum(np.abs(least), np.abs(largest))
             rough |= distance > np.maximum(allowed * (largest - least), rounding)
         return ~rough | ~run.integration.finite
@@ -127,8 +127,8 @@ class Observables(MainInstrument):
         result = {}
         with np.errstate(all="ignore"):
             for k, observable in enumerate(sorted(run.system.observables, key=is_strobed)):
-                first = observe.FIRST_ROW + observe.FIELDS * k
-                start, total, square, trend, least, largest, _ = sums[first : first + observe.FIELDS]
+                first = observe.FIRST_ROW + len(observe.Field) * k
+                start, total, square, trend, least, largest, _ = sums[first : first + len(observe.Field)]
                 count, per_trend = intervals, np.asarray(12.0)
                 if is_strobed(observable):  # the sum of u^2 is count / per_trend
                     count, per_trend = periods + 1, 12.0 * periods / (periods + 2)
@@ -158,7 +158,8 @@ class Observables(MainInstrument):
         """Errors of the standard deviations: as large as the errors of the ranges of the observables."""
         measured = run.measured
         return {
-            f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"]) + ROUNDING * size
+            f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"])
+            + STATISTIC_ROUNDING * size
             for name, size in sizes(run.system, measured).items()
         }
 

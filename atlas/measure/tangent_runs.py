@@ -105,7 +105,7 @@ class TangentArrays(NamedTuple):
     constants: Array
     vectors: Array  # in the kernel's units, (kernel.TANGENT, points)
     weights: Array  # factors of their components in their norm, (kernel.TANGENT, points)
-    sums: Array  # (tangent.SUMS, points)
+    sums: Array  # (len(tangent.Growth), points)
 
 
 def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
@@ -144,20 +144,20 @@ class Separation:
             start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
         self.durations = np.zeros(ensemble.size, np.int64)  # integrated until now
-        self.sums = np.empty((tangent.SUMS, ensemble.size))
+        self.sums = np.empty((len(tangent.Growth), ensemble.size))
 
     @property
     def megno(self) -> Array:
         """Mean MEGNO up to now, (points,); nan or infinite where numbers overflow."""
         with np.errstate(all="ignore"):
-            return np.asarray(self.sums[tangent.MEGNO_INTEGRAL] / (self.durations * self.steps.steps))
+            return np.asarray(self.sums[tangent.Growth.MEGNO_INTEGRAL] / (self.durations * self.steps.steps))
 
     @property
     def lyapunov(self) -> Array:
         """Largest Lyapunov exponent up to now, per time unit, (points,); nan or infinite where numbers overflow."""
         with np.errstate(all="ignore"):
             time = self.steps.step_size * (self.durations * self.steps.steps)
-            return np.asarray(self.sums[tangent.LOG_GROWTH] / time)
+            return np.asarray(self.sums[tangent.Growth.LOG_GROWTH] / time)
 
     def integrate(
         self,
@@ -237,7 +237,7 @@ class TangentRuns:
         resolved = np.flatnonzero(where & self.steps.resolved)
         if resolved.size:
             separation = self._separation(resolved, threads, progress)
-            result[resolved] = np.nan_to_num(separation.sums[tangent.HIGHEST], nan=np.inf)
+            result[resolved] = np.nan_to_num(separation.sums[tangent.Growth.HIGHEST], nan=np.inf)
         else:
             progress(where.size * self.share)
         return result
@@ -263,12 +263,12 @@ class TangentRuns:
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
         # Errors may decide how a motion leaves an unstable one, once a vector has grown; not while all neighbours approach.
-        highest, drawdown = separation.sums[tangent.HIGHEST], separation.sums[tangent.DRAWDOWN]
+        highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
         # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
-        log_growth = separation.sums[tangent.LOG_GROWTH]  # a view, as `drawdown` is
+        log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view, as `drawdown` is
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
             if duration < MAX_DURATIONS and active.size:

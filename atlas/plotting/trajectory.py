@@ -31,7 +31,7 @@ START_MARKER: dict[str, Any] = {
     "markersize": 3.5,
     "linestyle": "",
 }
-RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
+PLOTTED_RATES = ("theta_dot", "psi_dot", "phi_dot", "normal_rate")
 LINES: tuple[dict[str, Any], ...] = (
     {"color": COLOURS["regular_precession"], "linestyle": "-"},
     {"color": COLOURS["drifting"], "linestyle": "--"},
@@ -90,7 +90,9 @@ def trajectory_figure(tr: xr.Dataset, *, ax: Axes | None = None) -> Figure:
 
 def _path(tr: xr.Dataset) -> np.ndarray:
     """Third body axis in the frame, (times, 3); BadInput unless this is the trajectory of a body."""
-    missing = [n for n in ("theta", "psi", "phi", *RATES, "axis_x", "axis_y", "axis_z") if n not in tr]
+    missing = [
+        n for n in ("theta", "psi", "phi", *PLOTTED_RATES, "axis_x", "axis_y", "axis_z") if n not in tr
+    ]
     if missing or "time" not in tr.dims:
         raise BadInput(f"not a trajectory: {missing[0] if missing else 'time'} is missing")
     return np.stack([tr[f"axis_{name}"].values for name in "xyz"], -1)
@@ -177,7 +179,7 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
     angles = {name: (tr[name].values + half) % (2 * half) - half for name in ("psi", "phi")}
     for angle in angles.values():
         angle[1:][np.abs(np.diff(angle)) > half] = np.nan  # no line is drawn across a jump
-    rates = {name: tr[name].values for name in RATES}
+    rates = {name: tr[name].values for name in PLOTTED_RATES}
     panels = {rf"$\theta$ ({unit})": {"theta": tr["theta"].values}, rf"$\psi$, $\varphi$ ({unit})": angles}
     _, angle_ax, rate_ax = _draw_over_time(figure, tr, panels | {"rates (rad s$^{-1}$)": rates})
     angle_ax.set_ylim(-half, half)

@@ -102,7 +102,7 @@ def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Equations with everything that the engine reads, evaluated anew from their source, so that FUNCTIONS take arrays.
+    """Equations with everything that the kernels read, evaluated anew from their source, so that FUNCTIONS take arrays.
 
     Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by which the right-hand
     side, the angular velocity of ``frame_motion`` and the losses are multiplied; the state keeps its units.
@@ -173,7 +173,7 @@ def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def check(key: str, equations: Any, observables: Collection[str]) -> None:
-    """Raise BadInput, with one line that begins with `key`, for equations that the engine cannot use."""
+    """Raise BadInput, with one line that begins with `key`, for equations that the kernels cannot use."""
     state, constants = (getattr(equations, which, ()) for which in ("STATE", "CONSTANTS"))
     for which, names in (("STATE", state), ("CONSTANTS", constants)):
         if not isinstance(names, tuple | list) or not all(

@@ -13,8 +13,8 @@ from .base import FAMILY_TOLERANCE, Array, Mask, Points, System, families_of, sh
 from .jacobian import STEP
 from .vectors import cross, dot, length, principal
 
-# Residuals within this many units of rounding of their terms vanish.
-ROUNDING = 64 * 2.0**-53
+# Rounding error of a sum over the magnitudes of its terms, of which each has fewer than 40 roundings.
+TERM_ROUNDING = 64 * 2.0**-53
 # A start whose equations fail by more than this of the squared frequency bound is no steady motion, whatever rounding does.
 GATE = 1e-6
 
@@ -114,7 +114,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
     along, square = dot(acceleration, vertical), system.frequency_bound(points) ** 2
     across = length(acceleration - along * vertical)
     upright = np.hypot(*vertical[:2]) <= FAMILY_TOLERANCE
-    return np.asarray(upright & (np.abs(along) > ROUNDING * square) & (across <= GATE * square))
+    return np.asarray(upright & (np.abs(along) > TERM_ROUNDING * square) & (across <= GATE * square))
 
 
 def _start(system: System, points: Points) -> tuple[Array, Array]:
@@ -122,7 +122,7 @@ def _start(system: System, points: Points) -> tuple[Array, Array]:
     state, constants = np.array(system.initial_state(points), float), system.constants(points)
     sine, n, _ = system.steady_rates(points)
     across = np.array(system.equations.frame_motion(state, constants)[:2])
-    upright = (np.abs(sine) <= ROUNDING) & (np.hypot(*across) <= ROUNDING * np.abs(n))
+    upright = (np.abs(sine) <= TERM_ROUNDING) & (np.hypot(*across) <= TERM_ROUNDING * np.abs(n))
     places = [system.equations.STATE.index(name) for name in system.rate_states[:2]]
     state[places] -= np.where(upright, across, 0.0)
     return state, constants

@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..flags import Label, Stability
+from ..kernel.stepsize import ROUNDING
 from ..systems.base import FAMILY_TOLERANCE
 from .generated import derivatives, frame_motion, frame_motion_change
 from .point import StartLabels, SteadyTest, fmax, larger, length, minus, over, scaled, smaller
@@ -33,8 +34,6 @@ from .steady import (
     steady_motion,
 )
 
-# Relative rounding error of an initial state: an unstable motion amplifies it.
-ROUNDOFF = 1e-16
 # The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
 # larger distance from the motion, rounding errors change less than a hundredth.
 ROUNDING_RESIDUAL = 1e-13
@@ -174,4 +173,4 @@ def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
 
     Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
     """
-    return np.log(np.minimum(rate_tolerance / bound, angle_tolerance) / np.fmax(residual, ROUNDOFF))
+    return np.log(np.minimum(rate_tolerance / bound, angle_tolerance) / np.fmax(residual, ROUNDING))

@@ -20,7 +20,7 @@ is left, p or q is 0. Between the nodes the residual is at most 3.6 times its la
 A ratio counts as p : q within RATIO. What the torus would find beside it grows from what the instants find
 in a time of 1 / (RATIO n) only.
 
-The residual vanishes where each component is at most ROUNDING of the magnitudes of its terms, those of the right-hand side with
+The residual vanishes where each component is at most TERM_ROUNDING of the magnitudes of its terms, those of the right-hand side with
 every difference replaced by a sum, and of what errors of the states change: fast spins are no scale of it. Axes from derivatives
 have errors of their own, by the cancellation in u'.
 """
@@ -32,7 +32,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from ..systems.steady import GATE, ROUNDING
+from ..systems.steady import GATE, TERM_ROUNDING
 from .generated import (
     DEGREE,
     PERIODS,
@@ -121,7 +121,7 @@ def start_at(w, vectors, constants):
 def start_on_axis(w, vectors, constants, rates):
     """The start, without what a fast precession on the vertical to rounding leaves across it, which is rounding too."""
     start, (sine, n, _) = start_at(w, vectors, constants), rates
-    if abs(sine) <= ROUNDING and np.hypot(start.u[0], start.u[1]) <= ROUNDING * abs(n):
+    if abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= TERM_ROUNDING * abs(n):
         return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
     return start
 
@@ -131,7 +131,7 @@ def motion_about_third(start, rates):
     sine, n, m = rates
     g = start.vertical
     x, y, z = plus(magnitude(start.w), magnitude(start.frame))
-    upright = abs(sine) <= ROUNDING and np.hypot(start.u[0], start.u[1]) <= UNIT_ERROR * abs(n)
+    upright = abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= UNIT_ERROR * abs(n)
     if upright or abs(n * sine) <= UNIT_ERROR * np.hypot(x, y):
         n, m = 0.0, start.u[2]
     if abs(m) <= UNIT_ERROR * (z + abs(n * g[2])):
@@ -145,7 +145,7 @@ def candidate(which, start, second, bound):
     second: u''.
     """
     u, first, g = start.u, start.acceleration, start.vertical
-    least = ROUNDING * (length(u) + length(start.frame))
+    least = TERM_ROUNDING * (length(u) + length(start.frame))
     if which == 0:
         axis = unit(u, THIRD)
         return Motion(axis, length(u), axis, 0.0)
@@ -199,7 +199,7 @@ def is_steady(start, constants, motion, bound, derived):
     rate, _ = rest_of(start, motion)
     frame = length(start.frame)
     for i in range(3):
-        if not abs(rate[i]) <= ROUNDING * (abs(n) + frame + abs(m * s[i])):
+        if not abs(rate[i]) <= TERM_ROUNDING * (abs(n) + frame + abs(m * s[i])):
             return False
     p, q = phases(start, motion)
     nodes = 2 * DEGREE * (p + q) + 1
@@ -217,7 +217,7 @@ def is_steady(start, constants, motion, bound, derived):
                 if error < MAX_ERROR:
                     terms = scaled(1 + error, terms)
         for i in range(3):
-            if not residual[i] <= ROUNDING * terms[i]:
+            if not residual[i] <= TERM_ROUNDING * terms[i]:
                 return False
     return True
 
@@ -228,7 +228,7 @@ def phases(start, motion):
     loose = 0.0
     for i in range(len(start.vectors)):
         loose = max(loose, length(cross(start.vectors[i], nu)))
-    p = 1 if n != 0 and loose > ROUNDING else 0
+    p = 1 if n != 0 and loose > TERM_ROUNDING else 0
     if m == 0:
         return p, 0
     if p == 0:

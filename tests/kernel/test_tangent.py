@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
-from strategies import random_fixed_points, random_satellites, select, specialization_of
+from strategies import RANDOM, random_satellites, select, specialization_of
 
 from atlas.kernel import augmented, blocks, tangent
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import tangent_runs
 from atlas.systems import SYSTEMS
-
-RANDOM = {"satellite": random_satellites, "fixed_point": random_fixed_points}
 
 
 def indicators(name, points, duration, *, kernel=None, threads=1, step=None):
@@ -170,10 +168,14 @@ def test_results_do_not_depend_on_threads_neighbours_or_how_a_run_is_cut(monkeyp
 
 
 def test_the_drawdown_is_the_largest_decrease():
-    sums = np.zeros((tangent.SUMS, 1))
+    sums = np.zeros((len(tangent.Growth), 1))
     for i, log_growth in enumerate((1.0, 2.0, -3.0, 1.5, -2.0, 4.0)):
         tangent.add_stretch(sums, 0, log_growth, 1, i + 1)
-    assert sums[[tangent.LOG_GROWTH, tangent.HIGHEST, tangent.DRAWDOWN], 0].tolist() == [3.5, 3.5, 3.5]
+    assert sums[[tangent.Growth.LOG_GROWTH, tangent.Growth.HIGHEST, tangent.Growth.DRAWDOWN], 0].tolist() == [
+        3.5,
+        3.5,
+        3.5,
+    ]
 
 
 def test_runs_go_on_where_they_ended():

@@ -42,7 +42,7 @@ VARIABLES = [
     "status",
     "end_time",
     "error_estimate",
-    *any_axis.RATES,
+    *any_axis.AXIS_RATES,
     *any_axis.ANGLES,
 ]
 NAMES = list(Label.meanings())
@@ -78,7 +78,7 @@ def test_verified_cases(method):
             cosine = np.cos(row["precession_inclination"])
             assert cosine == pytest.approx(case["cos_inclination_to_vertical"], **near)
         if case["label"] == "drifting":
-            assert all(np.isnan(row[name]) for name in (*any_axis.RATES, *any_axis.ANGLES))
+            assert all(np.isnan(row[name]) for name in (*any_axis.AXIS_RATES, *any_axis.ANGLES))
 
 
 def test_grioli_s_motion_lasts():
@@ -214,7 +214,7 @@ def test_precessions_about_the_vertical_have_the_same_rates_by_their_circle():
             lambda measured, *_: np.full(measured["theta_min"].shape, Label.DRIFTING, np.int8),
         )
         by_circle = labelled("fixed_point", points, 5.0)
-    for name in (*any_axis.RATES, *any_axis.ANGLES):
+    for name in (*any_axis.AXIS_RATES, *any_axis.ANGLES):
         assert_at_points(by_circle[name], own[name], points, 0, where=ok, rtol=1e-7, atol=1e-9)
 
 
@@ -235,7 +235,7 @@ def test_estimates_cover_the_errors():
             )
             ok = (ds.label_any_axis == Label.REGULAR_PRECESSION).values
             assert ok.sum() > 0.9 * count
-            unit = {name: bound if name in any_axis.RATES else 1.0 for name in exact}
+            unit = {name: bound if name in any_axis.AXIS_RATES else 1.0 for name in exact}
             error = np.fmax.reduce([np.abs(ds[name] - exact[name]) / unit[name] for name in exact])
             ratio = (error / ds.error_estimate.values)[ok]
             assert (ratio > 10).sum() <= 1
@@ -287,7 +287,7 @@ def test_only_scenes_that_ask_for_it_have_it():
 
 
 def test_run_folders_shards_and_threads_give_the_same(tmp_path):
-    scene = atlas.load_scene(free_scene(["label_any_axis", *any_axis.RATES, "error_estimate"]))
+    scene = atlas.load_scene(free_scene(["label_any_axis", *any_axis.AXIS_RATES, "error_estimate"]))
     assert_shards_and_threads_agree(scene, tmp_path)
 
 

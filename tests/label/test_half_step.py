@@ -40,7 +40,7 @@ def test_upper_bound_is_the_exact_binomial_one(events, draws):
 
 
 def test_half_step_sample_counts_what_changes(scene_text, monkeypatch):
-    """With an engine whose labels and rates depend on the step in a known way."""
+    """With a kernel whose labels and rates depend on the step in a known way."""
 
     def labels_by_step(plan, tile, *, halved, threads):
         number = np.where(halved, halved.cumsum(), (~halved).cumsum()) - 1  # among the points of this step

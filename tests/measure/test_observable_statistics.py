@@ -48,7 +48,7 @@ def test_statistics_from_sums():
     """Mean, deviation, extremes, and the change along the line of least squares; strobed observables come last."""
     weight = np.full(41, 1.0)
     weight[[0, -1]] = 0.5
-    sums = np.zeros((observe.FIRST_ROW + 3 * observe.FIELDS, 1))
+    sums = np.zeros((observe.FIRST_ROW + 3 * len(observe.Field), 1))
     sums[observe.CHANGE] = 1e-9
     sums[observe.FIRST_ROW :, 0] = [
         *rows(VALUES["x"], weight), *rows(VALUES["y"], weight), *rows(STROBED, np.ones(12))
@@ -170,8 +170,8 @@ def test_differences_of_two_runs():
     ],
 )  # fmt: skip
 def test_jumps_between_nodes(least, largest, distance, radians, resolved):
-    sums = np.zeros((observe.FIRST_ROW + 2 * observe.FIELDS, 1))
-    sums[observe.FIRST_ROW + observe.FIELDS + observe.LEAST :, 0] = least, largest, distance
+    sums = np.zeros((observe.FIRST_ROW + 2 * len(observe.Field), 1))
+    sums[observe.FIRST_ROW + len(observe.Field) + observe.Field.LEAST :, 0] = least, largest, distance
     steps = SimpleNamespace(sample_spacing=np.array([radians / 2]))
     run = run_of(steps=steps, integration=SimpleNamespace(sums=sums, finite=np.array([True])))
     run.ensemble = SimpleNamespace(size=1)

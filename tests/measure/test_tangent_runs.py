@@ -86,9 +86,9 @@ def test_nodes_and_parts_of_steps():
 def test_indicators_of_sums():
     """Mean MEGNO over all steps until now, the growth over the time."""
     separation = Separation.__new__(Separation)
-    separation.sums = np.zeros((tangent.SUMS, 2))
-    separation.sums[tangent.MEGNO_INTEGRAL] = 60.0, 80.0
-    separation.sums[tangent.LOG_GROWTH] = 6.0, 9.0
+    separation.sums = np.zeros((len(tangent.Growth), 2))
+    separation.sums[tangent.Growth.MEGNO_INTEGRAL] = 60.0, 80.0
+    separation.sums[tangent.Growth.LOG_GROWTH] = 6.0, 9.0
     separation.durations = np.array([1, 2])
     separation.steps = TangentSteps(np.array([20, 10]), np.array([0.1, 0.5]), np.ones(2, bool))
     np.testing.assert_allclose(separation.megno, [3.0, 4.0])
@@ -106,14 +106,14 @@ class Growing:
 
     def __init__(self, megno, growth, drawdown):
         self.megno, self.lyapunov = np.array(megno), np.full(len(megno), 0.25)
-        self.sums = np.zeros((tangent.SUMS, len(megno)))
-        self.sums[tangent.LOG_GROWTH], self.sums[tangent.DRAWDOWN] = growth, drawdown
-        self.sums[tangent.HIGHEST] = self.sums[tangent.LOG_GROWTH] + drawdown
+        self.sums = np.zeros((len(tangent.Growth), len(megno)))
+        self.sums[tangent.Growth.LOG_GROWTH], self.sums[tangent.Growth.DRAWDOWN] = growth, drawdown
+        self.sums[tangent.Growth.HIGHEST] = self.sums[tangent.Growth.LOG_GROWTH] + drawdown
         self.calls = []
 
     def integrate(self, active=None, *, threads, progress):
         if active is not None:  # beyond the run
-            self.sums[tangent.LOG_GROWTH, active] *= 2.0
+            self.sums[tangent.Growth.LOG_GROWTH, active] *= 2.0
             self.calls.append(active.tolist())
 
 

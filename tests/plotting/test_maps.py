@@ -889,7 +889,7 @@ def test_straight_lines_have_few_vertices_and_bent_ones_as_many_as_they_need():
         stable = (np.hypot(x - 0.3, y - 0.6) < 0.2) | (x + 0.3 * y > 0.9)
         ones = np.ones(x.shape)
         frames = {"": (2 * ones, {"n": ones, "m": ones})}
-        return planes.Theory(ones.astype(bool), np.where(stable, 1, 2), frames)
+        return planes.Predictions(ones.astype(bool), np.where(stable, 1, 2), frames)
 
     line, circle = sorted(boundary.theory_borders(drawn_plane(theory, "xy"))[boundary.STABILITY], key=len)
     np.testing.assert_allclose(line @ [1, 0.3], 0.9, atol=2e-5)
@@ -961,7 +961,7 @@ def test_a_strip_narrower_than_the_samples_is_followed_to_its_end():
         inside = (y > 0.5 * x) & (y < 0.5 * x + 0.02 * (1 - x))
         ones = np.ones(x.shape)
         frames = {"": (np.full(x.shape, 2), {"n": ones, "m": ones})}
-        return planes.Theory(ones.astype(bool), np.where(inside, 2, 1), frames)
+        return planes.Predictions(ones.astype(bool), np.where(inside, 2, 1), frames)
 
     strip = drawn_plane(theory, "xy")
     line = max(boundary.theory_borders(strip)[boundary.STABILITY], key=len)
@@ -981,7 +981,7 @@ def test_only_precessions_and_rotations_have_a_limit_between_them():
         ]  # fmt: skip
         rates = {"n": x - 0.11, "m": x - 0.31}
         frames = {"": (np.array(labels)[fifth], rates)}
-        return planes.Theory(x >= 0, np.where(fifth == 1, 2, 1), frames)
+        return planes.Predictions(x >= 0, np.where(fifth == 1, 2, 1), frames)
 
     lines = boundary.theory_borders(drawn_plane(theory, "x"))
     positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}

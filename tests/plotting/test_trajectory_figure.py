@@ -28,7 +28,7 @@ def test_a_trajectory_figure_shows_the_motion():
     finite = np.isfinite(psi)
     np.testing.assert_allclose(np.exp(1j * psi[finite]), np.exp(1j * tr.psi.values[finite]), atol=1e-12)
     assert [t.get_text() for t in rate_ax.get_legend().get_texts()] == [
-        style.SYMBOLS[n] for n in trajectory.RATES
+        style.SYMBOLS[n] for n in trajectory.PLOTTED_RATES
     ]
     # the near and the far part of the path are the whole path, inside the disc
     near, far = sphere_ax.lines[-2].get_xydata(), sphere_ax.lines[-3].get_xydata()

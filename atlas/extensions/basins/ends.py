@@ -17,7 +17,7 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
 MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
-ROUNDING = 1e-14  # relative error of the energy
+ENERGY_ROUNDING = 1e-14  # relative error of the energy
 # Largest error, rad and in units of rates, that a motion may have before it settles: the share of a basin that it may cross.
 LARGEST_ERROR = 0.01
 LEVELS = 6  # minima of a body for which the time of settling is measured, from the lowest potential upwards
@@ -79,7 +79,7 @@ class Ends(Instrument):
         assert isinstance(run.system, Gyrostat)
         with np.errstate(all="ignore"):
             (wells, row), finite = wells_of(run.system, run.points), run.integration.finite
-            error = (measured["integral_drift"] + ROUNDING) / run.ensemble.scales[0]
+            error = (measured["integral_drift"] + ENERGY_ROUNDING) / run.ensemble.scales[0]
             w, alpha, gamma = run.system.vectors(np.where(finite, run.integration.final_state, 0.0))
             frames, rates = frames_of(alpha, gamma), w - wells.body.turn[row, None] * gamma
             nearest, angle = wells.nearest(frames, row)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...flags import BifurcationKind, Completeness
 from ...systems.base import Array, Mask, Points
-from ...systems.gyrostat.body import across, length
+from ...systems.gyrostat.body import length, transverse_axes
 from ..equilibria.algebra import body_at_rest, frames_of, rotated
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def solutions_at(
     points = family.points(values[:, None])
     listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
-    alpha = listed["alpha"] if "alpha" in listed else across(gamma)[..., 0, :]
+    alpha = listed["alpha"] if "alpha" in listed else transverse_axes(gamma)[..., 0, :]
     frames, known = frames_of(alpha, gamma), ~np.isnan(gamma[..., 0])
     left, _, right = np.linalg.svd(frames[known & ~used])
     frames[known & ~used] = left @ right

@@ -29,7 +29,7 @@ from ...errors import BadInput
 from ...flags import Flag
 from ...systems.base import Array, Mask, Points
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.body import Body, across, length
+from ...systems.gyrostat.body import Body, length, transverse_axes
 from ..equilibria.algebra import body_at_rest
 
 # Nodes along each axis of the interpolation by polynomials, and relative sizes of terms that are left out of them.
@@ -42,7 +42,7 @@ _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
 # Rounding of its discriminant, over the sum of its terms: two exponents may be the same on a whole curve.
-_ROUNDING = 1e-13
+_DISCRIMINANT_ROUNDING = 1e-13
 # Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box
@@ -182,7 +182,7 @@ class Potential(NamedTuple):
         squares = (c[:, 1] * c[:, 2]) ** 2, -27 * (c[:, 0] * c[:, 3]) ** 2
         terms = *squares, -4 * c[:, 1] ** 3 * c[:, 3], -4 * c[:, 0] * c[:, 2] ** 3, 18 * c.prod(1)
         discriminant, size = np.sum(terms, 0), np.abs(terms).sum(0)
-        discriminant[np.abs(discriminant) < _ROUNDING * size] = 0.0
+        discriminant[np.abs(discriminant) < _DISCRIMINANT_ROUNDING * size] = 0.0
         degree = 3 - self.cyclic - out
         conditions = np.concatenate([c[:, :3], discriminant[:, None]], 1)
         return np.where(degree[:, None] > [0, 1, 2, 1], conditions, 1.0)
@@ -211,9 +211,9 @@ class Potential(NamedTuple):
         if self.size == 2:
             x = np.stack([x[:, 0], 0 * x[:, 0], x[:, 1]], -1)
         if self.axis < 0:
-            return across(x)[:, 0], x
+            return transverse_axes(x)[:, 0], x
         frames, columns = np.empty((len(x), 3, 3)), (self.axis + np.arange(3)) % 3
-        frames[..., columns] = np.swapaxes(np.concatenate([x[:, None], across(x)], 1), 1, 2)
+        frames[..., columns] = np.swapaxes(np.concatenate([x[:, None], transverse_axes(x)], 1), 1, 2)
         return frames[:, 0], frames[:, 2]
 
     def from_attitudes(self, alpha: Array, gamma: Array) -> Array:

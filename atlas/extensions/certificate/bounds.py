@@ -9,8 +9,6 @@ import numpy as np
 from ...flags import Label
 from ...theory.point import Vector, larger, smaller
 
-# Rounding error of an energy over the magnitudes of its terms: each has fewer than 40 roundings.
-ROUNDING = 64 * 2.0**-53
 KEPT = 1e-9  # share of a tolerance that is not used
 # How often a limit is halved to find a distance, and then the interval in which it is.
 DOWN, WITHIN = 40, 34

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...systems.steady import TERM_ROUNDING
 from ...theory.point import (
     cross,
     divided,
@@ -28,7 +29,7 @@ from ...theory.point import (
     times,
     unit,
 )
-from .bounds import ROUNDING, Bounds, Direction, reach, sine_range, unknown
+from .bounds import Bounds, Direction, reach, sine_range, unknown
 
 STEPS = 5  # of Newton's method; a minimum that is not found proves nothing
 FLAT = 1e-6  # share of the size below which Newton's method takes a gradient step
@@ -173,7 +174,7 @@ def square_of(inertia, w, turn, components):
     """u.I u of u = w - turn, with the rounding errors of u."""
     square = 0.0
     for i in range(components):
-        square += inertia[i] * (abs(w[i] - turn[i]) + ROUNDING * (abs(w[i]) + abs(turn[i]))) ** 2
+        square += inertia[i] * (abs(w[i] - turn[i]) + TERM_ROUNDING * (abs(w[i]) + abs(turn[i]))) ** 2
     return square
 
 
@@ -186,7 +187,7 @@ def excess(body, w, alpha, gamma, a, g):
     moment = greatest(body.inertia)
     size = size + abs(radius.gradient) * moment + length(radius.field)
     size = size + abs(normal.gradient) * moment + length(normal.field)
-    return energy + ROUNDING * size, size
+    return energy + TERM_ROUNDING * size, size
 
 
 def difference(body, direction, start, v):
@@ -217,7 +218,7 @@ def on_sphere(Q, c, start, z, square, size):
     L, distance = dot(z, slope), length(offset)
     M = Q[0] - L, Q[1] - L, Q[2] - L
     g = length(minus(slope, scaled(L, z))) + GRADIENT * size
-    energy = 0.5 * square + 0.5 * dot(times(M, offset), offset) + g * distance + ROUNDING * size
+    energy = 0.5 * square + 0.5 * dot(times(M, offset), offset) + g * distance + TERM_ROUNDING * size
     first, second = across_axes(z)
     least = second_form(M, first, second)[3] - EIGENVALUE * size
     lowest = smallest(M) - EIGENVALUE * size

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...systems.steady import TERM_ROUNDING
 from ...theory.point import larger, smaller
-from .bounds import ROUNDING, Bounds, is_away, is_inside, reach
+from .bounds import Bounds, is_away, is_inside, reach
 
 
 def top(body, w, gamma, tolerances):
@@ -28,7 +29,7 @@ def top(body, w, gamma, tolerances):
     spin = across / (A * sine2) if sine2 > 0 else 0.0
     S_size = abs(C * r) + C * spin + abs(body.rotor[2])
     v_size = abs(body.gamma.field[2]) + 2 * abs(v2)
-    drift, error = abs(A * (p * g2 - q * g1)), ROUNDING * across
+    drift, error = abs(A * (p * g2 - q * g1)), TERM_ROUNDING * across
     _, f1, f2, f3, f4 = f = (
         drift**2,
         -2 * x0 * e + -2 * A * v1 * sine2 + 2 * a * S,
@@ -39,10 +40,10 @@ def top(body, w, gamma, tolerances):
     V2, X = abs(v2), abs(x0)
     errors = (
         error * (2 * drift + error),
-        ROUNDING * (2 * X * e + 2 * A * v_size * sine2 + 2 * across * S_size),
-        ROUNDING * (e + 4 * A * v_size * X + 2 * A * V2 * sine2 + S_size**2),
-        ROUNDING * (2 * A * v_size + 4 * A * V2 * X),
-        ROUNDING * (2 * A * V2),
+        TERM_ROUNDING * (2 * X * e + 2 * A * v_size * sine2 + 2 * across * S_size),
+        TERM_ROUNDING * (e + 4 * A * v_size * X + 2 * A * V2 * sine2 + S_size**2),
+        TERM_ROUNDING * (2 * A * v_size + 4 * A * V2 * X),
+        TERM_ROUNDING * (2 * A * V2),
     )
     low, high = -top_end(f, errors, sine2, x0, -1.0), top_end(f, errors, sine2, x0, 1.0)
     half, farthest = 0.5 * (high - low), larger(abs(low), abs(high))

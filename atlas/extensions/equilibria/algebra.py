@@ -13,7 +13,7 @@ from ...flags import Completeness, EnergyStability, Stability, StabilityKind
 from ...systems.base import Array, Mask, Points, subset
 from ...systems.fixed_point.system import FixedPoint
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.body import Body, across, cross_matrix
+from ...systems.gyrostat.body import Body, cross_matrix, transverse_axes
 from ...systems.gyrostat.secular import NEARLY, critical_directions
 from ...systems.gyrostat.variables import FREQUENCIES, stability_kind
 from . import homotopy
@@ -295,7 +295,7 @@ def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDA
     column, body = np.nonzero(((dimension == 0) | (dimension == NEARLY)) & ~(dimension > 0).any(0))
     axis = components[:, column, body].T
     frames, columns = np.empty((body.size, 3, 3)), (i[body, None] + np.arange(3)) % 3
-    vectors = np.concatenate([axis[:, None], across(axis)], 1)
+    vectors = np.concatenate([axis[:, None], transverse_axes(axis)], 1)
     np.put_along_axis(frames, columns[:, None], np.swapaxes(vectors, 1, 2), 2)
     return body, frames, dimension[column, body] == 0
 

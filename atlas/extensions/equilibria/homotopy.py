@@ -41,7 +41,7 @@ _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
 # Least components of a path that goes to infinity, where the end has fewer than 24 solutions, and the least t where it may.
 _FAR, _FAR_FROM = 100.0, 0.99
 _STRIDE = 5  # one of so many successive bodies is followed
-_ROUNDING = 1e-11  # of the gradient at an end
+_GRADIENT_ROUNDING = 1e-11  # of the gradient at an end
 # A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
 # the two, are not certainly different or real.
 _REAL, _DISTINCT = 1e-9, 1e-5
@@ -176,7 +176,7 @@ def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> t
         small = _size(xi) < 0.3
         alpha, gamma = _turn(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
     magnitude = (np.abs(alpha).max(0) + np.abs(gamma).max(0)) ** 2
-    exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _ROUNDING * magnitude
+    exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _GRADIENT_ROUNDING * magnitude
     return alpha, gamma, exact
 
 
@@ -196,7 +196,7 @@ def _gradient(inertia: Three, p: Three, q: Three, a: Three, g: Three) -> Three:
 
 
 def _newton(gradient: Three, inertia: Three, p: Three, q: Three, a: Three, g: Three) -> Three:
-    """-H^-1 gradient by Cramer's rule, H the derivatives of the gradient of W, as Bodies.gradient."""
+    """-H^-1 gradient by Cramer's rule, H the derivatives of the gradient of W."""
     by = {}  # (j, k) -> the factors of a_i and g_i in H_ij, k the third axis
     for j, k in ((0, 1), (1, 2), (2, 0)):
         d = inertia[j] - inertia[k]

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from ...flags import EnergyStability, NonlinearStability, StabilityKind
 from ...systems.base import Array, Flags, Points, subset
-from ...systems.gyrostat.body import across
+from ...systems.gyrostat.body import transverse_axes
 from ...systems.gyrostat.oscillations import GROWTH_TOLERANCE, Equilibria
 from ...systems.gyrostat.variables import conservative, kinds_of_stability, steady_families
 from . import RESONANCE_BAND
@@ -188,7 +188,7 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
         weight = np.where(axial, direction.gradient[:, None] * (along - side), 0.0)
         square = square + (weight * vector)[..., None] * vector[:, None]
         force = force + np.where(axial, (direction.field * e).sum(1, keepdims=True), 0.0) * vector
-    axes = np.concatenate([e[:, None], across(e)], 1)
+    axes = np.concatenate([e[:, None], transverse_axes(e)], 1)
     transposed = np.swapaxes(axes, 1, 2)
     inverse = (axes * inverse[:, None]) @ transposed
     square = axes @ square @ transposed

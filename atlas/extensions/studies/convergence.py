@@ -14,6 +14,7 @@ import xarray as xr
 
 from ...analysis.metadata import flag_names
 from ...errors import BadInput, allowed_text, text_table
+from ...flags import LABELS
 from ...kernel.compiling import Stopwatch
 from ...measure.instrument import Variable
 from ...runs.memory import columns_of
@@ -27,7 +28,7 @@ VARIED = {
     "duration": (2.0, 4.0), "transient": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5),
 }  # fmt: skip
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-FLAGS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial", "regularity")
+FLAGS = (*LABELS, "regularity")
 MAX_POINTS = 10_000  # default
 CHANGE = "label_change"
 HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")

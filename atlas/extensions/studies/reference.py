@@ -28,7 +28,7 @@ RATE_SUMS = (
 # Relative tolerances of the reference and of a second run; its uncertainty is SAFETY times their difference.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
 # Uncertainty of a component of the state because of rounding alone.
-ROUNDING = 1e-15
+LEAST_UNCERTAINTY = 1e-15
 # Largest residual, rounding, of a start that follows the closed form of its family.
 EXACT_RESIDUAL = 1e-14
 # SciPy's DOP853 takes too long for more radians than this at the frequency bound.
@@ -110,9 +110,9 @@ def reference(
         label=label[0],
         label_inertial=label[1] if len(label) > 1 else None,
         exact=exact,
-        state_error=np.maximum(SAFETY * distance, ROUNDING),
+        state_error=np.maximum(SAFETY * distance, LEAST_UNCERTAINTY),
         statistics_error={
-            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), ROUNDING) for name in best
+            name: np.maximum(SAFETY * np.abs(best[name] - other[name]), LEAST_UNCERTAINTY) for name in best
         },
         label_certain=(label == other_label).all(0),
     )

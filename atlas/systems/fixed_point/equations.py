@@ -10,8 +10,8 @@ and g (gamma) the unit vector of the vertical Z, which points to the attracting 
 The damping is not of the paper; with it the energy falls at the rate damping w.w.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
-functions into its kernels, so they may use no imports and only names of this file.
+is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
+copied into the kernels, so they may use no imports and only names of this file.
 """
 
 STATE = ("p", "q", "r", "g1", "g2", "g3")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..base import Array, Mask
 
 # Share of moments, momenta and torques up to which they are rounding; its root is below the growth rates that count.
-ROUNDING = 1e-13
+NEGLIGIBLE = 1e-13
 # Share of the rates of a free body and its rotor up to which a frame or a field counts as none for its natural rate.
 SLOW = 1e-4
 _DOUBLE = 8 * np.finfo(float).eps  # relative difference up to which two roots are equal but for rounding
@@ -78,7 +78,7 @@ class Body(NamedTuple):
 
     def spherical(self) -> Mask:
         """Where all moments are equal but for rounding."""
-        return np.ptp(self.inertia, axis=-1) <= ROUNDING * self.inertia.max(-1)
+        return np.ptp(self.inertia, axis=-1) <= NEGLIGIBLE * self.inertia.max(-1)
 
     def acts_along(self, direction: Direction) -> Mask:
         """Where a direction exerts a torque on the body in some orientation."""
@@ -90,7 +90,7 @@ class Body(NamedTuple):
         rate: where it is not 0, differences that are rounding beside its momentum and torque do not count.
         """
         j, k = (i + 1) % 3, (i + 2) % 3
-        limit = np.where(rate > 0, ROUNDING, 0.0) * self.inertia.max(-1)
+        limit = np.where(rate > 0, NEGLIGIBLE, 0.0) * self.inertia.max(-1)
         symmetric = np.abs(self.inertia[..., j] - self.inertia[..., k]) <= limit
         torque = limit * rate**2
         for vector, bound in (
@@ -196,7 +196,7 @@ class Body(NamedTuple):
         v = self.gyroscopic(w)
         v_dot = (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * acceleration
         along = u / length(u)[..., None]
-        rows = across(along)
+        rows = transverse_axes(along)
 
         def symmetric(d: Array) -> Array:
             product = d[..., :, None] * along[..., None, :]
@@ -250,7 +250,7 @@ def length(v: Array) -> Array:
     return np.sqrt((v**2).sum(-1))
 
 
-def across(v: Array) -> Array:
+def transverse_axes(v: Array) -> Array:
     """Two unit vectors in the rows that complete unit vectors (..., 3) to right-handed axes, (..., 2, 3)."""
     first = np.cross(v, np.eye(3)[np.abs(v).argmin(-1)])
     first = first / length(first)[..., None]

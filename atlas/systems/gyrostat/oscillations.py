@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
-from .body import Body, across, cross_matrix, length, quadratic_roots
+from .body import Body, cross_matrix, length, quadratic_roots, transverse_axes
 
 # Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
 # as its error.
@@ -257,11 +257,13 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
     carried = np.stack([body.rotor, body.alpha.field, body.gamma.field])
     size, moving = length(carried), np.where((length(w) > 0)[:, None], w, gamma)
     bare = size.max(0) == 0
-    axis = np.where(bare[:, None], across(moving)[:, 0], carried[size.argmax(0), np.arange(len(w))])
+    axis = np.where(bare[:, None], transverse_axes(moving)[:, 0], carried[size.argmax(0), np.arange(len(w))])
     axis = axis / length(axis)[:, None]
     one_line = (length(np.cross(carried, axis)) <= FAMILY_TOLERANCE * size).all(0)
     turned = spheres & one_line & (bare | ((axis != 0).sum(1) > 1))
-    rows = np.where(turned[:, None, None], np.concatenate([axis[:, None], across(axis)], 1), np.eye(3))
+    rows = np.where(
+        turned[:, None, None], np.concatenate([axis[:, None], transverse_axes(axis)], 1), np.eye(3)
+    )
     along = np.where(turned[:, None], (carried * axis).sum(-1)[..., None] * np.eye(3)[0], carried)
     fields = body.alpha._replace(field=along[1]), body.gamma._replace(field=along[2])
     w, alpha, gamma = ((rows @ v[..., None])[..., 0] for v in (w, alpha, gamma))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...flags import EnergyStability, Stability
 from ..base import Array, Flags, Mask, Points, System, shape_of, shared, subset, unsteady
-from .body import Body, across, length
+from .body import Body, length, transverse_axes
 from .oscillations import Equilibria, energy_minima
 from .variables import oscillation_variables
 
@@ -59,7 +59,7 @@ class Gyrostat(System):
     def vectors(self, states: Array) -> tuple[Array, Array, Array]:
         """w, alpha and gamma of states (states, points), each (points, 3); alpha is any across gamma if the frame has none."""
         w, *others, gamma = self._triples(states)
-        return w, others[0] if others else across(gamma)[..., 0, :], gamma
+        return w, others[0] if others else transverse_axes(gamma)[..., 0, :], gamma
 
     def _triples(self, states: Array) -> list[Array]:
         """The angular velocity and the directions at rest in the frame of states (states, points), each (points, 3)."""

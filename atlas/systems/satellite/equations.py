@@ -11,8 +11,8 @@ unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gam
 The damping is not of the paper; with it the Jacobi integral falls at the rate damping u.u.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
-is plain arithmetic, which holds for numbers and for arrays of one shape. The engine copies the source of the
-functions into its kernels, so they may use no imports and only names of this file. A name with a star stands for
+is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
+copied into the kernels, so they may use no imports and only names of this file. A name with a star stands for
 constants that a function does not use.
 
 The equations hold in any unit of time, for an a of any length 1 / a_inv and a g of any length 1 / g_inv. The

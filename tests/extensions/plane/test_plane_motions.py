@@ -216,7 +216,7 @@ def test_multipliers_are_those_of_the_compiled_tangent_vectors():
     )
     separation.vectors[:] = np.tile(np.eye(6), size) / separation.weights
     separation.integrate(threads=1)
-    columns = separation.vectors * separation.weights * np.exp(separation.sums[tangent.LOG_GROWTH])
+    columns = separation.vectors * separation.weights * np.exp(separation.sums[tangent.Growth.LOG_GROWTH])
     t, s = motions.multipliers()
     for i in range(size):
         matrix = columns[:, 6 * i : 6 * i + 6][np.ix_([0, 1, 3, 4], [0, 1, 3, 4])]

@@ -83,7 +83,7 @@ def test_advice_where_no_level_reaches_the_tolerance(scene_text):
     assert text.startswith("Out of reach: a median error of 1e-17")
     assert "the uncertainty of the reference is larger" in text
     assert "sigma = " in text
-    assert float(ds.error_state.min()) >= reference.ROUNDING
+    assert float(ds.error_state.min()) >= reference.LEAST_UNCERTAINTY
 
 
 def test_a_scene_with_a_step_and_the_observed_orders(scene_text):

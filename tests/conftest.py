@@ -168,7 +168,7 @@ def longer(tmp_path, longer_atlas, monkeypatch):
         patched.setenv("ATLAS_TILE_POINTS", "64")
         run = RunFolder.prepare(plan := ScenePlan.of(scene), tmp_path / "run")
     assert run.tiling.count == 18
-    assert plan.points.kernel_hash == whole.atlas_kernel_hash
+    assert plan.runs.kernel_hash == whole.atlas_kernel_hash
     return tmp_path, run, whole
 
 

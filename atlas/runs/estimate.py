@@ -82,7 +82,7 @@ def _cost(plan: ScenePlan, processors: int) -> _Cost:
     if scene.settings.prove:
         from ..label.proved import proved_points
 
-        proved = points * float(proved_points(plan.points, plan.sample.subset(exists))[0].mean())
+        proved = points * float(proved_points(plan.runs, plan.sample.subset(exists))[0].mean())
     work = plan.mean_work + plan.growth_work
     seconds = (points - proved) * work * tile.seconds_per_step + theory_seconds
     return _Cost(points - proved, proved, tile, seconds, theory_seconds)
@@ -145,7 +145,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
 
 def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
     """A sentence on the share of the integration that is left without statistics, measured on some points unless whole runs take long."""
-    labels = plan.points.without_statistics
+    labels = plan.runs.without_statistics
     if labels is None:
         return []
     exists, steps = np.flatnonzero(plan.sample.exists), plan.step_sizes.without_unresolved().steps
@@ -239,12 +239,12 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
 
     plan = _short_tile(plan, threads)
     points, started = plan.sample, time.perf_counter()
-    evaluate(plan.points, points.subset(np.zeros(1, np.int64)), threads=1)
+    evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=1)
     compile_seconds, memory = time.perf_counter() - started, most_memory()
     began = time.process_time()  # independent of other programs
-    predict_runs(plan.points, points)
+    predict_runs(plan.runs, points)
     theory_seconds = time.process_time() - began
-    columns = evaluate(plan.points, points, threads=threads) | points.base
+    columns = evaluate(plan.runs, points, threads=threads) | points.base
     seconds = time.process_time() - began - theory_seconds
     size, most = points.exists.size, most_memory()
     content = encode({}, {name: columns[name].astype(kind) for name, kind in tile_types(plan.scene).items()})

@@ -165,7 +165,7 @@ def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | No
         attributes, saved = {}, None
     if not attributes:
         plan = execution.plan
-        attributes = half_step.half_step_sample(plan.scene, plan.points, threads=execution.threads)
+        attributes = half_step.half_step_sample(plan.scene, plan.runs, threads=execution.threads)
     elif saved and saved.table() == totals.table():
         return
     folder.save_notes(attributes, totals)
@@ -243,7 +243,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
 
 def _is_result(plan: ScenePlan, path: Path | str) -> bool:
     """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
-    expected = result_hash(plan.scene.toml(), identity(plan.points))
+    expected = result_hash(plan.scene.toml(), identity(plan.runs))
     with suppress(BadInput), open_atlas(path) as ds:
         # A user's own dataset may have the attributes of an atlas, but not its hash.
         return format_of(path).has_hash(path) and ds.attrs.get(RESULT) == expected
@@ -345,7 +345,7 @@ class _Job:
 
     def _compute_in_threads(self, tiles: Iterator[int], bar: Progress) -> None:
         plan, threads, (part, parts) = self.execution.plan, self.execution.threads, self.execution.shard
-        source = self.run, self.tiles, plan.points, self.execution.earlier
+        source = self.run, self.tiles, plan.runs, self.execution.earlier
         by = f"{threads or blocks.available_threads()} threads" + f", shard {part}/{parts}" * (parts > 1)
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 

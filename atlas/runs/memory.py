@@ -110,7 +110,7 @@ class Execution:
         if self.workers:
             # Compile the kernel here, by one step at one point, or each new process would.
             sample = self.plan.sample
-            points = replace(self.plan.points.without_derived(), settings=self.plan.limited(1))
+            points = replace(self.plan.runs.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
                 evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
         from . import cluster
@@ -127,7 +127,7 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
         with closing(Progress(scene.size, show=progress)) as bar:
             columns, reused = columns_of(plan, bar, threads, execution.earlier)
         ds, points = dataset.dataset(scene, columns), scene.size
-        attributes = half_step.half_step_sample(scene, plan.points, threads=threads)
+        attributes = half_step.half_step_sample(scene, plan.runs, threads=threads)
     else:
         from . import refine
 
@@ -142,7 +142,7 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
             fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
         ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
     provenance = dataset.provenance(
-        scene.system, scene.settings, plan.points.kernel_hash, scene=scene, warnings=plan.warnings,
+        scene.system, scene.settings, plan.runs.kernel_hash, scene=scene, warnings=plan.warnings,
         timing=(points, stopwatch.seconds()),
     )  # fmt: skip
     return ds.assign_attrs(provenance | attributes | dataset.history_text(reused))
@@ -166,7 +166,7 @@ def columns_of(
         part = tiles.indices(tile)
         indices = part if points is None else points[part]
         values, computed, reused = evaluate_at(
-            plan.points, scene, indices, earlier, threads=threads, progress=advance
+            plan.runs, scene, indices, earlier, threads=threads, progress=advance
         )
         for name, column in columns.items():
             column[part] = values[name]

@@ -56,8 +56,8 @@ class ScenePlan:
         return cls(scene, grid.check(scene))
 
     @cached_property
-    def points(self) -> Plan:
-        """The plan of the integration of its points."""
+    def runs(self) -> Plan:
+        """The plan of the runs of its points."""
         from ..label.plan import Plan
 
         return Plan.of(self.scene)
@@ -103,7 +103,7 @@ class ScenePlan:
         """And that of the tangent vectors that ends ask for, if every run settles."""
         from ..measure.rates import tolerated_error
 
-        if not self.points.needs_growth:
+        if not self.runs.needs_growth:
             return 0.0
         settings = self.scene.settings.at(self.sample.rate_tolerance)
         error = tolerated_error(settings, self.step_sizes, self._bound)
@@ -194,7 +194,7 @@ class ScenePlan:
     def relative_costs(self) -> dict[str, float]:
         """Processor time expected of each other method over that of the scene's method; see `label.plan`."""
         exists = self.sample.exists
-        return self.points.relative_costs(self._bound[exists], self.sample.subset(exists))
+        return self.runs.relative_costs(self._bound[exists], self.sample.subset(exists))
 
     def method_lines(self) -> list[str]:
         """A sentence on the cost of each other method; none for a given step."""
@@ -214,11 +214,11 @@ class ScenePlan:
         scene = self.scene
         every = proofs_of_labels(scene.system)
         proofs = [proof for label, proof in every.items() if label in scene.outputs]
-        if not proofs or scene.settings.prove or scene.refine or not self.points.may_stop_early:
+        if not proofs or scene.settings.prove or scene.refine or not self.runs.may_stop_early:
             return []
         from ..label.proved import proved_points
 
-        plan = replace(self.points, outputs=[*scene.outputs, *proofs], in_machine_code=False)
+        plan = replace(self.runs, outputs=[*scene.outputs, *proofs], in_machine_code=False)
         proved, _ = proved_points(plan, self.sample.subset(self._few_points))
         steps = self.step_sizes.without_unresolved().steps[self._few_points]
         if not proved.any():
@@ -231,16 +231,16 @@ class ScenePlan:
     def statistics_lines(self) -> list[str]:
         """A sentence on the runs that by theory would end early without statistics, or on transients, in which none ends."""
         before, until = np.sum(self.sample.transient), self.sample.until.sum()
-        if self.points.may_stop_early and before > 0:
+        if self.runs.may_stop_early and before > 0:
             return [
                 f"transient: {100 * before / until:.3g} % of the time of all runs, in which none ends early, however certain its label"
             ]
-        if self.points.without_statistics is None:
+        if self.runs.without_statistics is None:
             return []
         from ..label.theory import predict_runs
 
         # `atlas check` loads no compiler.
-        plan = replace(self.points, in_machine_code=False)
+        plan = replace(self.runs, in_machine_code=False)
         drifting = (
             predict_runs(plan, self.sample.subset(self._few_points)).variables["predicted"] == Label.DRIFTING
         )

@@ -56,14 +56,14 @@ def refined(
     size, missed = fine.probe(scene.refine.probe)
     share = fine.n_integrated / fine.n_existing
     attributes = {"atlas_computed_share": share, "atlas_probe_points": size, "atlas_probe_missed": missed}
-    return fine, attributes | half_step.half_step_sample(scene, plan.points, threads=threads)
+    return fine, attributes | half_step.half_step_sample(scene, plan.runs, threads=threads)
 
 
 class FineGrid:
     """The finest grid of a scene: predictions at every point, and measured flags, assumed from a neighbour where none is measured."""
 
     def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
-        self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.points, threads, integrate
+        self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.runs, threads, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = traced(scene)

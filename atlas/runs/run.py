@@ -182,7 +182,7 @@ class RunFolder:
     def check_same(self, plan: ScenePlan) -> None:
         """Raise BadInput with the differences unless this process computes the same bits for the scene."""
         stored = _flatten(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
-        current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.points)
+        current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.runs)
         different = differences(stored, current, "in the folder", "now")
         if different:
             raise BadInput(
@@ -388,7 +388,7 @@ def result_hash(scene: str, programs: dict[str, str]) -> str:
 
 def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
     """The manifest of a run of a scene."""
-    scene, kernel = plan.scene, plan.points.kernel_hash
+    scene, kernel = plan.scene, plan.runs.kernel_hash
     attributes = dataset.provenance(
         scene.system, scene.settings, kernel, scene=scene, warnings=plan.warnings, timing=(scene.size, 0.0)
     )  # fmt: skip
@@ -397,7 +397,7 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
     manifest = {
         "format": FORMAT,
         "scene": scene.toml(),
-        "identity": identity(plan.points),
+        "identity": identity(plan.runs),
         "tile": (plan.tiling if scene.refine is None else finest).tile,
         "created": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         "provenance": {  # JSON has no nan

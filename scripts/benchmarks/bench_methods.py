@@ -54,14 +54,14 @@ class Comparison:
         integrations = [
             partial(
                 ensemble.integrate,
-                plan.points.kernel, size, scene.settings.cylinder, threads=1,
+                plan.runs.kernel, size, scene.settings.cylinder, threads=1,
             )
             for plan, size in zip(plans, sizes, strict=True)
         ]  # fmt: skip
         for integrate in integrations:
             integrate()  # may compile
         self.seconds, _ = seconds_in_turn(integrations, rounds)
-        tiles = [partial(evaluate, plan.points, self.points, threads=1) for plan in plans]
+        tiles = [partial(evaluate, plan.runs, self.points, threads=1) for plan in plans]
         self.tile_seconds, columns = seconds_in_turn(tiles, rounds)
         labels = np.array([values["label"] for values in columns])
         unresolved = labels == Label.UNRESOLVED

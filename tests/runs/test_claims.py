@@ -232,7 +232,7 @@ def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folde
         if end == "expired":
             age(other, claims.CLAIM_AGE + 10)
         else:
-            columns, number, _ = evaluate_at(plan.points, folder.scene, folder.tiles.indices(3))
+            columns, number, _ = evaluate_at(plan.runs, folder.scene, folder.tiles.indices(3))
             folder.tiles.write(3, columns, computed=number, seconds=0.0, by="the other one")
         return False
 

@@ -89,7 +89,7 @@ def test_ends_are_priced_with_their_tangent_vectors(monkeypatch):
         return runs[-1]
 
     monkeypatch.setattr(tangent_runs.TangentRuns, "of", noted)
-    evaluate(plan.points, plan.sample)
+    evaluate(plan.runs, plan.sample)
     (run,) = runs
     # The share of these runs in all work is w / (1 + w), w of the work of the runs with statistics.
     assert plan.growth_work / (plan.mean_work + plan.growth_work) == pytest.approx(run.share)

@@ -71,7 +71,7 @@ def convergence(
     varied = dict(zip(cases, others, strict=True))
     ds = dataset.dataset(scene, base)
     ds.attrs = dataset.provenance(
-        scene.system, scene.settings, plans[0].points.kernel_hash, scene=scene, warnings=[],
+        scene.system, scene.settings, plans[0].runs.kernel_hash, scene=scene, warnings=[],
         timing=(bar.points, stopwatch.seconds()),
     )  # fmt: skip
     change = np.zeros(scene.shape, np.int8)

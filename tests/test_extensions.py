@@ -135,11 +135,15 @@ def repeated(system):
     assert list(variables(SATELLITE)["family"].flags.items()) == [*before.items(), ("tumbling", "tumbles")]
     assert families_of(SATELLITE)["tumbling"].flag == len(before)
     assert atlas.load_scene(scene_text({"family": {"name": "tumbling"}})).family == "tumbling"
-    new = Extension("tumbling", "tumbling", "more families", families={"cylindrical": "theory:repeated"})
-    installed_extensions({**extensions(), "tumbling": new})
-    message = "^the system satellite: an extension has a family cylindrical too; rename one$"
-    with pytest.raises(BadInput, match=message):
-        atlas.load_scene(scene_text({}))
+    for families, why in (
+        ({"cylindrical": "theory:repeated"}, "cylindrical: the system has one too"),
+        ({"rolling": "theory:families"}, "tumbling: its record does not name it"),
+    ):
+        new = Extension("tumbling", "tumbling", "more families", families=families)
+        installed_extensions({**extensions(), "tumbling": new})
+        message = f"^the system satellite: an extension has a family {why}; rename one$"
+        with pytest.raises(BadInput, match=message):
+            atlas.load_scene(scene_text({}))
 
 
 def test_a_subclass_of_the_satellite_is_its_authors_own_system(monkeypatch):

@@ -569,8 +569,9 @@ def families_of(system: System) -> Mapping[str, Family]:
     added: dict[str, Family] = {}
     for families in extension.every("families"):
         added |= families(system)
-    if repeated := added.keys() & system.families.keys():
-        raise BadInput(f"the system {system.name}: an extension has a family {min(repeated)} too; rename one")
+    if wrong := added.keys() - (extension.parts("families").keys() - system.families.keys()):
+        why = "the system has one too" if min(wrong) in system.families else "its record does not name it"
+        raise BadInput(f"the system {system.name}: an extension has a family {min(wrong)}: {why}; rename one")
     every, reserved = dict(system.families), reserved_families(system.name)
     titles = {name: family.title for name, family in added.items()} | reserved
     for flag, name in enumerate(dict.fromkeys([*reserved, *added]), 1 + len(every)):

@@ -116,7 +116,7 @@ def module(folder, name, record, **files):
     return package
 
 
-def test_families_of_others_have_flags_after_those_of_the_system(
+def test_families_of_others_have_flags_after_the_reserved_ones(
     installed_extensions, tmp_path, monkeypatch, scene_text
 ):
     """And after the reserved ones, which stay as they are; the name of a family of the system is refused."""

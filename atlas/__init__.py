@@ -14,7 +14,7 @@ from . import sources as _sources  # noqa: F401  (before all that it hashes is l
 
 # isort: split
 if not _interruption.is_command():  # commands that need no dataset start in half of the time without xarray
-    from . import accessor as _accessor  # noqa: F401  (registers ds.atlas with xarray)
+    from . import registration as _registration  # noqa: F401  (registers ds.atlas with xarray)
 from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
-        import_module(".accessor", __name__)  # a command may load equations of one's own
+        import_module(".registration", __name__)  # a command may load equations of one's own
         if name not in _MODULES:
             return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)

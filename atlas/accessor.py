@@ -1,4 +1,4 @@
-"""`ds.atlas`: questions to an atlas. Importing this module registers the accessor with xarray.
+"""`ds.atlas`: questions to an atlas; `registration` tells xarray of it.
 
 An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
 all read in chunks. Only the methods that make figures, films and pages import Matplotlib.
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 MAX_LINES = 1000  # of the spectrum of a signal
 
 
-@xr.register_dataset_accessor("atlas")
 @typed
 class Atlas(Questions):
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.

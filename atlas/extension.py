@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -183,10 +183,13 @@ def of_each(kind: str, system: str) -> list[Any]:
     return [each.load(of_system[system]) for each, of_system in given if system in of_system]
 
 
-def every(kind: str) -> list[Any]:
-    """The different objects of one of the PARTS, in the order of the extensions; parts that cannot be loaded are left out."""
+def every(kind: str, among: Callable[[str], bool] = bool) -> list[Any]:
+    """The different objects of one of the PARTS, in the order of the extensions; parts that cannot be loaded are left out.
+
+    among: whether a part is wanted, by its name; the others are not imported.
+    """
     objects = []
-    for extension, reference in dict.fromkeys(parts(kind).values()):
+    for extension, reference in dict.fromkeys(part for name, part in parts(kind).items() if among(name)):
         with suppress(BadInput):  # which not_loaded() keeps
             objects.append(extension.load(reference))
     return objects

@@ -175,6 +175,11 @@ _RESERVED_FAMILIES = {
 }
 
 
+def owner_of_family(name: str) -> str:
+    """The system for which a family of an extension is reserved, empty if there is none."""
+    return next((system for system, families in _RESERVED_FAMILIES.items() if name in families), "")
+
+
 def reserved_families(system: str) -> dict[str, str]:
     """Families of extensions, name -> motion; their flags follow the flags of the system's own families in this order, whatever is installed."""
     return _RESERVED_FAMILIES.get(system, {})

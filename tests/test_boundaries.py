@@ -7,11 +7,12 @@ the disk, the network, the processors and the installed packages; whatever else 
 import ast
 import tomllib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 TESTS = Path(__file__).parent
+PACKAGE = TESTS.parent / "atlas"
 PROJECT = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["project"]
 # Without the folder of one of them its names are not used.
 EXTENSIONS = PROJECT["entry-points"]["atlas.extensions"].keys()
@@ -36,8 +37,8 @@ REPLACED = {
         interruption.end_process cli.scenes.print_schema runs.cluster.connect store.place.Folder.names store.place.Objects.?
     """,
     "the processors, the memory and the programs of this machine": """
-        extensions/page/test_in_browser.py:?.browser.launched kernel.blocks.os.sched_getaffinity kernel.machine_code.cpu
-        kernel.machine_code.llvm.get_host_cpu_features plotting.trajectory.ANIMATIONS..mp4 runs.folder.identity
+        extensions/page/test_in_browser.py:?.browser.launched kernel.blocks.os.sched_getaffinity kernel.machine_code.architecture
+        kernel.intrinsics.VECTOR_BITS kernel.machine_code.llvm.get_host_cpu_features plotting.trajectory.ANIMATIONS..mp4 runs.folder.identity
         runs.refine.os.sysconf runs.reuse.identity runs/test_identity.py:?.?
     """,
     "the installed packages, their code, and the systems, instruments and methods of this process": """
@@ -185,3 +186,23 @@ def test_every_name_that_is_replaced_or_private_has_a_reason():
         assert used - set(listed) == set()
         if {path.name for path in (TESTS / "extensions").iterdir()} >= EXTENSIONS:
             assert set(listed) - used == set()
+
+
+def imports_of(path: Path, modules: Collection[str]) -> set[str]:
+    """Modules of the package that a file of it imports anywhere, also for type checkers."""
+    package, found = ("atlas", *path.relative_to(PACKAGE).parent.parts), set[str]()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            above = package[: len(package) + 1 - node.level] if node.level else ()
+            base = ".".join([*above, *filter(None, [node.module])])
+            found |= {name if (name := f"{base}.{each.name}") in modules else base for each in node.names}
+    return found & set(modules)
+
+
+def test_no_file_imports_itself_through_others():
+    paths = {path.relative_to(PACKAGE.parent).with_suffix(""): path for path in PACKAGE.rglob("*.py")}
+    modules = {".".join(name.parts).removesuffix(".__init__"): path for name, path in paths.items()}
+    below = {name: imports_of(path, modules) - {name} for name, path in modules.items()}
+    while leaves := {name for name, imported in below.items() if not imported & below.keys()}:
+        below = {name: imported for name, imported in below.items() if name not in leaves}
+    assert below == {}

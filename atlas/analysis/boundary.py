@@ -16,7 +16,7 @@ from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Array, Mask, derived_variables
-from ..systems.gyrostat.variables import FREQUENCIES
+from ..systems.gyrostat.system import FREQUENCIES
 from ..variables import variables
 from .degrees import in_degrees
 from .metadata import (

@@ -144,7 +144,7 @@ def file_of_scene(options: argparse.Namespace, what: str) -> Path:
 
 def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **options: Any) -> None:
     """Write a dataset, or its figure by a method of the accessor."""
-    from .. import accessor  # noqa: F401  (registers ds.atlas with xarray)
+    from .. import registration  # noqa: F401  (registers ds.atlas with xarray)
 
     if out.suffix.lower() == ".nc":
         from ..store import netcdf

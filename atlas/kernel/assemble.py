@@ -12,14 +12,14 @@ from typing import Any
 
 from ..errors import BadInput
 from ..systems import arithmetic
-from . import augmented, generated, integrate, observe, quadratures, tangent
+from . import augmented, generated, integrate
 from .differentiate import differential, simplify
 from .ensemble import Plug
 from .statistics import Row
 from .tableaux import METHODS, Method
 
-# Kernels that measure the change of first integrals.
-MEASURING = (integrate, observe)
+# Files of kernels that measure the change of first integrals.
+MEASURING = ("integrate", "observe")
 
 
 @cache
@@ -54,6 +54,11 @@ def reachable(
     for function in functions:
         visit(function)
     return objects, sources, numbers
+
+
+def _file(of: ModuleType) -> str:
+    """Name of the file of a kernel; only the file that is compiled is imported."""
+    return of.__name__.rpartition(".")[2]
 
 
 def entries(of: ModuleType, plugs: Sequence[Plug]) -> tuple[Any, ...]:
@@ -109,7 +114,7 @@ def source(
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
     _, sources, numbers = reachable(entries(of, plugs), absent=absent)
-    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    measured = augmented.losses_of(equations, zero, equal) if _file(of) in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
         texts = generated_functions(equations, METHODS[method], zero, equal, of, plugs)
@@ -132,15 +137,17 @@ def generated_numbers(
     """The numbers that `generated` declares."""
     plugged, observables = sum(plug.sums for plug in plugs), len(observable_names(equations))
     strobed = len(getattr(equations, "STROBED", ()))
-    observed = observe.FIRST_ROW + len(observe.Field) * (observables + strobed)
     measured = {
         "OBSERVABLES": observables,
         "PLUGGED": plugged,
         "PLUGGED_GIVEN": sum(plug.given for plug in plugs) + (strobed > 0),
-        "NODE_ROWS": 2 * (observables if of is observe else integrate.MOTION),
-        "SUMS": observed if of is observe else len(Row) + plugged,
+        "NODE_ROWS": 2 * integrate.MOTION,
+        "SUMS": len(Row) + plugged,
         **({"STROBED": strobed} if strobed else {}),
     }
+    if _file(of) == "observe":
+        sums = of.FIRST_ROW + len(of.Field) * (observables + strobed)
+        measured |= {"NODE_ROWS": 2 * observables, "SUMS": sums}
     return {
         "WIDTH": generated.WIDTH,
         "STATES": len(equations.STATE),
@@ -151,7 +158,7 @@ def generated_numbers(
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
-        **(measured if of in MEASURING else {}),
+        **(measured if _file(of) in MEASURING else {}),
         **({"LOSSES": tuple(equations.LOSSES)} if equations.LOSSES else {}),
     }
 
@@ -168,7 +175,7 @@ def generated_functions(
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = texts.keys() if of is quadratures else ("scaled", augmented.SCALED)
+    in_any_units = texts.keys() if _file(of) == "quadratures" else ("scaled", augmented.SCALED)
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()
@@ -182,7 +189,9 @@ def generated_functions(
             f"block[{i}, l] = scales[{i}, p]{' * inverse_unit' * power}"
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
-        "step(state, slope, constants)": step_lines(method, "extended_rhs" if of is tangent else "rhs"),
+        "step(state, slope, constants)": step_lines(
+            method, "extended_rhs" if _file(of) == "tangent" else "rhs"
+        ),
         "store_integrals(block, l, state, constants)": [
             line
             for i, name in enumerate(equations.INTEGRALS)
@@ -199,18 +208,18 @@ def generated_functions(
         ]
         + ["return largest"],
     }
-    if of is integrate:
+    if _file(of) == "integrate":
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
         signature = "plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants"
         generated_lines[f"add_to_plugged({signature})"] = _plugged_lines(equations, plugs)
-    if of is tangent:
+    if _file(of) == "tangent":
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
             **_column_lines("extended", extended),
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
-    if of is observe:
+    if _file(of) == "observe":
         functions_of_observables, callers = _observable_functions(equations, sources)
         sources |= functions_of_observables
         generated_lines |= callers

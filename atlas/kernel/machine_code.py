@@ -111,11 +111,11 @@ def architecture() -> str:
     """
     config: Any = numba.config
     features = get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES
-    return platform.machine() + (" with fused multiply-add" if _fuses(cpu(), features) else "")
+    return platform.machine() + (" with fused multiply-add" if fuses(cpu(), features) else "")
 
 
 @functools.lru_cache(maxsize=8)
-def _fuses(name: str, features: str) -> bool:
+def fuses(name: str, features: str) -> bool:
     """Whether code for a processor fuses multiply and add where it may."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()

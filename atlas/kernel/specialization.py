@@ -10,8 +10,9 @@ from typing import Any
 
 from ..systems import arithmetic
 from ..systems.base import System
-from . import assemble, integrate, nodes, observe, quadratures, tangent
+from . import assemble, integrate
 from .ensemble import Plug
+from .tableaux import TANGENT_METHOD
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,11 @@ def source(
     of: ModuleType | None = None,
 ) -> str:
     """Text of the kernel of a system; plugs, of: see `assemble.source`."""
-    of = of or (observe if system.observables else integrate)
+    if of is None and system.observables:
+        from . import observe as of
     zero, equal = specialization.zero, dict(specialization.equal)
     with arithmetic.PARSING:
-        return assemble.source(system.equations, method, zero, equal, of=of, plugs=plugs)
+        return assemble.source(system.equations, method, zero, equal, of=of or integrate, plugs=plugs)
 
 
 @cache
@@ -57,19 +59,25 @@ def kernel(
 @cache
 def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module that integrates a system with a tangent vector."""
-    return _jit().load(source(system, tangent.METHOD.name, specialization, of=tangent))
+    from . import tangent
+
+    return _jit().load(source(system, TANGENT_METHOD.name, specialization, of=tangent))
 
 
 @cache
 def node_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
     """The compiled module of the states of a system along its motions, without statistics."""
+    from . import nodes
+
     return _jit().load(source(system, method, specialization, of=nodes))
 
 
 @cache
 def slope_kernel(system: System) -> ModuleType:
     """The compiled module of the slopes that reference solutions integrate."""
-    return _jit().load(source(system, tangent.METHOD.name, of=quadratures))
+    from . import quadratures
+
+    return _jit().load(source(system, TANGENT_METHOD.name, of=quadratures))
 
 
 @cache

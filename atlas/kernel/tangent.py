@@ -32,10 +32,6 @@ from .generated import (
     store_state,
     unscaled,
 )
-from .tableaux import METHODS
-
-# The method of all runs with tangent vectors: it needs less time than rk4 for a given error.
-METHOD = METHODS["rk8"]
 
 
 class Growth(IntEnum):

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel import specialization, tangent
+from ..kernel import specialization
 from ..kernel.specialization import GENERIC, Specialization
 from ..kernel.statistics import STATISTICS
 from ..kernel.stepsize import StepSizes
-from ..kernel.tableaux import METHODS
+from ..kernel.tableaux import METHODS, TANGENT_METHOD
 from ..measure.chaos import Chaos
 from ..measure.instrument import Instrument, MainInstrument
 from ..scene.grid import Grid
@@ -148,10 +148,13 @@ class Plan:
     @property
     def kernel_hash(self) -> str:
         """Hash of the kernel, and of the kernel with tangent vectors if there are any."""
-        terms, source = self.specialization, specialization.source
-        kernel = source(self.system, self.settings.method, terms, self.plugs)
-        tangents = [source(self.system, tangent.METHOD.name, terms, of=tangent)] if self.has_tangent else []
-        return specialization.kernel_hash(kernel, *tangents)
+        source, terms = specialization.source, self.specialization
+        texts = [source(self.system, self.settings.method, terms, self.plugs)]
+        if self.has_tangent:
+            from ..kernel import tangent
+
+            texts.append(source(self.system, TANGENT_METHOD.name, terms, of=tangent))
+        return specialization.kernel_hash(*texts)
 
 
 def method_lines(method: str, costs: Mapping[str, float]) -> list[str]:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..flags import Steadiness
-from ..kernel import observe
 from ..kernel.stepsize import INTERPOLATION_ERROR, StepSizes
 from ..kernel.tableaux import METHODS
 from ..systems import arithmetic
@@ -110,6 +109,8 @@ class Observables(MainInstrument):
 
     def resolved(self, run: Run) -> Mask:
         """Where no observable jumps between nodes, as it does if the steps are too long for the motion."""
+        from ..kernel import observe
+
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
         # An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's neighbours.
         allowed = MAX_ROUGHNESS + radians**4 / 12
@@ -122,6 +123,8 @@ class Observables(MainInstrument):
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
         """Every statistic of every observable, as `name_mean`, and `integral_drift`; arrays (points,)."""
+        from ..kernel import observe
+
         sums, intervals = run.integration.sums, run.integration.intervals
         periods = run.step_sizes.periods
         result = {}

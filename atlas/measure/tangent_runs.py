@@ -17,7 +17,7 @@ from ..kernel.ensemble import Ensemble
 from ..kernel.generated import WIDTH
 from ..kernel.stepsize import StepSettings, StepSizes, count_ladder, steps_of_length
 from ..kernel.tableaux import METHODS
-from ..kernel.tangent import METHOD
+from ..kernel.tableaux import TANGENT_METHOD as METHOD
 from ..systems.base import Array, Flags, Mask, Points, System, shape_of
 from .rates import tolerated_error
 

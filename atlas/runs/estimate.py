@@ -23,10 +23,9 @@ from ..scene.model import Scene
 from ..store import finished
 from ..store.progress import clock
 from ..store.tile import encode
-from ..store.tiling import tile_types
+from ..store.tiling import bytes_per_point, surely_fits, tile_types
 from ..systems.base import derived_values, derived_variables
-from .memory import LONG
-from .plan import ScenePlan
+from .plan import LONG, ScenePlan
 from .refine import expected_points
 
 # Steps of all points in the measurement, for each thread: about half a second.
@@ -180,28 +179,23 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     return points * (cost.stored_bytes_per_point + others)
 
 
-def _bytes_per_point(scene: Scene) -> int:
-    """Bytes of a point in a tile, uncompressed."""
-    return sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
-
-
 def _folder_bytes(
     plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
 ) -> float:
     """Bytes on the disk of the tiles of so many points, which are compressed unless they are to be joined."""
-    stored = points * _bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
+    stored = points * bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
     return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
     """Raise BadInput if the missing points of a run do not fit onto a disk, together with its joined file if it gets one."""
-    scene, free = plan.scene, shutil.disk_usage(folder).free
-    if 2 * scene.size * _bytes_per_point(scene) < free:
-        return  # they fit even without compression
+    if surely_fits(plan.scene, folder):
+        return
+    free = shutil.disk_usage(folder).free
     cost, share = _measure(plan, 1), float(plan.sample.exists.mean())
     needed = _folder_bytes(plan, cost, share * missing, missing, is_joined=is_joined)
     if is_joined:
-        needed += _stored_bytes(plan, cost, share * scene.size)
+        needed += _stored_bytes(plan, cost, share * plan.scene.size)
     if needed > free:
         raise BadInput(
             f"{folder}: the run needs about {needed / 1e9:.3g} GB more, and {free / 1e9:.3g} GB are free on this disk"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event, Lock
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -35,18 +35,23 @@ from ..store.place import Folder, located, place_at
 from ..store.progress import AT_WORK, Progress
 from ..store.tally import Totals
 from ..store.tile import Tiles
-from . import claims, cluster, estimate, refine
+from ..store.tiling import surely_fits
+from . import claims
 from .backend import open_atlas
-from .levels import Level, Part
 from .memory import Advance, Execution, evaluate_at, for_each_tile
 from .plan import ScenePlan, differences, identity
-from .reuse import Earlier
 from .run import JOINING, LONGEST_NAME, MANIFEST, RESULT, RUN_SUFFIX, RunFolder, remove_empty, result_hash
+
+if TYPE_CHECKING:
+    from .levels import Part
+    from .reuse import Earlier
 
 MAX_DAMAGE_WARNINGS = 5
 # Most seconds between two checks of the tiles that other processes compute; the first pause is claims.POLL.
 MAX_CLAIM_POLL = 10.0
-Source: TypeAlias = tuple[RunFolder, Tiles, Plan, list[Earlier]]  # all that a process needs to compute a tile
+Source: TypeAlias = (
+    "tuple[RunFolder, Tiles, Plan, list[Earlier]]"  # all that a process needs to compute a tile
+)
 
 
 def run_kept(
@@ -67,6 +72,8 @@ def run_kept(
             raise BadInput(exists_message(file))
         return finished_atlas(ScenePlan.of(scene), file)
     if options["scheduler"]:
+        from . import cluster
+
         cluster.check(options["scheduler"])
     execution = Execution.of(scene, reuse, options)
     if force:
@@ -173,6 +180,9 @@ def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | No
 
 def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> None:
     """Compute the levels of a refined scene one by one, then the tiles of its finest grid from them."""
+    from . import refine
+    from .levels import Level
+
     plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
     _warn_and_remove(tiles, tiles.check(tiles.written())[1])
     with suppress(BadInput):  # damaged notes are written anew
@@ -328,7 +338,9 @@ class _Job:
     def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
         """Compute some missing tiles."""
         execution, run = self.execution, self.run
-        if isinstance(run.place, Folder):
+        if isinstance(run.place, Folder) and not surely_fits(run.scene, run.place.path):
+            from . import estimate
+
             path, points = run.place.path, sum(map(self.tiles.tiling.size_of, unfinished))
             estimate.check_disk(execution.plan, path, points, is_joined=path.suffix == RUN_SUFFIX)
         self.stop = Event()
@@ -372,6 +384,8 @@ class _Job:
                     f"a worker wrote tile {tile}, but it is not in {self.tiles.place}: workers must see the same files"
                 )
             bar.advance(self.tiles.tiling.size_of(tile))
+
+        from . import cluster
 
         client, place = self.execution.client, (str(self.run.path), self.level, self.tiles.key)
         reuse = tuple(str(each.path) for each in self.execution.earlier)
@@ -419,11 +433,14 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
     """The source of the tiles of a run or level; BadInput unless this process computes its bits."""
     run = RunFolder.open(path)
-    try:
-        opened = None if level is None else Level.open(run, level)
-    except FileNotFoundError:
-        raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
-    tiles = run.tiles if opened is None else opened.tiles
+    tiles = run.tiles
+    if level is not None:
+        from .levels import Level
+
+        try:
+            tiles = Level.open(run, level).tiles
+        except FileNotFoundError:
+            raise BadInput(f"{path}: level {level} is not there: workers must see the same files") from None
     if tiles.key != key:
         raise BadInput(f"{path}: holds another run on the machine of this worker ({socket.gethostname()})")
     plan = Plan.of(run.scene)

@@ -13,7 +13,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import numpy as np
 
@@ -28,9 +28,9 @@ from ..variables import variables
 
 if TYPE_CHECKING:
     from ..scene.model import Scene
-    from .run import RunFolder
+    from ..store.place import Place
 
-LEVELS, POINTS = "levels", "points.tile"
+POINTS = "points.tile"
 # Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
 MAX_VALUES = 32  # of integers without flags
@@ -46,12 +46,20 @@ def traced(scene: Scene) -> list[str]:
     return [name for name in (*MEASURED, *integers) if name == "label" or name in scene.outputs]
 
 
+class Run(Protocol):
+    """What a level needs of its run."""
+
+    key: str
+    scene: Scene
+    levels_place: Place
+
+
 class Level:
     """Some points of the finest grid of a run, in tiles."""
 
-    def __init__(self, run: RunFolder, number: int, before: str, points: np.ndarray, length: int):
+    def __init__(self, run: Run, number: int, before: str, points: np.ndarray, length: int):
         self.number, self.before, self.points, self.length = number, before, points, length
-        self.place = run.place.inside(f"{LEVELS}/{number:04d}")
+        self.place = run.levels_place.inside(f"{number:04d}")
         digest = hashlib.sha256(points.astype("<i8").tobytes()).hexdigest()
         self.key = hash_of([run.key, number, before, length, digest])
         outputs = {*run.scene.outputs, "label"} - {"growth_rate"}
@@ -63,7 +71,7 @@ class Level:
         self.read_tile = lru_cache(maxsize=1)(lambda tile: self.tiles.read(tile)[1])
 
     @classmethod
-    def of(cls, run: RunFolder, number: int, before: str, points: np.ndarray, most: int) -> Level:
+    def of(cls, run: Run, number: int, before: str, points: np.ndarray, most: int) -> Level:
         """A level in tiles of at most so many points; its list of points is written if it is missing."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         most = min(most, grid.max_points_per_tile())
@@ -71,16 +79,16 @@ class Level:
         with suppress(BadInput, FileNotFoundError):
             if cls.open(run, number).key == level.key:
                 return level
-        run.place.inside(LEVELS).make()  # not the folder of the run, which may have been removed
+        run.levels_place.make()  # not the folder of the run, which may have been removed
         level.place.make()
         header = {"key": level.key, "level": number, "before": before, "length": level.length}
         level.place.write(POINTS, encode(header, {"points": points.astype("<i8")}))
         return level
 
     @classmethod
-    def open(cls, run: RunFolder, number: int) -> Level:
+    def open(cls, run: Run, number: int) -> Level:
         """A level of a run; FileNotFoundError before it has begun, BadInput if it is damaged."""
-        place = run.place.inside(f"{LEVELS}/{number:04d}")
+        place = run.levels_place.inside(f"{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}
             header, columns = decode(content, facts, types, run.scene.size)

@@ -31,14 +31,13 @@ from ..store.progress import Progress, clock
 from ..store.tiling import Tiling, tile_types
 from ..systems.base import derived_values
 from ..variables import variables
-from .plan import ScenePlan
+from .plan import LONG, ScenePlan
 
 if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # of which an atlas may not fit into memory
-LONG = 2 * 3600.0  # expected seconds of a run that announces itself
 # Seconds of a point and of a step on a slow processor with costly equations: only runs that might be LONG are measured.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 

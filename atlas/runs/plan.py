@@ -23,8 +23,7 @@ from ..errors import BadInput
 from ..flags import Label
 from ..kernel import blocks, numeric_bound
 from ..kernel.stepsize import StepSizes
-from ..kernel.tableaux import METHODS
-from ..kernel.tangent import METHOD as TANGENT_METHOD
+from ..kernel.tableaux import METHODS, TANGENT_METHOD
 from ..measure.chaos import Chaos
 from ..scene import grid
 from ..scene.model import MAX_STEPS, Scene, Settings
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
 # Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound where it does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
 MAX_PREDICTED = 400  # points of a sample whose motion theory predicts before a run
+LONG = 2 * 3600.0  # expected seconds of a run that announces itself
 COSTLY_SHARE = 0.3  # of all steps: if 1 % of the points take more, a warning follows
 
 

@@ -25,7 +25,7 @@ from datetime import UTC, datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -42,8 +42,10 @@ from ..store.tile import LEVEL, DamagedTile, Tiles
 from ..store.tiling import Tiling, tile_types
 from ..variables import COMPUTED, variables
 from . import claims
-from .levels import LEVELS, Level
 from .plan import ScenePlan, differences, identity
+
+if TYPE_CHECKING:
+    from .levels import Level
 
 FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
@@ -77,6 +79,7 @@ class RunFolder:
         self.types = tile_types(self.scene) | computed
         # Tiles that are soon joined are not compressed twice; a store in the network is slower than that.
         level = 0 if isinstance(path, Path) and path.suffix == RUN_SUFFIX else LEVEL
+        self.levels_place = self.place.inside("levels")
         self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling, level=level)
 
     def __reduce__(self) -> Any:
@@ -214,6 +217,8 @@ class RunFolder:
 
     def levels(self) -> Iterator[Level]:
         """The levels up to the first damaged one, which is logged; the next run writes it anew."""
+        from .levels import Level  # of refined runs alone
+
         for number in count():
             try:
                 yield Level.open(self, number)
@@ -360,9 +365,9 @@ class RunFolder:
     def remove(self) -> None:
         """Remove the run, the manifest last, and its folder if nothing else is in it."""
         # One move removes all tiles, so that a process at work cannot leave any behind.
-        for part in (TILES, LEVELS):
+        for part in (self.tiles.place, self.levels_place):
             with suppress(OSError):
-                self.place.inside(part).clear()
+                part.clear()
         for name in [*filter(REMNANT.fullmatch, self.place.names()), NOTES, MANIFEST]:
             self.place.remove(name)
         remove_empty(self.path)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from collections.abc import Iterator, MutableMapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from .. import extension
 from ..errors import BadInput, allowed_text, one_line, shown, text_table
-from . import arithmetic, plugins
+from . import arithmetic
 from .base import Observable, Parameter, System, families_of
-from .fixed_point import FIXED_POINT
-from .satellite import SATELLITE
+
+if TYPE_CHECKING:
+    from . import plugins
 
 __all__ = [
     "BUILT_IN",
@@ -27,9 +30,35 @@ __all__ = [
     "register",
 ]
 
-BUILT_IN = (SATELLITE.name, FIXED_POINT.name)
-# Those that were asked for or registered; the installed ones that nobody has asked for are not imported.
-SYSTEMS: dict[str, System] = {system.name: system for system in (SATELLITE, FIXED_POINT)}
+BUILT_IN = ("satellite", "fixed_point")
+
+
+class _Systems(MutableMapping[str, System]):
+    """Systems of this package, each imported when first asked for, and others that were asked for or registered."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, System | None] = dict.fromkeys(BUILT_IN)
+
+    def __getitem__(self, name: str) -> System:
+        system = self._known[name]
+        if system is None:
+            system = self._known[name] = getattr(import_module(f".{name}", __name__), name.upper())
+        return system
+
+    def __setitem__(self, name: str, system: System) -> None:
+        self._known[name] = system
+
+    def __delitem__(self, name: str) -> None:
+        del self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known)
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+
+SYSTEMS: MutableMapping[str, System] = _Systems()
 _ORIGINS: dict[System, plugins.Origin] = {}
 
 
@@ -66,6 +95,7 @@ def register(system: System | type[System]) -> System:
 
 def _register(system: Any, package: str, name: str = "") -> System:
     """As `register`, for a system of an installed package that gives it this name."""
+    from . import plugins
     from .check import check, check_complete, check_start
 
     kind = system if isinstance(system, type) else type(system)
@@ -110,6 +140,8 @@ def get(name: object) -> System:
     if isinstance(name, str):
         if name in SYSTEMS:
             return SYSTEMS[name]
+        from . import plugins
+
         installed = plugins.load(name)
         if installed is not None:
             return _register(*installed, name)
@@ -118,6 +150,8 @@ def get(name: object) -> System:
 
 def names() -> list[str]:
     """Names of all systems: of this package, registered, and installed; nothing is imported."""
+    from . import plugins
+
     return list(dict.fromkeys([*SYSTEMS, *plugins.names()]))
 
 
@@ -148,6 +182,8 @@ def available() -> dict[str, System]:
 
 def origin(system: System) -> plugins.Origin | None:
     """Where a system comes from, registered or not; None for the systems of this package."""
-    if system not in _ORIGINS and system not in (SATELLITE, FIXED_POINT):
+    if system not in _ORIGINS and not (system.name in BUILT_IN and SYSTEMS.get(system.name) is system):
+        from . import plugins
+
         _ORIGINS[system] = plugins.origin(system, "")
     return _ORIGINS.get(system)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import extension
 from ..errors import BadInput
-from ..flags import Stability, reserved_families
+from ..flags import Stability, owner_of_family, reserved_families
 from .arithmetic import TIME_UNIT
 from .jacobian import frequency
 from .vectors import turned
@@ -567,7 +567,7 @@ def within_range(system: System, points: Points) -> Mask:
 def families_of(system: System) -> Mapping[str, Family]:
     """Families of steady motions by name: of the system, then of extensions, of which ours have reserved flags and titles."""
     added: dict[str, Family] = {}
-    for families in extension.every("families"):
+    for families in extension.every("families", lambda name: owner_of_family(name) in ("", system.name)):
         added |= families(system)
     if wrong := added.keys() - (extension.parts("families").keys() - system.families.keys()):
         why = "the system has one too" if min(wrong) in system.families else "its record does not name it"

@@ -282,7 +282,7 @@ def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_compu
     first = next(remaining)
     other = (first + 4) % 9
     columns, number, _ = folders.evaluate_at(
-        ScenePlan.of(folder.scene).points, folder.scene, folder.tiles.indices(other)
+        ScenePlan.of(folder.scene).runs, folder.scene, folder.tiles.indices(other)
     )
     folder.tiles.write(other, columns, computed=number, seconds=0.0, by="the other one")
     assert sorted([first, *remaining]) == sorted({*range(9)} - {other})

@@ -120,7 +120,7 @@ def test_a_folder_begun_for_a_processor_goes_on_with_another_one_alike(scene_tex
 )
 @fused
 def test_fused_operations_are_seen_in_machine_code(name, features, expected):
-    assert machine_code._fuses(name, features) == expected
+    assert machine_code.fuses(name, features) == expected
 
 
 @fused

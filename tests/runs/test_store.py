@@ -86,7 +86,7 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
 
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
-    values, computed, _ = evaluate_at(ScenePlan.of(scene).points, scene, run.tiles.indices(3))
+    values, computed, _ = evaluate_at(ScenePlan.of(scene).runs, scene, run.tiles.indices(3))
     other = run.manifest | {"identity": run.manifest["identity"] | {"architecture": "another"}}
     foreign = replace(run.tiles, key=with_key(other)["key"])
     foreign.write(3, values, computed=computed, seconds=0.0, by="a job on another processor")

@@ -13,7 +13,7 @@ from atlas.flags import EnergyStability, Stability, StabilityKind
 from atlas.systems.fixed_point import FIXED_POINT
 from atlas.systems.gyrostat.body import Body, Direction
 from atlas.systems.gyrostat.oscillations import Equilibria
-from atlas.systems.gyrostat.variables import stability_kind
+from atlas.systems.gyrostat.system import stability_kind
 from atlas.systems.satellite import SATELLITE
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

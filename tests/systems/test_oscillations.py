@@ -9,7 +9,7 @@ from truth import default_points
 import atlas
 from atlas.systems.base import derived_values
 from atlas.systems.fixed_point import FIXED_POINT
-from atlas.systems.gyrostat.variables import FREQUENCIES
+from atlas.systems.gyrostat.system import FREQUENCIES
 from atlas.systems.satellite import SATELLITE
 
 

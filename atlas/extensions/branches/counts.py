@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset
-from ...systems.satellite import Satellite
 from . import COUNTS
 
 
 def count_variables(system: System) -> dict[str, DerivedVariable]:
     """Numbers of relative equilibria of satellites; nan where some form circles or surfaces, or are not certain."""
+    if system.frame_rate is None:
+        return {}
+    from ...systems.satellite import Satellite
+
     if not isinstance(system, Satellite):
         return {}
 

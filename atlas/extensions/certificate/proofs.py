@@ -7,34 +7,23 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ...flags import Flag
 from ...measure.instrument import Instrument, Tolerances, Variable
 from ...systems.base import Points, System
 from ...systems.gyrostat import Gyrostat
+from . import BOUND, PROOFS_OF
+from . import Proof as Proof
 
-BOUND = "proof_bound"
 _COMMENT = (
     "of theta', and of psi' and phi' from the middle of their ranges, or in the cylinder of the rate about the vertical; nan where"
     " no limit is known"
 )
 
 
-class Proof(Flag):
-    """How a label is proved."""
-
-    NONE = 0, "no proof"
-    ENERGY = 1, "for every duration the motion has the predicted label: the energy keeps it near a minimum"
-    MOMENTA = (
-        2,
-        "for every duration the motion has the predicted label: two momenta limit the nutation of a top",
-    )
-
-
 @dataclass(frozen=True)
 class Proofs(Instrument):
     """Labels of gyrostats that hold for every duration."""
 
-    proofs_of = {"label": "label_proof", "label_inertial": "label_inertial_proof"}  # noqa: RUF012
+    proofs_of = PROOFS_OF
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         frames = {"label": system.frame} | (

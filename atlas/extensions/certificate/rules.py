@@ -12,9 +12,9 @@ from ...systems.base import Array, Points, shape_of
 from ...systems.gyrostat import Gyrostat
 from ...theory.compiled import of_system
 from ...theory.point import dot, fmin, greatest, minus, scaled, times
+from . import BOUND, PROOFS_OF, Proof
 from .bounds import Direction, GyrostatBody, Tolerances, label_of, largest_deviation
 from .energy import attitude, in_space, symmetric, upright
-from .proofs import BOUND, PROOFS, Proof
 from .top import top
 
 
@@ -141,5 +141,5 @@ def prove_points(
     loop(bodies, axial, frame_rate, single, rate, tolerances.angle, kinds, labels, bound)
     result: dict[str, NDArray[Any]] = {BOUND: bound}
     for name, kind, label in zip(names, kinds, labels, strict=False):
-        result |= {PROOFS.proofs_of[name]: kind, name.replace("label", "predicted"): label}
+        result |= {PROOFS_OF[name]: kind, name.replace("label", "predicted"): label}
     return result

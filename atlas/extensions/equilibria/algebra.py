@@ -15,7 +15,7 @@ from ...systems.fixed_point.system import FixedPoint
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, cross_matrix, transverse_axes
 from ...systems.gyrostat.secular import NEARLY, critical_directions
-from ...systems.gyrostat.variables import FREQUENCIES, stability_kind
+from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
 _STARTS = 200  # orientations from which the search begins

@@ -40,7 +40,7 @@ from ...flags import EnergyStability, NonlinearStability, StabilityKind
 from ...systems.base import Array, Flags, Points, subset
 from ...systems.gyrostat.body import transverse_axes
 from ...systems.gyrostat.oscillations import GROWTH_TOLERANCE, Equilibria
-from ...systems.gyrostat.variables import conservative, kinds_of_stability, steady_families
+from ...systems.gyrostat.system import conservative, kinds_of_stability, steady_families
 from . import RESONANCE_BAND
 
 if TYPE_CHECKING:

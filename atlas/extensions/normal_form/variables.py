@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...flags import NonlinearStability
 from ...systems.base import DerivedVariable, Points, System
 from ...systems.gyrostat import Gyrostat
-from ...systems.gyrostat.variables import conservative, energy_stable, kinds_of_stability, steady_families
+from ...systems.gyrostat.system import conservative, energy_stable, kinds_of_stability, steady_families
 from . import RESONANCE_BAND
 
 NORMAL_FORM = ("birkhoff_c20", "birkhoff_c11", "birkhoff_c02", "birkhoff_determinant")

@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset, unsteady
-from ...systems.satellite import SATELLITE
 
 _CHUNK = 4096  # points whose multipliers are computed between two pauses
 
 
 def variables(system: System) -> dict[str, DerivedVariable]:
     """Period and multipliers of motions of the satellite in the plane; nan elsewhere."""
-    if system is not SATELLITE:
+    if system.name != "satellite":
         return {}
+    from ...systems.satellite import SATELLITE  # other systems need none of it
+
     names = ("plane_period", "plane_trace", "plane_second")
 
     def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
@@ -31,7 +32,7 @@ def variables(system: System) -> dict[str, DerivedVariable]:
             some = members[first : first + _CHUNK]
             part = subset(points, some)
             with np.errstate(all="ignore"):
-                motions = PlaneMotions.of(system.body(part), *system.start(part))
+                motions = PlaneMotions.of(SATELLITE.body(part), *SATELLITE.start(part))
                 columns[:, some] = motions.period(), *motions.multipliers()
         return dict(zip(names, columns, strict=True))
 

@@ -25,7 +25,6 @@ from functools import partial
 import numpy as np
 
 from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
-from ..gyrostat import secular
 from ..gyrostat.motions import Equation, each, linear, motion_of
 from ..vectors import cross, length, principal
 from .initial import bodies, body, fields, initial_state, rates, symmetric, vertical
@@ -156,6 +155,8 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
     """
     gamma = vertical(points)
     n = np.zeros_like(points["A"]) if resting else rates(points)[1]
+    from ..gyrostat import secular  # few scenes solve for the start of a permanent rotation
+
     rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
     distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))
     if angle == "phi0":

@@ -20,7 +20,7 @@ from atlas.flags import NonlinearStability, StabilityKind
 from atlas.systems.base import derived_values, derived_variables
 from atlas.systems.fixed_point import FIXED_POINT
 from atlas.systems.gyrostat.oscillations import Equilibria
-from atlas.systems.gyrostat.variables import FREQUENCIES
+from atlas.systems.gyrostat.system import FREQUENCIES
 from atlas.systems.satellite import SATELLITE
 
 FOLDER = Path(__file__).parents[2] / "reference"

@@ -231,6 +231,11 @@ TABLES = [
     ("a.csv", "C,m\n1,1\n1,-inf\n", "a.csv, line 3: m = -inf: must be a finite number"),
     ("a.csv", "C\n1\n-1\n", "a.csv, line 3: C = -1: allowed: C > 0 (principal moment of inertia about the third body axis)"),
     ("a.csv", "C,label,m\n0.8,first,0.5\n", "points: the column label has the name of a variable of the result; rename it"),
+    ("a.csv", "who\nALPHA\n", "a.csv: none of the columns is a parameter: who; allowed: A, B, C, ..."),
+    ("a.csv", "C|m\n0.8|0.5\n", "a.csv: 'C|m': understood as one column, whose name holds C, m; separate the columns, or rename it, or keep it as it is by keep"),
+    ("a.csv", "c;m\n0,8;0.5\n", "a.csv: 'c': no parameter, but C if case, blanks and units do not count; rename it, or keep it as it is by keep"),
+    ("a.csv", "moment;m\n0,8;0.5\n", "a.csv: 'moment': no parameter, and its texts are numbers but for decimal commas, units, quotes or separators, such as '0,8'; rename it, or keep it as it is by keep"),
+    ("a.csv", "C (kg) m\n0.8 0.5\n", "a.csv, line 2: 2 fields, but the first line names 3 columns, separated by blanks: C, (kg), m"),
 ]  # fmt: skip
 
 FORMS_OF_A_RUN = (
@@ -458,6 +463,8 @@ CALLS = [
             ({"C": [0.8, 1.2], "name": ["a", "b", "c"]}, "points: columns of different lengths (C: 2, name: 3)"),
             ([{"C": 1.0}, {"m": 1.0}], "points: number 1 and number 0 differ in C, m"),
             ([], "points: there are none"),
+            ({"name": ["a", "b"]}, "none of the columns is a parameter: name; allowed: A, B, C, ..."),
+            (xr.Dataset({"m": ("c", [1.0, 2.0])}, {"c": [0.8, 1.2]}), "'c': no parameter, but C if case, blanks and units do not count; rename it, or keep it as it is by keep"),
             (3.0, "points: float cannot be read; allowed: ..."),
             (LazyTable(), "points: LazyTable cannot be read; allowed: ..."),
             (ArrowTable(), "points: ArrowTable cannot be read; allowed: ..."),

@@ -79,13 +79,12 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     inputs = [] if from_input else [options.points]
     out = writable(options.out, tables.FORMATS, force=options.force, inputs=inputs)
     system = systems.get(options.system)
-    numeric = {*system.parameters, *options.keep}
     columns: dict[str, Any]
     if from_input:
         with open_text(None) as file:
-            columns = tables.read_csv(file, "standard input", numeric)
+            columns = tables.read_csv(file, "standard input", system.parameters)
     else:
-        columns = tables.read(options.points, numeric)
+        columns = tables.read(options.points, system.parameters, options.keep)
     from ..analysis.summary import summary
 
     duration: float | str = options.duration

@@ -65,7 +65,8 @@ def label_points(
         Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; parameters that are
         left out take their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point",
         and so do the variables of a Dataset of one dimension that is no parameter. The index of a DataFrame is the coordinate
-        of "point" in the result, or a parameter if it has its name. A path names a .csv or .nc file.
+        of "point" in the result, or a parameter if it has its name. A path names a .csv or .nc file. DataFrames of polars,
+        lazy ones too, and tables of pyarrow are read like those of pandas.
     duration : float, array_like, DataArray or str
         In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
         rate of each point.
@@ -133,7 +134,7 @@ def label_points(
             if name not in registry:
                 raise BadInput(f"variables: {shown(name)} is unknown; {available_text(name, registry)}")
         outputs = listed_variables(description, variables)
-    source = table(points, {*description.parameters, *(keep := texts("keep", keep))})
+    source = table(points, description.parameters, keep := texts("keep", keep))
     text = parse_duration(duration, names=description.parameters) if isinstance(duration, str) else None
     before = parse_transient(description, transient, "transient", description.parameters)
     check_at_points("rate_tolerance", settings.rate_tolerance, description.parameters)

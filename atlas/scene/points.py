@@ -87,10 +87,9 @@ def read_points(
         texts = [text for text in ties.values() if isinstance(text, str)]
         words = {word for text in texts for word in re.findall(r"\w+", text)}
         path = folder / checks.text("points.file", table["file"])
-        values = tables.read(path, {*system.parameters, *words}, MAX_FILE_BYTES, MAX_FILE_FIELDS)
-        for name in tables.kept_columns(system, values):
-            if name not in words:
-                del values[name]
+        values = tables.read(path, {*system.parameters, *words}, (), MAX_FILE_BYTES, MAX_FILE_FIELDS)
+        for name in tables.kept_columns(system, values, ties=words):
+            del values[name]
     _check_columns(values)
     location = values.location if isinstance(values, CsvColumns) else None
     columns = {name: _listed_column(system, name, column, location) for name, column in values.items()}

@@ -6,8 +6,10 @@ import array
 import csv
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeAlias
 
@@ -19,6 +21,7 @@ from ..errors import BadInput, allowed_text, one_line, shown
 from ..systems.base import Array, Parameter, System
 from ..variables import POINT
 from .checks import check_range
+from .other_columns import check_name, check_texts
 from .text import open_text
 
 if TYPE_CHECKING:
@@ -35,17 +38,22 @@ _UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8"
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 
-def table(source: Any, names: Collection[str]) -> dict[str, Any]:
+def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) -> dict[str, Any]:
     """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or one of its rows.
 
-    Columns of a Dataset are DataArrays: its data variables, and its coordinates among `names`; other coordinates stay with the
-    arrays. A single dimension that is not among `names` becomes "point" and loses the coordinate that numbers it. The index of
-    a DataFrame, unless it numbers the rows, is the column "point", or the parameter whose name it has.
+    Columns of a Dataset are DataArrays: its data variables, and its coordinates among `parameters` and `keep`; other coordinates
+    stay with the arrays. A single dimension that is not among them becomes "point" and loses the coordinate that numbers it. The
+    index of a DataFrame, unless it numbers the rows, is the column "point", or the parameter whose name it has.
     """
     import xarray as xr
 
+    names = {*parameters, *keep}
     if isinstance(source, str | Path):
-        return read(source, names)
+        return read(source, parameters, keep)
+    if hasattr(source, "collect") and hasattr(source, "collect_schema"):  # a lazy table of polars
+        source = source.collect()
+    if hasattr(source, "column_names") and hasattr(source, "to_pandas"):  # of pyarrow
+        source = source.to_pandas()
     if isinstance(source, xr.Dataset):
         columns = [n for n in source.variables if n in source.data_vars or n in names]
         for dim in map(str, source.dims):
@@ -54,6 +62,8 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
             # A list; its index numbers the points, unless it has several levels.
             index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
+            for name in index:
+                check_name(str(name), source[name], {*parameters} - {*columns})
             source = source.drop_vars(index).rename({only: "point"} if only != "point" else {})
         return {str(name): source[name] for name in columns}
     if isinstance(source, CsvColumns):
@@ -62,7 +72,7 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    # Lazy tables of polars have no length, and warn when asked for columns; those of pyarrow are no names.
+    # Lazy tables have no length, and may warn when asked for columns; those of others than pyarrow may be no names.
     if hasattr(source, "__len__") and hasattr(source, "columns") and not hasattr(source, "column_names"):
         values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
@@ -73,11 +83,13 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
             )
         if labels.name in names:
             return {str(labels.name): np.asarray(labels)} | values
+        check_name(str(labels.name), labels, {*parameters} - {*values})
         numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
         return values if numbers_rows else {POINT: np.asarray(labels)} | values
     if of_pandas and hasattr(source, "to_dict"):  # a row, without what names it
         row = {str(name): value for name, value in source.to_dict().items()}
-        naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - {*names}
+        naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - names
+        _check_others(parameters, {name: row[name] for name in naming}, row, keep)
         return {name: value for name, value in row.items() if name not in naming}
     if isinstance(source, Sequence) and all(isinstance(point, Mapping) for point in source):
         if not source:
@@ -95,7 +107,11 @@ def table(source: Any, names: Collection[str]) -> dict[str, Any]:
 
 
 def read(
-    path: str | Path, names: Collection[str], max_bytes: float = math.inf, max_fields: float = math.inf
+    path: str | Path,
+    parameters: Collection[str],
+    keep: Collection[str] = (),
+    max_bytes: float = math.inf,
+    max_fields: float = math.inf,
 ) -> dict[str, Any]:
     """Columns of a .csv or .nc file, as `table`; BadInput beyond the limits on bytes and CSV fields."""
     path = Path(path)
@@ -111,7 +127,7 @@ def read(
     _check_bytes(path, size, max_bytes)
     if path.suffix.lower() == ".csv":
         with open_text(path) as file:
-            return read_csv(file, str(path), names, max_fields)
+            return read_csv(file, str(path), parameters, max_fields)
     import xarray as xr
 
     try:
@@ -125,15 +141,18 @@ def read(
     except Exception as error:  # reading a damaged file, also its values, may raise any error
         raise hdf5.unreadable(path, error) from None
     try:
-        return table(ds, names)
+        return table(ds, parameters, keep)
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
 
 
 def kept_columns(
-    system: System, table: Mapping[str, Any], keep: Collection[str] = ()
+    system: System, table: Mapping[str, Any], keep: Collection[str] = (), ties: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Columns that name the points: texts, IDENTIFIERS and `keep`; any other column may be a mistyped parameter."""
+    """Columns that name the points: texts, IDENTIFIERS and `keep`; any other column may be a mistyped parameter.
+
+    ties: names that are no parameters and have numbers, for ties.
+    """
     import xarray as xr
 
     for name in keep:
@@ -142,7 +161,7 @@ def kept_columns(
         if name in system.parameters:
             raise BadInput(f"keep: {shown(name)} is a parameter, which the result contains anyhow")
     result = {}
-    for name, values in ((name, table[name]) for name in table if name not in system.parameters):
+    for name, values in ((name, table[name]) for name in table if name not in {*system.parameters, *ties}):
         column = values if isinstance(values, xr.DataArray) else np.asarray(values)
         is_text = column.dtype.kind in "UT"
         if column.dtype.kind == "O":  # texts among missing values
@@ -152,7 +171,24 @@ def kept_columns(
                 result[name] = column
             elif column.ndim == 1:
                 result[name] = xr.DataArray(column, dims="point")
+    _check_others(system.parameters, {name: result[name] for name in result.keys() - {*keep}}, table, keep)
     return result
+
+
+def _check_others(
+    parameters: Collection[str], others: Mapping[str, Any], columns: Mapping[str, Any], keep: Collection[str]
+) -> None:
+    """Raise BadInput if one of the columns that name points may be a parameter, or if there are no others."""
+    source = f"{columns.source}: " if isinstance(columns, CsvColumns) else ""
+    try:
+        for name in (name for name in columns if name in others and name.lower() not in IDENTIFIERS):
+            check_texts(name, others[name], parameters)
+        if others and not columns.keys() - others.keys() - {*keep}:
+            raise BadInput(
+                f"none of the columns is a parameter: {', '.join(columns)}; allowed: {', '.join(parameters)}"
+            )
+    except BadInput as error:
+        raise BadInput(f"{source}{error}") from None
 
 
 def parameter_arrays(
@@ -171,6 +207,8 @@ def parameter_arrays(
             )
     for name, values in [*((name, columns[name]) for name in names), *others.items()]:
         array = _numbers(name, values)
+        for coordinate in array.coords.keys() - {*system.parameters, *keep}:
+            check_name(str(coordinate), array[coordinate], system.parameters.keys() - columns)
         array = array.drop_vars(array.coords.keys() & system.parameters.keys() - array.indexes.keys())
         if array.dims == (name,):
             array = array.drop_vars(name, errors="ignore").assign_coords({name: array.data})
@@ -289,10 +327,11 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
         )
 
 
-SEPARATORS = ("\t", ";", ",")  # the first of them in the line of names separates fields
+SEPARATORS = ("\t", ";", ",", " ")  # the first of them in the line of names separates fields
 INDEX = "index"  # name of a first column without name, as in files of pandas
 # Most characters of a line (a file that is no table may be a single line) and of a table (a pipe may have no end).
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
+MAX_COMMENTS = 20  # before the first point, of which one may name the columns
 
 
 class CsvColumns(dict[str, Any]):
@@ -309,8 +348,12 @@ class CsvColumns(dict[str, Any]):
 
 
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
-    """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line."""
+    """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line.
+
+    The names may stand in a comment before a line of numbers, as numpy.savetxt writes them.
+    """
     number = size = 0  # number of the last line read; characters read
+    comments: deque[str] = deque(maxlen=MAX_COMMENTS)
 
     def content_lines() -> Iterator[str]:
         """The lines that are neither empty nor comments."""
@@ -321,25 +364,31 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
                 raise BadInput(f"{source}, line {number}: more than {MAX_LINE} characters")
             if size > MAX_TABLE:
                 raise BadInput(f"{source}: more than {MAX_TABLE} characters; give larger tables as .nc")
-            if line.strip() and not line.lstrip().startswith("#"):
+            if line.lstrip().startswith("#"):
+                comments.append(line.strip().lstrip("# "))
+            elif line.strip():
                 yield line
 
-    content = content_lines()
-    first = next(content, "")
-    separator = next((each for each in SEPARATORS if each in first), ",")
-    rows = partial(csv.reader, delimiter=separator, skipinitialspace=True, strict=True)
+    lines = content_lines()
+    names = first = next(lines, "")
     line_numbers = array.array("q")
     try:
-        header = _header(source, next(rows([first]), []))
+        if any(map(_is_number, next(_rows([first], _separator(first)), []))):
+            before = max(reversed(comments), key=lambda line: _names_held(line, first, numeric), default="")
+            if _names_held(before, first, numeric):
+                names, lines = before, chain([first], lines)
+        separator = _separator(names)
+        header = _header(source, next(_rows([names], separator), []))
         columns: dict[str, Any] = {name: array.array("d") if name in numeric else [] for name in header}
 
         cells = [(name, columns[name].append, _number if name in numeric else str.strip) for name in header]
         max_rows = max_fields / len(header)
-        for row in rows(content):
+        in_blanks = f", separated by blanks: {', '.join(header)}" if separator == " " else ""
+        for row in _rows(lines, separator):
             if len(row) != len(header):
                 raise BadInput(
                     f"{source}, line {number}: {len(row)} fields, but the first line names"
-                    f" {len(header)} columns"
+                    f" {len(header)} columns{in_blanks}"
                 )
             line_numbers.append(number)
             if len(line_numbers) > max_rows:
@@ -368,6 +417,36 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
         source,
         line_numbers,
     )
+
+
+def _separator(names: str) -> str:
+    """What separates the fields of a file, by its line of names."""
+    return next((each for each in SEPARATORS if each in names.strip(" \r\n")), ",")
+
+
+def _rows(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
+    """The fields of each line."""
+    if separator == " ":
+        lines = (line.strip() + "\n" for line in lines)
+    return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+
+
+def _names_held(comment: str, first: str, numeric: Collection[str]) -> int:
+    """Number of the numeric columns that a comment names; 0 if it has not as many fields as the first line of numbers."""
+    separator = _separator(comment)
+    try:
+        names, fields = (next(_rows([line], separator), []) for line in (comment, first))
+    except csv.Error:
+        return 0
+    return sum(name.strip() in numeric for name in names) if len(names) == len(fields) else 0
+
+
+def _is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        return not math.isnan(_number(text))
+    except ValueError:
+        return False
 
 
 def _number(field: str) -> float:

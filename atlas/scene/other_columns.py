@@ -1,0 +1,102 @@
+"""Columns that are no parameters: those that may have been meant as parameters are refused."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection, Iterable
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ..errors import BadInput, shown
+
+MAX_FIELDS, MAX_NAME = 10_000, 100  # fields of a column, and characters of a name, that are looked at
+REMEDY = "rename it, or keep it as it is by keep"
+# What may separate the names of two columns, and the fields below them.
+_BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
+# One unit or more, such as kg m^2, rad/s, A.m2 or Nms; possessive, because mmmm is read in many ways.
+_UNITS = (
+    r"(?:1?/)?(?:(?:(?i:kg|mg|lbm?|slugs?|[cmkuµμ]m|ms|min|hr?s?|hours?|sec|days?|[mµμ]?rad|deg(?:rees?)?|arcmin|arcsec|rp[ms]|rev|turns?"
+    r"|orbits?|k?hz|[mk]N|[munµμ]T|gauss)|[gmshNTAJWVG°%])(?:\*\*|\^)?[-+]?\d*[\s*·.⋅/-]*)++"
+)
+_DIGITS = r"[-+]?(?:\d{1,3}(?:[ '.,]\d{3})+(?:[.,]\d+)?|\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?"
+_NUMBER = re.compile(rf"[~<>≈]?\s*{_DIGITS}(?:\s*(?:±|\+/?-)\s*{_DIGITS}|\(\d+\))?\s*(?:{_UNITS})?[,;]?")
+_UNIT_OF_NAME = re.compile(rf"(?<=\w)(?:\s*[(\[{{<].*|[\s_,;:/.-]+(?:in\s+)?{_UNITS})$")
+_LETTER_OF_NAME = re.compile(r"\d+[A-Z]")  # such as 1A and 3U, names of satellites
+_MISSING = {"", "-", "--", "?", "na", "n/a", "n.a.", "nan", "nat", "<na>", "none", "null", "unknown"}
+_QUOTES = "\"'` \t\u00b4\u00ab\u00bb\u2018\u2019\u201c\u201d\u201e"
+
+
+@lru_cache(1000)
+def _plain(name: str) -> str:
+    """A name without case, blanks and signs."""
+    return re.sub(r"[^\w°]|_", "", name).lower()
+
+
+def parameter_meant(name: str, parameters: Collection[str]) -> str:
+    """The parameter that a name is but for case, blanks, signs and a unit after it; else an empty text."""
+    text = unicodedata.normalize("NFKC", name[:MAX_NAME])
+    by_plain = {_plain(each): each for each in parameters} | {each: each for each in parameters}
+    forms = (name, _plain(text), _plain(_UNIT_OF_NAME.sub("", text)))
+    return next((by_plain[form] for form in forms if form in by_plain), "")
+
+
+def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
+    """Raise BadInput for a name that is or holds parameters but for case, blanks and units, unless its values count from 0."""
+    problem, meant = "", parameter_meant(name, parameters)
+    if meant:
+        problem = f"no parameter, but {meant} if case, blanks and units do not count; {REMEDY}"
+    for separator in (_BREAK, _SIGN):
+        parts = separator.split(name.strip(_QUOTES))
+        held = [part for part in parts if parameter_meant(part, parameters)]
+        if (
+            any(a in parameters and b in parameters for a, b in pairwise(parts))
+            or 1 < len(parts) == len(held)
+            or (held and not meant and _most(map(_holds_number, _fields(values))))
+        ):
+            problem = f"understood as one column, whose name holds {', '.join(held)}; separate the columns, or {REMEDY}"
+    if problem and not np.array_equal(np.ravel(values), np.arange(np.size(values))):
+        raise BadInput(f"{shown(name)}: {problem}")
+
+
+def check_texts(name: str, values: Any, parameters: Collection[str]) -> None:
+    """Raise BadInput for a column of texts that may have been meant as a parameter, or as several."""
+    check_name(name, values, parameters)
+    if _most(map(_is_numbers, fields := _fields(values))):
+        example = next(field for field in fields if _is_numbers(field))
+        raise BadInput(
+            f"{shown(name)}: no parameter, and its texts are numbers but for decimal commas, units, quotes or separators,"
+            f" such as {shown(example)}; {REMEDY}"
+        )
+
+
+def _fields(values: Any) -> list[str]:
+    """The first values as texts, without missing ones."""
+    texts = (str(value).strip() for value in np.ravel(values)[:MAX_FIELDS])
+    return [text for text in texts if text.lower() not in _MISSING]
+
+
+def _most(answers: Iterable[bool]) -> bool:
+    """Whether more than half of them are true."""
+    answers = list(answers)
+    return 2 * sum(answers) > len(answers)
+
+
+def _holds_number(field: str) -> bool:
+    """Whether a part of a field is a number."""
+    return any(map(_is_nearly_number, _BREAK.split(field)))
+
+
+def _is_numbers(field: str) -> bool:
+    """Whether a text is nearly a number, or several of which one has a decimal point."""
+    parts = re.split(r"[\s,;|/&]+", field)  # no colon, which times have
+    return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
+
+
+def _is_nearly_number(field: str) -> bool:
+    """Whether a text is a number, or one with a decimal comma, thousands, a unit or quotes."""
+    text = unicodedata.normalize("NFKC", field[: MAX_NAME + 1]).replace("\u2212", "-").strip(_QUOTES)
+    return len(text) <= MAX_NAME and bool(_NUMBER.fullmatch(text)) and not _LETTER_OF_NAME.fullmatch(text)

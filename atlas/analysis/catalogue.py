@@ -40,6 +40,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
             "conditions": [condition.text for condition in family.conditions],
             "exists": family.exists,
             "solves_for": list(family.solve),
+            "of_several_solutions": [f"{name}: {text}" for name, text in family.several.items()],
             "leaves_free": list(family.free),
             "geometry": family.geometry or "depends on the point",
             "labels": family.labels,

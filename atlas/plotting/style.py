@@ -344,7 +344,7 @@ def caption(ds: xr.Dataset) -> str:
             sentences.append(f"Parameters: {', '.join(parameters)}; the others have their defaults.")
         if scene.family is not None:
             family = families_of(system)[scene.family]
-            solved = f", solved for {', '.join(scene.solve)}" if scene.solve else ""
+            solved = f", {scene.solved_text}" if scene.solve else ""
             sentences.append(f"Starts on the family {family.name} [{family.equations}]{solved}.")
         if scene.nudge:
             nudge = ", ".join(f"{name} by {value:g}" for name, value in scene.nudge.items())

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from ..errors import BadInput, shown
-from ..systems.base import Array, Family, Points, on_family
+from ..errors import BadInput, allowed_text, shown
+from ..systems.base import NEAR, Array, Family, Points, System, on_family
+from . import checks
 
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
@@ -23,26 +25,66 @@ def free_message(family: Family, name: str, where: str = "") -> str:
     return f"family.solve = {shown(name)}: {reason}; give it in [fixed], [axes] or [ties]"
 
 
-def solution(family: Family, solve: Sequence[str], points: Points) -> dict[str, Array]:
-    """The points with the parameters of `solve` from the family's formulas, in that order."""
+def solution(
+    family: Family, solve: Sequence[str], points: Points, near: Mapping[str, float]
+) -> dict[str, Array]:
+    """The points with the parameters of `solve` from the family's formulas, in that order; near: see `near_values`."""
     result = dict(points)
+    for name, value in near.items():
+        result[NEAR + name] = np.full_like(points[name], value)
+        if name in solve:
+            result[name] = result[NEAR + name]
     for name in solve:
         result[name] = np.asarray(family.solve[name](result), np.float64)
-    return result
+    return {name: result[name] for name in points}
 
 
-def check_solution(family: Family, solve: Sequence[str], base: Points, *, exists: bool) -> None:
+def near_values(
+    system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
+) -> dict[str, float]:
+    """Of the parameters of Family.several that branch or near of the table [family] chooses, the value that it asks for."""
+    key = next((key for key in ("branch", "near") if key in table), "")
+    if "branch" in table and "near" in table:
+        raise BadInput("family: branch and near are both given; a scene has one of them")
+    if not key:
+        return {}
+    # A start p0 .. gamma30 is solved by the rate of its motion.
+    names = [name for name in family.several if name in solve or ("p0" in solve and name not in family.solve)]
+    found = f"family.{key} = {shown(table[key])}: "
+    if key == "branch":
+        branch = checks.choice("family.branch", table["branch"], ("slow", "fast"))
+        if not (rates := [name for name in names if system.parameters[name].unit.startswith("rad s")]):
+            rest = f"use near for {', '.join(names)}" if names else "atlas conditions lists them by family"
+            raise BadInput(f"{found}no rate with several solutions is solved; {rest}")
+        return dict.fromkeys(rates, 0.0 if branch == "slow" else np.inf)
+    value = table["near"]
+    if not isinstance(value, Mapping):
+        if len(names) != 1:
+            several = f"must be a table with one of {', '.join(names)}"
+            raise BadInput(found + (several if names else "no solved parameter has several solutions"))
+        return {names[0]: checks.number("family.near", value)}
+    for name in value:
+        if name not in names:
+            raise BadInput(
+                f"family.near.{name}: no solved parameter with several solutions; {allowed_text(name, names)}"
+            )
+    return {name: checks.number(f"family.near.{name}", each) for name, each in value.items()}
+
+
+def check_solution(
+    family: Family, solve: Sequence[str], base: Points, near: Mapping[str, float], *, exists: bool
+) -> None:
     """Raise BadInput if the family leaves a solved parameter free at some points, or does not exist at any of them."""
     with np.errstate(all="ignore"):
-        points = solution(family, solve, base)
+        points = solution(family, solve, base, near)
         for i, name in enumerate(solve):
             if np.isfinite(points[name]).any():
                 values = points[name] + TRIAL_CHANGES
-                _check_not_free(family, name, _with_values(family, solve[:i], points, name, values))
+                _check_not_free(family, name, _with_values(family, solve[:i], points, name, values, near))
             else:
                 values = np.zeros_like(base[name]) + TRIAL_VALUES
-                trials = _with_values(family, solve[:i], base, name, values)
-                trials = solution(family, solve[i + 1 :], trials)
+                trials = _with_values(family, solve[:i], base, name, values, near)
+                trials = solution(family, solve[i + 1 :], trials, near)
                 _check_not_free(family, name, trials)
                 best = trials[name].flat[np.argmin(on_family(family, trials))]
                 limits = f"; its limits: {family.exists}" if family.exists else ""
@@ -57,11 +99,11 @@ def check_solution(family: Family, solve: Sequence[str], base: Points, *, exists
 
 
 def _with_values(
-    family: Family, solve: Sequence[str], points: Points, name: str, values: Array
+    family: Family, solve: Sequence[str], points: Points, name: str, values: Array, near: Mapping[str, float]
 ) -> dict[str, Array]:
     """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
-    return solution(family, solve, repeated) | {name: values}
+    return solution(family, solve, repeated, near) | {name: values}
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:

@@ -34,7 +34,7 @@ from ..systems.jacobian import changes_volume
 from ..systems.steady import lacks_theory
 from .checks import check_range
 from .expressions import Expression
-from .family import ON_FAMILY, check_solution, solution
+from .family import ON_FAMILY, check_solution, near_values, solution
 from .model import Duration, Scene, Settings
 
 # Most points of a tile, without the environment variable ATLAS_TILE_POINTS.
@@ -154,7 +154,8 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
         no_motion = no_value
         if scene.family is not None:
             family = families_of(system)[scene.family]
-            base = solution(family, scene.solve, base)
+            near = near_values(system, family, scene.solve, scene.choice)
+            base = solution(family, scene.solve, base, near)
             exists = on_family(family, base) < ON_FAMILY
             possible = possible_body(system, base)
             for name in scene.solve:
@@ -288,7 +289,8 @@ def check(scene: Scene) -> Grid:
             values = parameter_values(scene, chosen)
             base = {name: values[name] for name in scene.system.parameters}
             family = families_of(scene.system)[scene.family]
-            check_solution(family, scene.solve, base, exists=bool(exists.any()))
+            near = near_values(scene.system, family, scene.solve, scene.choice)
+            check_solution(family, scene.solve, base, near, exists=bool(exists.any()))
         if not grid.exists.any():
             raise BadInput(
                 f"integration.duration = {shown(str(scene.duration))}: at every point {_NOTHING_TURNS[scene.duration.unit]};"

@@ -12,7 +12,7 @@ from typing import Any
 import tomli_w
 
 from .. import extension
-from ..errors import MAX_TEXT, printable
+from ..errors import MAX_TEXT, printable, shown
 from ..kernel.tableaux import METHODS
 from ..measure.instrument import RunSettings, Tolerances
 from ..systems.base import NATURAL_RATE, Array, System
@@ -233,6 +233,7 @@ class Scene:
     ties: Mapping[str, Tie]  # names computed from other names, in the order of their evaluation
     family: str | None = None  # family of steady motions on which every point starts
     solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order of their use
+    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near, see `family.near_values`
     nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin
@@ -265,6 +266,12 @@ class Scene:
         return [each.name for each in extension.used(variables, families)]
 
     @property
+    def solved_text(self) -> str:
+        """What is solved, and which of several solutions is taken; empty without such."""
+        choice = [f"{key} = {shown(value)}" for key, value in self.choice.items()]
+        return ", ".join([f"solved for {', '.join(self.solve)}", *choice]) if self.solve else ""
+
+    @property
     def nudges_angles(self) -> bool:
         """Whether the nudge changes angles and their rates, not the optional start values of the system."""
         return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
@@ -295,7 +302,7 @@ class Scene:
             "axes": {} if self.points else {axis.name: dict(axis.table) for axis in self.axes.values()},
             "points": self.points and dict(self.points),
             "refine": self.refine and vars(self.refine),
-            "family": self.family and {"name": self.family, "solve": list(self.solve)},
+            "family": self.family and {"name": self.family, "solve": list(self.solve)} | dict(self.choice),
             "nudge": dict(self.nudge),
         }
         table = {
@@ -338,7 +345,7 @@ class Scene:
                 rest = [f"and {len(items) - MAX_SHOWN} more"] if len(items) > MAX_SHOWN else []
                 lines.append(f"{title}: {', '.join([*items[:MAX_SHOWN], *rest])}")
         if self.family is not None:
-            lines.append(f"family: {self.family}, solved for {', '.join(self.solve) or 'nothing'}")
+            lines.append(f"family: {self.family}, {self.solved_text or 'solved for nothing'}")
         accuracy = f"tolerance {settings.tolerance:g}" if settings.step is None else f"step {settings.step:g}"
         transient = f" after a transient of {self.transient}" if self.transient.amount else ""
         lines.append(f"duration {self.duration}{transient}, {settings.method}, {accuracy}")

@@ -28,7 +28,7 @@ from ..variables import (
 from . import checks
 from .checks import checked
 from .expressions import Expression, PointColumn, Tie, evaluation_order
-from .family import free_message
+from .family import free_message, near_values
 from .model import (
     DURATION_UNITS,
     SCHEMA,
@@ -199,7 +199,7 @@ def scene_from(
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
     seed = checks.SEED("seed", table.get("seed", 0))
     expressions = _expressions(section["ties"], seed)
-    family, solve = _family(system, section["family"]) if "family" in table else (None, ())
+    family, solve, choice = _family(system, section["family"]) if "family" in table else (None, (), {})
     ties: dict[str, Tie] = expressions | columns
     _check_ties(axes, expressions, solve, is_refined=refine is not None)
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
@@ -228,6 +228,7 @@ def scene_from(
         ties={key: ties[key] for key in order},
         family=family,
         solve=solve,
+        choice=choice,
         nudge=_nudge(system, section["nudge"], {*fixed, *axes, *ties}),
         duration=duration,
         transient=transient,
@@ -387,9 +388,9 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
     return values
 
 
-def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
-    """Name of the family, and its solved parameters in the order of its formulas."""
-    checks.check_keys(table, "family.", ("name", "solve"))
+def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
+    """Name of the family, its solved parameters in the order of its formulas, and what chooses among several solutions."""
+    checks.check_keys(table, "family.", ("name", "solve", "branch", "near"))
     families = families_of(system)
     if "name" not in table:
         raise BadInput(f"family.name is missing; {allowed_text(None, families)}")
@@ -413,7 +414,9 @@ def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, .
             )
     if len(set(solve)) < len(solve):
         raise BadInput(f"family.solve = {shown(solve)}: a parameter is named twice")
-    return name, tuple(parameter for parameter in family.solve if parameter in solve)
+    ordered = tuple(parameter for parameter in family.solve if parameter in solve)
+    near_values(system, family, ordered, table)
+    return name, ordered, {key: value for key, value in table.items() if key in ("branch", "near")}
 
 
 def _check_names(

@@ -145,9 +145,19 @@ def _properties_of(system: System) -> Schema:
         items = {"items": {"enum": list(family.solve)}} if family.solve else {"maxItems": 0}
         solve |= {"uniqueItems": True} | items
         title = {"const": name, "description": f"{family.title}: {conditions}"}
-        families.append(
-            {"title": name, "additionalProperties": False, "properties": {"name": title, "solve": solve}}
-        )
+        properties = {"name": title, "solve": solve}
+        if family.several:
+            near = {
+                "type": "object",
+                "properties": dict.fromkeys(family.several, NUMBER),
+                "additionalProperties": False,
+            }
+            text = "which of several solutions of a rate, by its size"
+            properties |= {
+                "branch": {"enum": ["slow", "fast"], "description": text},
+                "near": {"anyOf": [NUMBER, near]},
+            }
+        families.append({"title": name, "additionalProperties": False, "properties": properties})
     registry = variables(system)
     names = {"type": "string", "enum": list(registry)}
     meanings = "; ".join(f"{name}: {variable.long_name}" for name, variable in registry.items())

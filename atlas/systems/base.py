@@ -106,6 +106,9 @@ class Condition:
     residual: Callable[[Points], Array]
 
 
+NEAR = "near "  # before the name of one of Family.several: key of points for the value that a scene gives
+
+
 @dataclass(frozen=True)
 class Family:
     """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or alike about other axes, or in the plane."""
@@ -118,6 +121,9 @@ class Family:
     # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
     # which the formulas may be used together
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
+    # parameter with several solutions, or the rate of a start that is solved -> the one that is taken unless a scene asks for another:
+    # for that near a value, which is under its own name and with NEAR in the points; infinity asks for the largest of two or more
+    several: Mapping[str, str] = field(default_factory=dict)
     # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability and the function rough_stability
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None

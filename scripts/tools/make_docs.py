@@ -242,10 +242,11 @@ def dataset(system: System) -> str:
 
 def families(system: System) -> str:
     """Table of the families of steady motions."""
-    rows = [("family", "motion", "equations", "solves for")]
+    rows = [("family", "motion", "equations", "solves for", "of several solutions")]
     for f in families_of(system).values():
         texts = (with_formulas(text) for text in (f.title, f.equations))
-        rows.append((f"`{f.name}`", *texts, ", ".join(f.solve)))
+        several = "; ".join(f"{name}: {text}" for name, text in f.several.items())
+        rows.append((f"`{f.name}`", *texts, ", ".join(f.solve), several))
     return table(rows)
 
 

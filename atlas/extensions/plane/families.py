@@ -57,6 +57,7 @@ _family = partial(
     rough_stability=partial(stability, rough=True),
     rate_std=lambda points, duration: motions(points).rate_std(duration),
     labels="drifting; permanent rotation in both frames where the rate varies by no more than rate_tolerance",
+    several={"theta0": "0", "psi0": "that nearest to 0"},
     free=("C", "k3", "h3"),
 )
 CONDITIONS = (

@@ -43,9 +43,9 @@ from typing import Any
 
 import numpy as np
 
-from ..base import FAMILY_TOLERANCE, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
+from ..base import FAMILY_TOLERANCE, NEAR, Array, Family, Flags, Points, TwoAxes, motion_about_axes, numbered
 from ..gyrostat import motions
-from ..gyrostat.motions import NEUTRAL, about_axis, each, family_about_axes, linear
+from ..gyrostat.motions import NEUTRAL, about_axis, each, family_about_axes, linear, nearest_root
 from ..jacobian import jacobian
 from ..vectors import across, cross, dot, length, principal, unit
 from . import equations, families
@@ -215,17 +215,19 @@ class Grioli(Start):
         """One of p0 .. gamma30 at the time at which nu lies in the plane of s and I s; with all six solved, the start is exact."""
         start = cls(points)
         values = np.stack([*start.inertia, *start.rotor, *start.weight])
-        body = values.shape, values.tobytes()
+        near = points.get(f"{NEAR}n", np.full_like(points["A"], np.nan))
+        body = values.shape, values.tobytes() + near.tobytes()
         state = _LAST_START.get(body)
         if state is None:
             _LAST_START.clear()
-            state = _LAST_START[body] = start.initial_state()
+            state = _LAST_START[body] = start.initial_state(near)
         return state[VECTORS.index(name)].copy()
 
-    def initial_state(self) -> Array:
+    def initial_state(self, near: Array) -> Array:
         """p0 .. gamma30 of the body at that time.
 
-        n > 0 is the largest root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2, nan where the body has no such motion.
+        n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 nearest to a value, the largest positive one where that is nan;
+        nan where the body has no such motion.
         """
         s = unit(self.weight)
         momentum = self.inertia * s
@@ -243,12 +245,13 @@ class Grioli(Start):
         )
         finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
         roots = np.linalg.eigvals(np.where(finite[..., None, None], matrix, np.eye(4)))
-        real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf).max(-1)
-        n = np.where(finite, real * scale, np.nan)
+        real = np.where(np.abs(roots.imag) <= 1e-7 * np.abs(roots), roots.real, -np.inf)
+        nearest = nearest_root(np.moveaxis(np.sort(real)[..., ::-1], -1, 0) * scale, near)
+        n = np.where(finite, np.where(np.isnan(near), real.max(-1) * scale, nearest), np.nan)
         for _ in range(2):  # Newton's steps remove the rounding errors of the eigenvalues
             turning = b * n**2 + rotor * n
             n = n - (turning**2 + d2 * n**4 - square) / (2 * turning * (2 * b * n + rotor) + 4 * d2 * n**3)
-        n = np.where(n > 0, n, np.nan)
+        n = np.where((n > 0) | ~np.isnan(near), n, np.nan)
         nu = unit(across(momentum, s))
         gamma = self.vertical(TwoAxes(s, n, nu, n))
         return np.concatenate([n * (nu + s), unit(gamma)])
@@ -319,6 +322,7 @@ FAMILIES = numbered(
                 "Mg": Grioli.solve_weight,
                 **each(Grioli.solve_start, *VECTORS),
             },
+            several=dict.fromkeys(OFFSETS, "the positive one") | {"n": "that of the largest n"},
             stability=Grioli.floquet_stability,
             labels="regular precession about an inclined axis; drifting about the third axis and the vertical",
             exists="(b n^2 + l.s n)^2 + d^2 n^4 = |Mg r_c|^2, d = |s x I s|, for any body with three different moments;"

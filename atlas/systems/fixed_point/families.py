@@ -24,8 +24,19 @@ from functools import partial
 
 import numpy as np
 
-from ..base import FAMILY_TOLERANCE, Array, Condition, Family, Flags, Points, TwoAxes, identify, numbered
-from ..gyrostat.motions import Equation, each, linear, motion_of
+from ..base import (
+    FAMILY_TOLERANCE,
+    NEAR,
+    Array,
+    Condition,
+    Family,
+    Flags,
+    Points,
+    TwoAxes,
+    identify,
+    numbered,
+)
+from ..gyrostat.motions import Equation, each, linear, motion_of, nearest_root
 from ..vectors import cross, length, principal
 from .initial import bodies, body, fields, initial_state, rates, symmetric, vertical
 
@@ -123,16 +134,14 @@ def _solve_theta(points: Points, n: float | None = None) -> Array:
 
 
 def _solve_n(points: Points) -> Array:
-    """The root n of the quadratic that is nearer to the n given; n = 0 (the default) gives the slow one."""
+    """The root n of the quadratic that is nearer to the n given: the slow one for 0, the fast one for infinity."""
     a = (points["C"] - points["A"]) * vertical(points)[2]
     b = points["C"] * rates(points)[2] + points["l3"]
     c = precession(points, n=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         q = -0.5 * (b + np.copysign(np.sqrt(b**2 - 4 * a * c), b))
         roots = np.array([q / a, np.where(c == 0, 0.0, c / q)])
-    distance = np.where(np.isfinite(roots), np.abs(roots - points["n"]), np.inf)
-    nearer = np.take_along_axis(roots, distance.argmin(0)[None], 0)[0]
-    return np.where(np.isfinite(nearer), nearer, np.nan)
+    return nearest_root(roots, points["n"])
 
 
 def _solve_permanent(name: str, points: Points) -> Array:
@@ -169,6 +178,9 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 def _solve_rest(angle: str, points: Points) -> Array:
     """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
+    if angle == "theta0" and f"{NEAR}theta0" in points:  # the vertical is at rest too
+        poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
+        closed = nearest_root(np.array([closed, *poles]), points["theta0"])
     closed = np.where(symmetric(points), closed, np.nan)
     general = ~symmetric(points) & (rates(points)[2] == 0)
     return np.where(general, _solve_direction(angle, points, resting=True), closed)
@@ -183,6 +195,7 @@ def third_axis(points: Points) -> TwoAxes:
 
 _MOTION = motion_of(third_axis, lambda points: (vertical(points),))
 _RESTING = partial(precession, n=0.0)
+_DIRECTIONS = dict.fromkeys(("theta0", "phi0"), "that nearest to 0, by the angle between the verticals")
 _STILL = Equation("theta' = 0", lambda p: rates(p)[0], _rate)
 _NO_SPIN = Equation("m = 0", lambda p: rates(p)[2], _rate)
 NO_DISSIPATION = Equation(
@@ -212,6 +225,7 @@ FAMILIES = numbered(
                 "theta0": _solve_theta,
                 "n": _solve_n,
             },
+            several={"n": "the slow one"},
             stability_text="Stable where the squared frequency of nutation is positive; else the tilt grows at the root of its size.",
             geometry="conical",
             paper_wording="Lagrange's case",
@@ -235,6 +249,7 @@ FAMILIES = numbered(
                 **linear(lambda p: _upright(p)[0], "x0", keep=True),
                 **linear(lambda p: _upright(p)[1], "y0", keep=True),
             },
+            several={"theta0": "0"},
             stability_text="A = B, rotor and weight along the axis: stable where (C r + l3)^2 > 4 A (N (C - A) - s Mg z0),"
             " s = cos theta.",
             geometry="sleeping",
@@ -251,6 +266,7 @@ FAMILIES = numbered(
                 **each(_solve_direction, "theta0", "phi0"),
                 **each(_solve_permanent, "l1", "l2", "x0", "y0", "l3", "z0", "Mg", "N"),
             },
+            several=_DIRECTIONS,
             stability_text="A = B, rotor and weight along the axis: as conical with m = 0.",
             geometry="staude",
             labels="permanent rotation about the vertical at n",
@@ -275,6 +291,7 @@ FAMILIES = numbered(
                 **linear(_RESTING, "N", "Mg", "z0", keep=True),
                 **each(partial(_possible_moment, _RESTING), "C"),
             },
+            several=_DIRECTIONS,
             stability_text="At rest: as staude with n = 0. A free body that turns about its third axis: stable where"
             " ((C - A) m + l3) ((C - B) m + l3) > 0.",
             labels="permanent rotation: at rest, or turning at m about the resting third axis",

@@ -184,6 +184,14 @@ def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, So
     return {name: partial(solver, name) for name in names}
 
 
+def nearest_root(roots: Array, near: Array) -> Array:
+    """Of roots, (roots, points), that nearest to a value, the larger of two for an infinite one; nan where it is not finite."""
+    finite = np.isfinite(roots)
+    distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
+    nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]
+    return np.where(finite.sum(0) > np.isinf(near), nearest, np.nan)
+
+
 def relative_to(value: Array, scale: Array) -> Array:
     """value / scale, 0 where value is 0, nan where only scale is."""
     return ratio(value, scale, np.where(value == 0, 0.0, np.nan))

@@ -24,9 +24,9 @@ from functools import partial
 
 import numpy as np
 
-from ..base import Array, Family, Points, numbered
+from ..base import NEAR, Array, Family, Points, numbered
 from ..gyrostat import motions
-from ..gyrostat.motions import about_third_axis, each, linear, motion_of, relative_to
+from ..gyrostat.motions import about_third_axis, each, linear, motion_of, nearest_root, relative_to
 from ..vectors import cross, ratio
 from . import conditions as the
 from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
@@ -50,12 +50,31 @@ def nearest_pole(name: str, p: Points) -> Array:
 
 
 def _theta(p: Points) -> Array:
-    """Tilt in [0, pi] from k3 and m; nan if h1 mu3 sin psi0 is not 0, where there are several."""
+    """Tilt in [0, pi] from k3 and m; if h1 mu3 sin psi0 is not 0, where there are several, only near a value, else nan."""
     sp, _ = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
     exists = (np.abs(cosine) <= 1) & (p["h1"] * p["mu3"] * sp == 0)
-    return np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
+    single = np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
+    if f"{NEAR}theta0" not in p:
+        return single
+    return np.where(p["h1"] * p["mu3"] * sp == 0, single, _theta_near(p))
+
+
+def _theta_near(p: Points) -> Array:
+    """The tilt in (0, pi) nearest to theta0 at which the balance of the tilt, harmonics of theta0 up to the second, vanishes."""
+    angles = np.arange(8.0).reshape(8, *(1,) * p["theta0"].ndim) * np.pi / 4
+    balance = the.tilt_balance(
+        {name: value[None] + 0 * angles for name, value in p.items()} | {"theta0": angles + 0 * p["theta0"]}
+    )
+    harmonics = np.moveaxis(np.fft.fft(balance, axis=0)[[-2, -1, 0, 1, 2]], 0, -1)
+    companion = np.zeros((*p["theta0"].shape, 4, 4), complex)
+    companion[..., [1, 2, 3], [0, 1, 2]] = 1.0
+    companion[..., 3] = -harmonics[..., :4] / harmonics[..., 4:]
+    finite = np.asarray(np.isfinite(companion).all((-2, -1)))
+    roots = np.linalg.eigvals(np.where(finite[..., None, None], companion, 0.0))
+    theta = np.moveaxis(np.where(np.abs(np.abs(roots) - 1) < 1e-6, np.angle(roots), np.nan), -1, 0)
+    return nearest_root(np.where((theta > 0) & (theta < np.pi) & finite, theta, np.nan), p["theta0"])
 
 
 def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
@@ -115,6 +134,7 @@ _TABLE = (
         equations="(14)-(16), (21)-(23), (29)-(31), (44), (45)",
         conditions=(the.UPRIGHT, the.SYMMETRIC, the.NO_RADIAL_TORQUE, the.SPINNING_PAIR),
         solve={**each(nearest_pole, "theta0"), **the.SPINNING_PAIR.solve("mu1", "mu2", "k1", "k2")},
+        several={"theta0": "0"},
         stability_text=_ABOUT_NORMAL,
         geometry="cylindrical",
         paper_wording="n = 0: cylindrical permanent rotation (orbital), cylindrical regular precession "
@@ -152,6 +172,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
+        several={"psi0": "0"},
         geometry="perp_radius",
         paper_wording="conical permanent rotation (orbital), conical regular precession (inertial)",
         exists="every theta0; for given k3 and m: |k3 + C m - mu3 h3 / Omega| <= Omega |A - C|",
@@ -169,6 +190,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
+        several={"psi0": "pi/2", "theta0": "none with h1 mu3, where there are up to 4"},
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
         exists="every theta0, but sin theta0 = 0 only if h1 mu3 = 0; for given k3 and m without h1 mu3:"
@@ -186,6 +208,7 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
+        several={"psi0": "from -pi/2 to pi/2"},
         geometry="oblique",
         exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality",
     ),
@@ -209,6 +232,7 @@ _TABLE = (
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
+        several={"psi0": "pi/2"},
         geometry="perp_velocity",
         exists="where mu1 or mu2 is not 0: sin psi0 h1 (Omega + m cos theta0) = m sin theta0 h3",
     ),
@@ -248,6 +272,7 @@ _TABLE = (
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),
         },
+        several={"theta0": "pi/3", "psi0": "pi/2"},
         geometry="perp_velocity",
         paper_wording="hyperboloidal permanent rotation (orbital), hyperboloidal regular precession (inertial)",
         exists="mu1 = mu2 = 0, or h1 = -sin psi0 sgn(cos theta0) sqrt(3) h3",

@@ -20,6 +20,8 @@ from ._version import __version__ as __version__
 if TYPE_CHECKING:
     from .errors import BadInput as BadInput
     from .faces import *  # noqa: F403
+    from .label.attitude import principal as principal
+    from .label.attitude import start as start
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
     from .plotting.maps import figure as figure
@@ -39,6 +41,8 @@ _MODULES = {
     "label_points": "label.points",
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
+    "principal": "label.attitude",
+    "start": "label.attitude",
     "concat": "store.joined",
     "figure": "plotting.maps",
     "style": "plotting.style",

@@ -23,8 +23,10 @@ FUNCTIONS = (
     "load_scene",
     "example",
     "open_atlas",
+    "principal",
     "register",
     "run",
+    "start",
     "style",
     "trajectory",
 )

@@ -36,6 +36,11 @@ NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
 # from the third axis over MARGIN.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
+FRAME_AXIS = (
+    "frame_axis_1",
+    "frame_axis_2",
+    "frame_axis_3",
+)  # names of the first axis of the frame, in the body
 _RATE = "rad s-1"
 # Variable -> long_name and units.
 _VARIABLES = {
@@ -86,7 +91,8 @@ def trajectory(
     xarray.Dataset
         Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad);
         theta_dot, psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body
-        axis in the frame: for the satellite along radius, velocity and normal); integral_drift. Of a system
+        axis in the frame: for the satellite along radius, velocity and normal); frame_axis_1, _2, _3 (the first axis of
+        the frame along the body axes, where the state does not have it); integral_drift. Of a system
         with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the
         parameters (a start value that has the name of one of the variables has the suffix _start). The
         attributes are as in an atlas.
@@ -221,6 +227,7 @@ def _dataset(
             sine = np.hypot(g1, g2)
             psi_dot = (u1 * g1 + u2 * g2) / sine**2
             columns |= {
+                **path,
                 "theta": np.arctan2(sine, g3),
                 "phi": np.where(sine == 0.0, np.nan, path["phi"]),
                 "theta_dot": (u1 * g2 - u2 * g1) / sine,
@@ -228,8 +235,6 @@ def _dataset(
                 "phi_dot": u3 - psi_dot * g3,
                 "normal_rate": u1 * g1 + u2 * g2 + u3 * g3,
                 "psi": np.where(sine == 0.0, np.nan, path["psi"]),
-                "axis_x": path["axis_x"],
-                "axis_y": path["axis_y"],
                 "axis_z": g3,
             }
     for name in (o.name for o in system.observables if o.name not in columns):
@@ -241,7 +246,8 @@ def _dataset(
             total = sum(getattr(equations, name)(states.T, constants)) + lost.get(name, 0.0)
             drift = np.maximum(drift, np.abs(total - total[0]) * scale)
     columns["integral_drift"] = drift
-    attributes = attributes_of(system)
+    of_frame = {"long_name": "first axis of the frame, along a body axis", "units": "1"}
+    attributes = attributes_of(system) | dict.fromkeys(FRAME_AXIS, of_frame)
     for name in ("psi", "phi", "theta_dot", "psi_dot", "phi_dot") if path else ():
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return xr.Dataset(
@@ -289,6 +295,8 @@ def _path(
         state = np.concatenate([state, np.array(vectors).T])
     axis, *_ = motion.axis_and_vertical(state)
     result = {"axis_x": axis.real, "axis_y": axis.imag}
+    if motion.equations is not system.equations:
+        result |= dict(zip(FRAME_AXIS, state[-3:], strict=True))
     angles = np.array([np.arctan2(axis.real, -axis.imag), np.arctan2(vertical[0], vertical[1])])
     for name, angle, turn in zip(("psi", "phi"), angles, turns, strict=True):
         start = _branch(angle[0], float(np.ravel(points.get(f"{name}0", 0.0))[0]))

@@ -287,7 +287,8 @@ class System(ABC):
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
       ``unscaled``, with the same arguments: back from a scaled state; ``ONES``: constants that are 1 in these units;
     - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
-      angular velocity u of ``frame_motion``; tangent vectors then have fewer components;
+      angular velocity u of ``frame_motion``; tangent vectors then have fewer components; the last is the vertical and, with
+      ``axis_in_frame``, the first of two the frame's first axis;
     - ``axis_in_frame`` (optional): components of the third body axis along the first two axes of the frame;
     - one function for each first integral: the tuple of its terms.
     """

@@ -429,5 +429,7 @@ def test_systems_are_described():
     ]
     text = atlas.systems.describe("satellite")
     system = atlas.systems.get("satellite")
+    assert "mu is minus the dipole moment as SI counts it (the potential is + mu.H, as in the paper)" in text
+    assert "roll, pitch and yaw" in text.splitlines()[0]
     first = [line.split()[0] for line in text.splitlines()[1:]]
     assert first == [*system.parameters, *families_of(system)]

@@ -181,6 +181,7 @@ def check_scene(options: argparse.Namespace) -> None:
         printable(scene.title, MAX_TEXT),
         f"system {scene.system.name}: {shape} = {scene.size} points, duration {scene.duration}"
         + f" after a transient of {scene.transient}" * bool(scene.transient.amount),
+        *([f"frame: {printable(scene.system.frame_text, MAX_MESSAGE)}"] if scene.system.frame_text else []),
         *grid.settings_lines(scene, plan.sample),
         *plan.method_lines(),
         *plan.statistics_lines(),

@@ -164,8 +164,9 @@ def describe(name: str | None = None) -> str:
     families = [
         (n, f"solves {', '.join(f.solve) or 'nothing'}", f.title) for n, f in families_of(system).items()
     ]
+    frame = f"; frame: {system.frame_text}" if system.frame_text else ""
     return "\n".join(
-        [f"{name}: {system.title}", text_table(parameters), text_table(families or [("no families",)])]
+        [f"{name}: {system.title}{frame}", text_table(parameters), text_table(families or [("no families",)])]
     )
 
 

@@ -264,6 +264,8 @@ class System(ABC):
     """
     frame_axes: tuple[str, str, str] = ("$x$", "$y$", "vertical")
     """Labels of the three axes of that frame in figures."""
+    frame_text: str = ""
+    """What these axes are, and what others call them."""
     reference: str = ""
     """Citation of the paper that the system comes from."""
     doi: str = ""

@@ -224,7 +224,7 @@ def parameters(system: System) -> str:
         low = "" if np.isinf(p.low) else f"{'>' if p.open_low else '>='} {p.low:g}"
         default = "" if np.isnan(p.default) else f"{p.default:g}"
         rows.append((f"`{p.name}`", with_formulas(p.meaning), unit(p.unit), default, low))
-    return table(rows)
+    return f"{table(rows)}\n\nThe frame: {with_formulas(system.frame_text)}."
 
 
 def dataset(system: System) -> str:

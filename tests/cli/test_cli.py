@@ -210,6 +210,11 @@ def test_examples_are_listed_and_copied(folder, monkeypatch, capsys):
     assert printed.endswith(" map gravity_gradient.nc\n")
     assert (folder / "gravity_gradient.toml").read_bytes() == (configs / "gravity_gradient.toml").read_bytes()
     assert main(["check", "gravity_gradient.toml"]) == 0
+    (frame,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("frame: "))
+    assert (
+        "nadir is minus the radius; roll, pitch and yaw are about velocity, minus the normal and nadir"
+        in frame
+    )
     assert main(["new", "gravity_gradient.toml", "-o", "mine.toml"]) == 0
 
 

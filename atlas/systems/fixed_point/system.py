@@ -19,6 +19,7 @@ class FixedPoint(Gyrostat):
     frame = "space"
     # gamma points to the attracting centre
     frame_axes = ("$x$", "$y$", "down (\N{GREEK SMALL LETTER GAMMA})")
+    frame_text = "the vertical, its third axis, points down: a top with z0 > 0 stands upright at theta0 = pi"
     reference = (
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"

@@ -14,6 +14,7 @@ from ..gyrostat.motions import directions as directions
 from ..vectors import length
 from .equations import CONSTANTS, INTEGRALS
 
+SIGN = "minus the dipole moment as SI counts it (the potential is + mu.H, as in the paper)"
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
     ("A", "kg m2", "$A$", 1.0, 0.0, True, False, "principal moment of inertia about the first body axis"),
@@ -23,11 +24,11 @@ _TABLE = (
     ("k1", "N m s", "$k_1$", 0.0, -np.inf, False, False, "gyrostatic momentum along the first body axis"),
     ("k2", "N m s", "$k_2$", 0.0, -np.inf, False, False, "gyrostatic momentum along the second body axis"),
     ("k3", "N m s", "$k_3$", 0.0, -np.inf, False, False, "gyrostatic momentum along the third body axis"),
-    ("mu1", "A m2", r"$\mu_1$", 0.0, -np.inf, False, False, "magnetic moment along the first body axis"),
-    ("mu2", "A m2", r"$\mu_2$", 0.0, -np.inf, False, False, "magnetic moment along the second body axis"),
-    ("mu3", "A m2", r"$\mu_3$", 0.0, -np.inf, False, False, "magnetic moment along the third body axis"),
-    ("h1", "T", "$h_1$", 0.0, -np.inf, False, False, "magnetic field along the radius (the potential is +mu.H, as in (3))"),
-    ("h3", "T", "$h_3$", 0.0, -np.inf, False, False, "magnetic field along the orbit normal (the potential is +mu.H, as in (3))"),
+    ("mu1", "A m2", r"$\mu_1$", 0.0, -np.inf, False, False, f"magnetic moment along the first body axis, {SIGN}"),
+    ("mu2", "A m2", r"$\mu_2$", 0.0, -np.inf, False, False, f"magnetic moment along the second body axis, {SIGN}"),
+    ("mu3", "A m2", r"$\mu_3$", 0.0, -np.inf, False, False, f"magnetic moment along the third body axis, {SIGN}"),
+    ("h1", "T", "$h_1$", 0.0, -np.inf, False, False, f"magnetic field along the radius; mu is {SIGN}"),
+    ("h3", "T", "$h_3$", 0.0, -np.inf, False, False, f"magnetic field along the orbit normal; mu is {SIGN}"),
     ("damping", "N m s", "$D$", 0.0, 0.0, False, False, "viscous damping, a torque of -D times the angular velocity relative to the orbital frame"),
     ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the orbit normal to the third body axis at the start"),
     ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start, about the orbit normal from the radius"),

@@ -24,6 +24,10 @@ class Satellite(Gyrostat):
     title = "magnetised satellite-gyrostat on a circular orbit"
     frame = "orbital"
     frame_axes = ("radius", "velocity", "normal")
+    frame_text = (
+        "along radius, velocity and orbit normal, the vertical, lie the three body axes at theta0 = psi0 = phi0 = 0; nadir is"
+        " minus the radius; roll, pitch and yaw are about velocity, minus the normal and nadir"
+    )
     reference = "H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128"
     doi = "10.22055/JACM.2021.37913.3113"
 

@@ -42,6 +42,7 @@ EXTENSIONS = {
     "docs/gallery.md": {"amer2013", "basins", "page"},
     "docs/how_to.md": {"basins", "branches", "equilibria", "studies", "yehia2021"},
     "docs/labels.md": {"certificate"},
+    "docs/my_satellite.md": {"branches"},
     "docs/new_system.md": {"lagrangian", "studies"},
     "docs/page.md": {"page"},
     "docs/published.md": {"branches", "normal_form", "published"},
@@ -268,6 +269,14 @@ def test_the_how_to_page_lists_its_questions_and_draws_its_pictures():
     pictures = sorted((ROOT / "docs" / "how_to").iterdir())
     assert sorted(drawn) == [picture.name for picture in pictures]
     assert max(picture.stat().st_size for picture in pictures) < 40_000
+
+
+@pytest.mark.parametrize("page", ["my_satellite", "my_top"])
+def test_pages_from_a_data_sheet_draw_their_pictures(page):
+    text = (ROOT / "docs" / f"{page}.md").read_text()
+    drawn = re.findall(r'savefig\("(\w+\.png)"', text)
+    assert re.findall(rf"\({page}/(\w+\.png)\)", text) == drawn
+    assert sorted(drawn) == [picture.name for picture in sorted((ROOT / "docs" / page).iterdir())]
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,15 @@
-"""Run the blocks of docs/how_to.md and draw their pictures, docs/how_to/*.png.
+"""Run the blocks of docs/how_to.md, my_satellite.md and my_top.md that have a picture, and draw it into the folder of the page.
 
-python scripts/tools/how_to.py [--out docs/how_to] [--only NAME ...]
+python scripts/tools/how_to.py [--out docs] [--only NAME ...]
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import os
 import re
 import runpy
+import sys
 import tempfile
 from pathlib import Path
 
@@ -18,31 +18,42 @@ from matplotlib import pyplot
 from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
-SECTION = re.compile(r"^## .*\n(?:(?!^## ).*\n)*", re.M)
+PAGES = ("how_to", "my_satellite", "my_top")
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 LARGEST = (1100, 600)  # pixels of a picture: the page has many
 COLOURS = 48
 
 
-def blocks() -> dict[str, str]:
-    """The block of each question that has a picture, by the name of the picture, in the order of the page."""
+def blocks() -> dict[str, tuple[str, str]]:
+    """Page and block of each picture by its name, in the order of the pages."""
     of_pictures = {}
-    for section in SECTION.findall((DOCS / "how_to.md").read_text()):
-        for picture in re.findall(r"\(how_to/(\w+)\.png\)", section):
-            of_pictures[picture] = re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)[0]
+    for page in PAGES:
+        text = (DOCS / f"{page}.md").read_text()
+        for picture in re.findall(rf"\({page}/(\w+)\.png\)", text):
+            (block,) = (each for each in BLOCK.findall(text) if f'savefig("{picture}.png"' in each)
+            of_pictures[picture] = page, block
     return of_pictures
 
 
-def draw(name: str, block: str, out: Path) -> None:
-    """Run a block in a folder of its own, and keep its picture, small and with few colours."""
+def draw(name: str, page: str, block: str, out: Path) -> None:
+    """Run a block in a folder of its own, with the modules of its page, and keep its picture, small and with few colours."""
+    texts = BLOCK.findall((DOCS / f"{page}.md").read_text())
+    modules = {match[1]: text for text in texts if (match := re.match(r"# (\w+)\.py\n", text))}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        Path("block.py").write_text(block)
+        for module, text in (modules | {"block": block}).items():
+            Path(f"{module}.py").write_text(text)
+        sys.path.insert(0, folder)
         runpy.run_path("block.py", run_name="__main__")
+        sys.path.remove(folder)
+        for module in modules:
+            sys.modules.pop(module, None)
         pyplot.close("all")
         with Image.open(f"{name}.png") as image:
             picture = image.convert("RGB")
             picture.thumbnail(LARGEST, Image.Resampling.LANCZOS)
             few = picture.quantize(COLOURS, dither=Image.Dither.NONE)
-            few.save(out / f"{name}.png", optimize=True)
+            (out / page).mkdir(parents=True, exist_ok=True)
+            few.save(out / page / f"{name}.png", optimize=True)
 
 
 def main() -> None:
@@ -50,14 +61,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     questions = blocks()
-    parser.add_argument("--out", type=Path, default=DOCS / "how_to", help="default: %(default)s")
+    parser.add_argument("--out", type=Path, default=DOCS, help="default: %(default)s")
     parser.add_argument("--only", nargs="+", metavar="NAME", choices=questions, default=list(questions))
     options = parser.parse_args()
     matplotlib.use("agg")
-    options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only:
-        draw(name, questions[name], options.out.resolve())
-        print(f"{name}.png: {os.path.getsize(options.out / f'{name}.png') // 1000} kB", flush=True)
+        page, block = questions[name]
+        draw(name, page, block, options.out.resolve())
+        print(f"{name}.png: {(options.out / page / f'{name}.png').stat().st_size // 1000} kB", flush=True)
 
 
 if __name__ == "__main__":

@@ -416,7 +416,7 @@ TABLES = {
     "confirmed": confirmed,
 }
 
-SUBJECTS = SYSTEMS | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}
+SUBJECTS = dict(SYSTEMS) | {flag.__name__: flag for flag in (Label, Status, Agreement, Stability)}
 SUBJECTS |= {"core": ROOT / "atlas", "extensions": ROOT / "atlas" / "extensions"}
 
 

@@ -41,7 +41,7 @@ from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.intrinsics import full_vectors
 from atlas.kernel.specialization import Specialization, kernel, source, tangent_kernel
 from atlas.kernel.stepsize import StepSizes
-from atlas.kernel.tangent import METHOD
+from atlas.kernel.tableaux import TANGENT_METHOD
 from atlas.measure import tangent_runs
 from atlas.scene.model import Settings
 from atlas.systems import SYSTEMS
@@ -341,7 +341,7 @@ def tangent_run(*arguments) -> None:
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
     """Print the time of a step with a tangent vector over that of a step of the state alone, and of one with statistics."""
     for name, system in SYSTEMS.items():
-        case = Case(name, METHOD.name, frozenset(), count, steps)
+        case = Case(name, TANGENT_METHOD.name, frozenset(), count, steps)
         sizes = case.step_sizes
         tangent = tangent_runs.TangentSteps(sizes.steps, sizes.step_size, np.ones(count, bool))
         own = tangent_kernel(system)
@@ -359,7 +359,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
             for key, work in works.items():
                 times[key].append(seconds(work))
         print(
-            f"{name}, {METHOD.name} with a tangent vector: {1e9 * min(times['tangent']) / (count * steps):.1f} ns per"
+            f"{name}, {TANGENT_METHOD.name} with a tangent vector: {1e9 * min(times['tangent']) / (count * steps):.1f} ns per"
             f" point and step, {ratio(times['tangent'], times['state']):.2f} times the state alone,"
             f" {ratio(times['tangent'], times['statistics']):.2f} times the state with statistics; first call"
             f" {first_call:.1f} s"

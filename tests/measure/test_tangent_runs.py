@@ -7,7 +7,7 @@ import pytest
 
 from atlas.flags import Label, Regularity, Status
 from atlas.kernel import tangent
-from atlas.kernel.tangent import METHOD
+from atlas.kernel.tableaux import TANGENT_METHOD
 from atlas.measure import tangent_runs
 from atlas.measure.tangent_runs import Separation, TangentRuns, TangentSteps, rate_unit, regularity
 from atlas.systems import SYSTEMS
@@ -46,19 +46,19 @@ def test_step_sizes():
 def test_steps_that_a_loss_or_an_error_allows():
     """In a run of 1e5 radians: a loss of a hundredth, dissipation y^9 for each radian; errors of 1e-6 and three times their step."""
     bound, duration = np.array([2.0]), np.array([5e4])
-    lossless = (0.01 / (METHOD.dissipation * 1e5)) ** (1 / (METHOD.dissipation_order - 1))
+    lossless = (0.01 / (TANGENT_METHOD.dissipation * 1e5)) ** (1 / (TANGENT_METHOD.dissipation_order - 1))
     assert lossless > 0.3  # or it would not be the limit of 0.3 that counts
     few = TangentSteps.of(bound, duration, None, 10**9)
     assert 0.25 < 1e5 / few.steps[0] <= 0.3
     assert few.step_size * few.steps == pytest.approx(5e4)
     longer = TangentSteps.of(bound, 1e9 * duration, None, 10**18)
     y = 1e14 / longer.steps[0]
-    allowed = (0.01 / (METHOD.dissipation * 1e14)) ** (1 / (METHOD.dissipation_order - 1))
+    allowed = (0.01 / (TANGENT_METHOD.dissipation * 1e14)) ** (1 / (TANGENT_METHOD.dissipation_order - 1))
     assert 0.8 * allowed < y <= allowed < 0.2
     assert longer.resolved
     for error in (1e-10, 1e-9):
         growth = TangentSteps.of(bound, duration, None, 10**9, np.array([error]))
-        y = 3 * (error / (METHOD.dispersion * 1e5)) ** (1 / METHOD.order)
+        y = 3 * (error / (TANGENT_METHOD.dispersion * 1e5)) ** (1 / TANGENT_METHOD.order)
         assert y < 1.5
         assert 0.8 * y < 1e5 / growth.steps[0] <= y * (1 + 1e-9)
         assert growth.resolved
@@ -69,7 +69,7 @@ def test_steps_that_a_loss_or_an_error_allows():
 
 def test_a_loss_beyond_a_hundredth_is_not_resolved():
     """Of steps of 0.2 rad by dissipation x 0.2^9 for each radian."""
-    each = METHOD.dissipation * 0.2 ** (METHOD.dissipation_order - 1)
+    each = TANGENT_METHOD.dissipation * 0.2 ** (TANGENT_METHOD.dissipation_order - 1)
     for radians, resolved in ((0.009 / each, True), (0.011 / each, False)):
         steps = TangentSteps.of(np.array([1.0]), np.array([radians]), 0.2, 10**18)
         assert steps.resolved.tolist() == [resolved]

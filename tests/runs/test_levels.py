@@ -14,7 +14,7 @@ from atlas import BadInput, cli, load_scene
 from atlas.interruption import STOPPED, Stopped
 from atlas.runs import folder as folders
 from atlas.runs import memory
-from atlas.runs.levels import LEVELS, POINTS, Level
+from atlas.runs.levels import POINTS, Level
 from atlas.runs.run import RunFolder
 
 CHANGES = {
@@ -138,8 +138,8 @@ def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     assert_whole(run(scene, f"{tmp_path}/night/"), whole)
     # A level of another run is none of this one.
     other = RunFolder.prepare(folders.ScenePlan.of(scene), tmp_path / "other")
-    (other.path / LEVELS).mkdir()
-    damaged.place.path.rename(other.path / LEVELS / "0000")
+    (other.path / "levels").mkdir()
+    damaged.place.path.rename(other.path / "levels" / "0000")
     evaluated.clear()
     assert_whole(run(scene, f"{tmp_path}/other/"), whole)
     assert sum(evaluated) == int(whole.computed.sum())

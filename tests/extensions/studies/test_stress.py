@@ -83,6 +83,8 @@ def test_no_label_differs_from_the_true_one(studies, share, system):
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_no_label_where_rounding_decides(system):
+    if not stress_cases_of(SYSTEMS[system]):
+        pytest.skip(f"the system {system} has no cases")
     ds = stress.stress(system, selected(SYSTEMS[system], BY_ROUNDING))
     assert not stress.mislabelled(ds).any(), stress.report(ds)
 

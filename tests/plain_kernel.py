@@ -12,7 +12,7 @@ from types import ModuleType
 import numpy as np
 
 from atlas.kernel import augmented, generated, integrate
-from atlas.kernel.assemble import MEASURING, entries, generated_functions, generated_numbers, reachable
+from atlas.kernel.assemble import MEASURING, entries, file_of, generated_functions, generated_numbers, reachable
 from atlas.kernel.ensemble import Plug
 from atlas.kernel.tableaux import METHODS
 from atlas.systems import arithmetic
@@ -28,7 +28,7 @@ def plain_module(
     plugs: tuple[Plug, ...] = (),
 ) -> ModuleType:
     """The kernel that `assemble.source` writes, with the same arguments."""
-    measured = augmented.losses_of(equations, zero, equal) if of in MEASURING else {}
+    measured = augmented.losses_of(equations, zero, equal) if file_of(of) in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     namespace = {"np": np, "axpy": _axpy, "aligned_empty": np.empty, **arithmetic.numpy_functions()}
     for name, text in generated_functions(equations, METHODS[method], zero, equal, of, plugs).items():

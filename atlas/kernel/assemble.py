@@ -56,7 +56,7 @@ def reachable(
     return objects, sources, numbers
 
 
-def _file(of: ModuleType) -> str:
+def file_of(of: ModuleType) -> str:
     """Name of the file of a kernel; only the file that is compiled is imported."""
     return of.__name__.rpartition(".")[2]
 
@@ -114,7 +114,7 @@ def source(
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
     _, sources, numbers = reachable(entries(of, plugs), absent=absent)
-    measured = augmented.losses_of(equations, zero, equal) if _file(of) in MEASURING else {}
+    measured = augmented.losses_of(equations, zero, equal) if file_of(of) in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     try:
         texts = generated_functions(equations, METHODS[method], zero, equal, of, plugs)
@@ -145,7 +145,7 @@ def generated_numbers(
         "SUMS": len(Row) + plugged,
         **({"STROBED": strobed} if strobed else {}),
     }
-    if _file(of) == "observe":
+    if file_of(of) == "observe":
         sums = of.FIRST_ROW + len(of.Field) * (observables + strobed)
         measured |= {"NODE_ROWS": 2 * observables, "SUMS": sums}
     return {
@@ -158,7 +158,7 @@ def generated_numbers(
         # Worth its loads and stores where a step is much longer than they are.
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
-        **(measured if _file(of) in MEASURING else {}),
+        **(measured if file_of(of) in MEASURING else {}),
         **({"LOSSES": tuple(equations.LOSSES)} if equations.LOSSES else {}),
     }
 
@@ -175,7 +175,7 @@ def generated_functions(
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
-    in_any_units = texts.keys() if _file(of) == "quadratures" else ("scaled", augmented.SCALED)
+    in_any_units = texts.keys() if file_of(of) == "quadratures" else ("scaled", augmented.SCALED)
     sources = {
         name: simplify(text, zero, equal, () if name in in_any_units else equations.ONES)
         for name, text in texts.items()
@@ -190,7 +190,7 @@ def generated_functions(
             for i, power in enumerate(equations.INTEGRALS.values())
         ],
         "step(state, slope, constants)": step_lines(
-            method, "extended_rhs" if _file(of) == "tangent" else "rhs"
+            method, "extended_rhs" if file_of(of) == "tangent" else "rhs"
         ),
         "store_integrals(block, l, state, constants)": [
             line
@@ -208,18 +208,18 @@ def generated_functions(
         ]
         + ["return largest"],
     }
-    if _file(of) == "integrate":
+    if file_of(of) == "integrate":
         sources["frame_motion_change"] = differential(sources["frame_motion"], "frame_motion_change")
     if plugs:
         signature = "plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants"
         generated_lines[f"add_to_plugged({signature})"] = _plugged_lines(equations, plugs)
-    if _file(of) == "tangent":
+    if file_of(of) == "tangent":
         sources |= augmented.variation(equations, sources["rhs"])
         generated_lines |= {
             **_column_lines("extended", extended),
             "extended_rhs(extended, constants)": _extended_lines(states, extended),
         }
-    if _file(of) == "observe":
+    if file_of(of) == "observe":
         functions_of_observables, callers = _observable_functions(equations, sources)
         sources |= functions_of_observables
         generated_lines |= callers

@@ -90,7 +90,7 @@ KEPT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", set(KEPT) - {"C (label)/who"})
+@pytest.mark.parametrize("name", sorted(KEPT.keys() - {"C (label)/who"}))
 def test_texts_that_name_points_are_kept(tmp_path, name):
     texts = KEPT[name]
     columns = {"C": np.linspace(0.8, 1.2, len(texts)), name: texts}

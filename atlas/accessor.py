@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from .label.attitude import Attitude
+    from .plotting.options import Width
     from .plotting.trajectory import Film
 
 MAX_LINES = 1000  # of the spectrum of a signal
@@ -355,25 +356,45 @@ class Atlas(Questions):
         motion = attitude(system_of(self._ds), in_rad(self._ds), frame, euler, axes)
         return in_degrees(motion, degrees)
 
-    def plot(self, ax: Axes | None = None) -> Figure:
+    def plot(
+        self,
+        ax: Axes | None = None,
+        *,
+        view: tuple[float, float] = (40.0, 25.0),
+        degrees: bool = False,
+        width: Width = "page",
+    ) -> Figure:
         """Figure of a motion from `atlas.trajectory`: angles, rates, and the path of the third axis on the sphere.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, optional
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
+        view : (float, float)
+            Azimuth of the viewer from the first axis of the frame towards the second, and elevation, degrees; about a
+            fixed point, where the third axis points down, from x away from y, and above the horizon.
+        degrees : bool
+            Show angles in degrees.
+        width : {"page", "column"} or float
+            180 mm or 88 mm, or mm; below 140 mm the sphere is under the other panels.
 
         Returns
         -------
         matplotlib.figure.Figure
-            The path is dark on the near side of the sphere and pale on the far side, with a dot at its start. Of a system
-            with observables these over time.
+            The path is dark on the near side of the sphere and pale on the far side, with a dot at its start; up is at the
+            top. Of a system with observables these over time.
         """
         from .plotting.trajectory import trajectory_figure
 
-        return trajectory_figure(self._ds, ax=ax)
+        return trajectory_figure(self._ds, ax=ax, view=view, degrees=degrees, width=width)
 
-    def animate(self, path: str | Path | None = None, *, seconds: float = 10.0) -> Film | None:
+    def animate(
+        self,
+        path: str | Path | None = None,
+        *,
+        seconds: float = 10.0,
+        view: tuple[float, float] = (40.0, 25.0),
+    ) -> Film | None:
         """Animation of a motion from `atlas.trajectory`: the third axis on the sphere, with its trace.
 
         Parameters
@@ -382,6 +403,8 @@ class Atlas(Questions):
             File to write or replace: .gif, or .mp4 by the program ffmpeg.
         seconds : float, optional
             Length of the animation, at most 25 frames per second, as far as the motion has samples.
+        view : (float, float)
+            As in `plot`.
 
         Returns
         -------
@@ -390,7 +413,7 @@ class Atlas(Questions):
         """
         from .plotting.trajectory import animate
 
-        return animate(self._ds, path, seconds)
+        return animate(self._ds, path, seconds, view)
 
     def frequencies(
         self,

@@ -118,6 +118,7 @@ def _write_csv(ds: Dataset, path: Path) -> None:
     assignment_option("--at", "AXIS=VALUE", "the point, by a value for every axis"),
     *out_options("OUT", ".png, .pdf, .svg or .nc (default: NAME_trajectory.png)"),
     option_with_default("--samples", "N", 1001, "instants to keep", lowest=2),
+    DEGREES,
 )
 def draw_trajectory(options: argparse.Namespace) -> None:
     """Integrate one point of a scene and draw its motion."""
@@ -126,7 +127,7 @@ def draw_trajectory(options: argparse.Namespace) -> None:
     out = file_of_scene(options, "trajectory")
     coordinates = axis_values("--at", options.at)
     tr = _motion(options.scene, coordinates, options.samples)
-    write_or_draw(tr, out, "plot")
+    write_or_draw(tr, out, "plot", degrees=bool(options.degrees))
     observables = system_of(tr).observables
     variable = observables[0].name if observables else "theta"
     values, unit = tr[variable].values, attribute_text(tr[variable].attrs, "units")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -16,14 +16,18 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
+from ..analysis.degrees import in_degrees
 from ..analysis.metadata import system_of
 from ..errors import BadInput, attribute_text, shown
 from ..files import atomic_write, writable
-from ..scene.checks import positive
+from ..scene.checks import boolean, positive
 from ..systems.base import Observable
-from .options import WIDTHS
+from .options import WIDTHS, Width, width_mm
 from .style import COLOURS, STYLE, SYMBOLS, unit_text
 
+View: TypeAlias = tuple[float, float]
+VIEW: View = (40.0, 25.0)  # azimuth and elevation of whoever looks at the sphere, degrees
+MIN_BESIDE = 140.0  # width in mm from which the sphere is beside the panels over time, not below
 FAR_OPACITY = 0.35  # of paths on the far side of the sphere
 START_MARKER: dict[str, Any] = {
     "marker": "o",
@@ -50,19 +54,25 @@ FRAMES_PER_SECOND, FILM_DPI = 25, 150
 NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along its vertical"
 
 
-def trajectory_figure(tr: xr.Dataset, *, ax: Axes | None = None) -> Figure:
+def trajectory_figure(
+    tr: xr.Dataset, *, ax: Axes | None = None, view: View = VIEW, degrees: bool = False, width: Width = "page"
+) -> Figure:
     """Angles and rates over time and the path of the third body axis, or observables, or on `ax` the path; see `Atlas.plot`."""
+    boolean("degrees", degrees)
+    size = width_mm(width) / 25.4
     if ax is not None:
         if not isinstance(ax, Axes):
             raise BadInput(f"ax = {shown(ax)}: must be Axes of Matplotlib")
-        _draw_sphere(ax, _path(tr), system_of(tr).frame_axes)
+        _draw_sphere(ax, _path(tr), system_of(tr).frame_axes, view)
         return ax.get_figure(root=True)  # type: ignore[return-value]
     if "time" in tr.dims and "atlas_system" in tr.attrs and (observables := system_of(tr).observables):
-        return _figure_of_observables(tr, observables[:MAX_PANELS])
-    path = _path(tr)
+        return _figure_of_observables(in_degrees(tr, degrees), observables[:MAX_PANELS], size)
+    path, tr = _path(tr), in_degrees(tr, degrees)
+    is_wide = size * 25.4 >= MIN_BESIDE
     with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTHS["page"] / 25.4, 85 / 25.4), layout="constrained")
-        left, right = figure.subfigures(1, 2, width_ratios=(1.35, 1))  # type: ignore[misc]
+        figure = Figure(figsize=(size, (85 if is_wide else 165) / 25.4), layout="constrained")
+        ratios: dict[str, Any] = {f"{'width' if is_wide else 'height'}_ratios": (1.35, 1)}
+        left, right = figure.subfigures(1 + (not is_wide), 1 + is_wide, **ratios)
         _draw_time_series(left, tr)
         mean = path.mean(axis=0)
         mean /= np.linalg.norm(mean) or 1.0
@@ -72,7 +82,7 @@ def trajectory_figure(tr: xr.Dataset, *, ax: Axes | None = None) -> Figure:
             _draw_enlarged(plane, path - mean, mean, system_of(tr).frame_axes)
         else:
             sphere = right.subplots()
-        _draw_sphere(sphere, path, system_of(tr).frame_axes)
+        _draw_sphere(sphere, path, system_of(tr).frame_axes, view)
         if distance <= AT_REST:
             sphere.set_title(f"third axis at rest within {max(distance, 1e-16):.0e} rad")
         colour = COLOURS["regular_precession"]
@@ -106,7 +116,7 @@ class Film(FuncAnimation):
             return str(self.to_jshtml())
 
 
-def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | None:
+def animate(tr: xr.Dataset, path: str | Path | None, seconds: float, view: View = VIEW) -> Film | None:
     """The third body axis on the sphere, with its trace, or the file of it, whole or not at all; see `Atlas.animate`."""
     axis, names, time = _path(tr), system_of(tr).frame_axes, tr["time"].values
     unit, side = unit_text(attribute_text(tr["time"].attrs, "units", "s")), WIDTHS["column"] / 25.4
@@ -117,7 +127,7 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | N
 
     def draw(k: int) -> None:
         ax.clear()
-        _draw_sphere(ax, axis[: k + 1], names, pointer=True)
+        _draw_sphere(ax, axis[: k + 1], names, view, pointer=True)
         ax.set_title(f"{time[k]:.4g} {unit}")
 
     with rc_context(STYLE):
@@ -134,7 +144,7 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float) -> Film | N
     return None
 
 
-def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable]) -> Figure:
+def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: float) -> Figure:
     """A panel over time for each observable."""
     panels = {}
     for observable in observables:
@@ -145,8 +155,7 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable]) ->
             observable.name: tr[observable.name].values
         }
     with rc_context(STYLE):
-        size = WIDTHS["page"] / 25.4, (14 + 26 * len(observables)) / 25.4
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=(width, (14 + 26 * len(observables)) / 25.4), layout="constrained")
         _draw_over_time(figure, tr, panels)
     return figure
 
@@ -229,10 +238,17 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 class Sphere:
-    """Orthographic picture of the unit sphere with named axes."""
+    """Orthographic picture of the unit sphere with named axes, of which a third one that points down does so on the page."""
 
-    def __init__(self, ax: Axes, names: Sequence[str]):
-        azimuth, elevation = np.radians(40.0), np.radians(25.0)
+    def __init__(self, ax: Axes, names: Sequence[str], view: View = VIEW):
+        try:
+            azimuth, elevation = np.radians(np.array(view, np.float64))
+        except (TypeError, ValueError):
+            azimuth = elevation = np.nan
+        if not (np.isfinite(azimuth) and abs(elevation) <= np.pi / 2):
+            raise BadInput(f"view = {shown(view)}: must be azimuth and elevation in degrees, from -90 to 90")
+        # By half a turn about the first axis.
+        self.upright = np.array([1.0, -1.0, -1.0] if names[2].startswith("down") else [1.0, 1.0, 1.0])
         horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         self.ax, self.toward_viewer = ax, np.cos(elevation) * horizontal + [0.0, 0.0, np.sin(elevation)]
         self.right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -241,33 +257,37 @@ class Sphere:
         ax.plot(*circle[:, :2].T, color="0.3", linewidth=0.8)
         for latitude in np.radians((-60, -30, 0, 30, 60)):
             parallel = circle * np.cos(latitude) + [0, 0, np.sin(latitude)]
-            self.draw(parallel, 1, color="0.7", linewidth=0.6 if latitude == 0 else 0.3)
+            self.draw(parallel * self.upright, 1, color="0.7", linewidth=0.6 if latitude == 0 else 0.3)
         for direction, name in zip(np.eye(3), names, strict=True):
             tip = self.project(direction)
-            outside = tip / np.linalg.norm(tip)  # the label is outside the disc, where no path is
+            outside = tip / max(np.linalg.norm(tip), 1e-9)  # the label is outside the disc, where no path is
             ax.plot(*np.transpose([tip, 1.1 * outside]), color="0.3", linewidth=0.8, zorder=2)
             x, y = 1.14 * outside
             side = "center" if abs(x) < 0.3 else "left" if x > 0 else "right"
-            ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom")
-        ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(-1.1, 1.35))
+            ax.text(x, y, name, ha=side, va="center" if abs(x) > 0.3 else "bottom" if y > 0 else "top")
+        low, high = (-1.35, 1.1) if self.upright[2] < 0 else (-1.1, 1.35)
+        ax.set(aspect="equal", xlim=(-1.5, 1.5), ylim=(low, high))
         ax.set_axis_off()
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Points (..., 3) on the page, (..., 2)."""
+        points = points * self.upright
         return np.stack([points @ self.right, points @ np.cross(self.toward_viewer, self.right)], -1)
 
     def draw(self, points: np.ndarray, zorder: int, **style: Any) -> None:
         """Draw the far part of a line pale and its near part over it."""
-        near = points @ self.toward_viewer >= 0
+        near = points * self.upright @ self.toward_viewer >= 0
         for visible, alpha, level in ((~near, FAR_OPACITY, zorder), (near, 1.0, zorder + 1)):
             line = self.project(points)
             line[~visible] = np.nan
             self.ax.plot(*line.T, alpha=alpha, zorder=level, **style)
 
 
-def _draw_sphere(ax: Axes, path: np.ndarray, names: Sequence[str], pointer: bool = False) -> None:
+def _draw_sphere(
+    ax: Axes, path: np.ndarray, names: Sequence[str], view: View, *, pointer: bool = False
+) -> None:
     """Draw a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
-    sphere = Sphere(ax, names)
+    sphere = Sphere(ax, names, view)
     sphere.draw(path, 3, color=COLOURS["regular_precession"], linewidth=1.1)
     ax.plot(*sphere.project(path[0]), zorder=6, **START_MARKER)
     if pointer:

@@ -37,6 +37,75 @@ def test_a_trajectory_figure_shows_the_motion():
     assert [t.get_text() for t in sphere_ax.texts] == ["radius", "velocity", "normal"]
 
 
+@pytest.fixture(scope="module")
+def nutation():
+    """The motion of an upright top."""
+    start = {"C": 0.4, "Mg": 1.0, "z0": 1.0, "theta0": 2.6, "n": 0.0, "m": 8.0}
+    return atlas.trajectory("fixed_point", start, duration=10.0, samples=301)
+
+
+def path_of(ax):
+    """The path on the sphere, near and far parts together."""
+    near, far = ax.lines[-2].get_xydata(), ax.lines[-3].get_xydata()
+    return np.where(np.isfinite(near), near, far), np.isfinite(near[:, 0])
+
+
+def test_up_is_at_the_top_of_the_sphere_also_where_the_third_axis_of_the_frame_points_down(nutation):
+    """Drawn by own projections of the axis in a frame of x, -y and up, which is right-handed."""
+    axis = np.stack([nutation.axis_x, -nutation.axis_y, -nutation.axis_z], -1)
+    assert (axis[:, 2] > 0.7).all()
+    for view in ((40.0, 25.0), (-100.0, 0.0), (10.0, 90.0)):
+        figure = trajectory.trajectory_figure(nutation, view=view)
+        azimuth, elevation = np.radians(view)
+        right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+        viewer = np.array(
+            [*(np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])), np.sin(elevation)]
+        )
+        drawn, near = path_of(figure.axes[3])
+        np.testing.assert_allclose(
+            drawn, np.stack([axis @ right, axis @ np.cross(viewer, right)], -1), atol=1e-12
+        )
+        np.testing.assert_array_equal(near, axis @ viewer >= 0)
+        start = figure.axes[3].lines[-1].get_xydata()[0]
+        np.testing.assert_allclose(start, drawn[0], atol=1e-12)
+    texts = {text.get_text(): text.get_position() for text in figure.axes[3].texts}
+    assert texts.keys() == {"$x$", "$y$", "down (\N{GREEK SMALL LETTER GAMMA})"}
+    satellite = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=2.0, samples=21)
+    drawn, _ = path_of(trajectory.trajectory_figure(satellite, view=(0.0, 0.0)).axes[3])
+    np.testing.assert_allclose(drawn, np.stack([satellite.axis_y, satellite.axis_z], -1), atol=1e-12)
+
+
+def test_a_motion_in_degrees_and_of_another_width(nutation):
+    theta_ax, angle_ax, rate_ax, _ = trajectory.trajectory_figure(nutation, degrees=True, width=120.0).axes
+    np.testing.assert_allclose(theta_ax.lines[0].get_ydata(), np.degrees(nutation.theta))
+    assert "deg" in theta_ax.get_ylabel()
+    assert angle_ax.get_ylim() == (-180, 180)
+    np.testing.assert_array_equal(rate_ax.lines[1].get_ydata(), nutation.psi_dot)
+    figure = nutation.atlas.plot(width="column")
+    assert figure.get_figwidth() * 25.4 == pytest.approx(options.WIDTHS["column"])
+    figure.draw_without_rendering()
+    sphere, rates = figure.axes[3].get_window_extent(), figure.axes[2].get_window_extent()
+    assert sphere.y1 < rates.y0
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"view": (1.0,)}, "view = (1.0,): must be azimuth and elevation in degrees, from -90 to 90"),
+        (
+            {"view": (0.0, 91.0)},
+            "view = (0.0, 91.0): must be azimuth and elevation in degrees, from -90 to 90",
+        ),
+        ({"degrees": 2}, "degrees = 2: must be true or false"),
+        ({"width": 3.0}, "width = 3.0: allowed: column, page, or 20 to 2000 mm"),
+    ],
+)
+def test_wrong_options_of_motions_are_named(nutation, bad, message):
+    with pytest.raises(atlas.BadInput) as error:
+        nutation.atlas.plot(**bad)
+    assert str(error.value) == message
+
+
 def test_the_panel_of_rates_says_where_it_is_clipped(tmp_path):
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
     rates = trajectory.trajectory_figure(tr).axes[2]

@@ -88,6 +88,27 @@ def test_threshold_of_the_sleeping_top_over_spin_and_rotor():
     assert (survives == (spin**2 > threshold)).where(off_threshold, True).all()
 
 
+def test_upright_tops_are_mirror_images_of_tops_hung_upside_down():
+    """The body turned by half a turn about its first axis: theta from pi to 0, and z0, l3, r0 and m with the other sign."""
+    turned = {"z0": -1.0, "gamma30": 1.0, "m": -2.0}
+    for name in ("sleeping_top_spin", "sleeping_top_field"):
+        axes = ("r0", "l3") if name.endswith("spin") else ("l3", "N")
+        scene = atlas.example(name, axes={axis: {"count": 16} for axis in axes})
+        upright = atlas.run(scene, progress=False)
+        assert (upright.z0 == 1).all()
+        assert upright.theta_max.min() > 3.14
+        scene["fixed"] |= {key: value for key, value in turned.items() if key in scene["fixed"]}
+        scene["nudge"]["theta0"] *= -1
+        scene.pop("ties", None)
+        for axis in {"r0", "l3"} & scene["axes"].keys():
+            scene["axes"][axis] |= {"from": -scene["axes"][axis]["to"], "to": -scene["axes"][axis]["from"]}
+        hung = atlas.run(scene, progress=False)
+        assert hung.theta_min.max() < 1e-3
+        hung = hung.isel({axis: slice(None, None, -1) for axis in ("r0", "l3") if axis in hung.dims})
+        for variable in ("label", "predicted", "stable"):
+            np.testing.assert_array_equal(upright[variable], hung[variable])
+
+
 # Nudges of starts that are given by vectors.
 
 NUDGED = {

@@ -20,6 +20,7 @@ from plain_kernel import plain_module
 
 from atlas import BadInput, label_points, load_scene
 from atlas.errors import MAX_MESSAGE
+from atlas.kernel.blocks import Threads
 from atlas.label import pipeline
 from atlas.label.plan import Plan
 from atlas.runs.plan import ScenePlan
@@ -409,7 +410,7 @@ def try_run(text: str) -> str:
         scene = load_scene(tomli_w.dumps(table))
         grid.check(scene)
         tile = grid.points_at_indices(scene, np.arange(min(scene.size, 3)))
-        values = pipeline.evaluate(Plan.of(scene), tile, threads=1)
+        values = pipeline.evaluate(Plan.of(scene), tile, threads=Threads(1))
         _check_columns(values, tile.exists.size)
         if scene.size <= 30:
             columns = {name: np.zeros(scene.size) for name in (*scene.outputs, *scene.solve)}

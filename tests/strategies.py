@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
+from atlas.kernel.blocks import Threads
 from atlas.kernel.specialization import Specialization
 from atlas.label import pipeline
 from atlas.label.any_axis import predict_any_axis
@@ -210,7 +211,7 @@ def tile_of(system, base, points, duration, settings):
 def evaluate(system, base, points, duration, settings, *, halved=False, threads=None, **plan):
     """The variables of a `tile_of` these; plan: further fields of a Plan."""
     tile = tile_of(system, base, points, duration, settings)
-    return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=threads)
+    return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=Threads(threads))
 
 
 class SteadyMotion(NamedTuple):

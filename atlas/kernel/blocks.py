@@ -9,6 +9,7 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from types import ModuleType
@@ -100,19 +101,33 @@ def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
     return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
 
 
+@dataclass(frozen=True)
+class Threads:
+    """The threads that integrate, and what they call with the work done since the last call; it may end the run by an exception."""
+
+    count: int | None = None  # None: as many as there are processors; 0: the calling thread
+    progress: Callable[[float], None] = lambda work: None
+
+    def scaled(self, factor: float) -> Threads:
+        """The same threads for work in another unit; by 0 the progress is called without work done."""
+        return Threads(self.count, lambda work: self.progress(factor * work))
+
+
+ALL_THREADS = Threads()
+
+
 def integrate(
     kernel: ModuleType,
     schedule: BlockSchedule,
     arrays: Arrays,
     *,
     segment: tuple[Counts, Counts] | None = None,
-    threads: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    threads: Threads = ALL_THREADS,
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    `segment` is the first and the last node of each block (default: whole runs). Worker threads, or the calling one where no
-    number of threads is given and there are few steps, call `progress` with the point-steps since the last call. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
+    `segment` is the first and the last node of each block (default: whole runs). The threads, or the calling one where no
+    number is given and there are few steps, tell the point-steps done. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -121,9 +136,9 @@ def integrate(
     if not arrays.resume.size and (steps > CHUNK).any():
         arrays = resumable(kernel, arrays)
     # A kernel that has not been called may be compiled: in a thread, so that Ctrl-C need not wait for it.
-    if threads is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
-        threads = 0
-    call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads, progress)
+    if threads.count is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
+        threads = Threads(0, threads.progress)
+    call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads)
 
 
 def call_by_parts(
@@ -131,13 +146,12 @@ def call_by_parts(
     point_steps: Counts,
     first_node: Counts,
     last_node: Counts,
-    threads: int | None,
-    progress: Callable[[int], None] | None,
+    threads: Threads,
 ) -> None:
-    """Call a kernel for all blocks in threads, several times for a long block; threads = 0: in the calling thread."""
+    """Call a kernel for all blocks in threads, several times for a long block."""
     # Bounds of chunks of blocks: at least about four for each thread, of at most about CHUNK point-steps each.
     total, stop = np.cumsum(point_steps), threading.Event()
-    least_chunks = 1 if threads == 0 else 4 * (threads or available_threads())
+    least_chunks = 1 if threads.count == 0 else 4 * (threads.count or available_threads())
     max_cost = min(CHUNK, -(-int(total[-1]) // least_chunks)) if total.size else CHUNK
     bounds = [0]
     while bounds[-1] < len(total):
@@ -155,14 +169,13 @@ def call_by_parts(
                 begin[first] = first_node[first] + nodes * i // calls
                 end[first] = first_node[first] + nodes * (i + 1) // calls
             call(first, last, begin, end)
-            if progress is not None:
-                progress(steps * (i + 1) // calls - steps * i // calls)
+            threads.progress(steps * (i + 1) // calls - steps * i // calls)
 
-    if threads == 0:
+    if threads.count == 0:
         for first, last in pairwise(bounds):
             chunk(first, last)
         return
-    with ThreadPoolExecutor(threads or available_threads()) as pool:
+    with ThreadPoolExecutor(threads.count or available_threads()) as pool:
         jobs = [pool.submit(chunk, first, last) for first, last in pairwise(bounds)]
         try:
             for job in jobs:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..systems.base import Array, Mask, Points, System
 from . import blocks
+from .blocks import ALL_THREADS, Threads
 from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
@@ -122,9 +123,9 @@ class Ensemble:
         cylinder: float = 0.0,
         *,
         early_stop_rate: Array | None = None,
-        **options: Any,
+        threads: Threads = ALL_THREADS,
     ) -> Integration:
-        """Integrate every point; options: threads and progress of `blocks.integrate`.
+        """Integrate every point; the threads tell the point-steps done.
 
         `cylinder` is a radius in rad. A run may end early once the root mean square of theta' over the whole run is certain to
         exceed early_stop_rate outside the cylinder; by default every run is whole.
@@ -132,9 +133,9 @@ class Ensemble:
         arrays = self.arrays(kernel, step_sizes.step_size, cylinder, step_sizes.nodes_per_period)
         nodes = step_sizes.intervals + 1
         if early_stop_rate is None:
-            blocks.integrate(kernel, blocks.schedule_of(step_sizes), arrays, **options)
+            blocks.integrate(kernel, blocks.schedule_of(step_sizes), arrays, threads=threads)
         else:
-            nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, **options)
+            nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, threads)
         intervals = np.maximum(nodes - 1, 1)
         with np.errstate(over="ignore"):  # a duration near the largest number
             duration = intervals * step_sizes.sample_spacing
@@ -143,18 +144,18 @@ class Ensemble:
         )
 
     def final_states(
-        self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, *, threads: int | None = None
+        self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, threads: Threads = ALL_THREADS
     ) -> Array:
         """States after so many steps of these sizes (time units), (states, points), without statistics."""
-        return self.states_at_samples(kernel, steps, step_size[None], threads=threads)[:, 0]
+        return self.states_at_samples(kernel, steps, step_size[None], threads)[:, 0]
 
     def states_at_samples(
-        self, kernel: ModuleType, steps: NDArray[np.int64], step_sizes: Array, *, threads: int | None = None
+        self, kernel: ModuleType, steps: NDArray[np.int64], step_sizes: Array, threads: Threads = ALL_THREADS
     ) -> Array:
         """States each time that so many steps have ended, (states, samples, points); step_sizes: (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
         states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
-        direct = threads == 0 and schedule.point_steps <= blocks.CHUNK  # such calls are many and short
+        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # such calls are many and short
         for k, step_size in enumerate(step_sizes):
             arrays = arrays._replace(step_size=step_size)
             if direct:
@@ -184,8 +185,7 @@ class Ensemble:
         step_sizes: StepSizes,
         arrays: blocks.Arrays,
         early_stop_rate: Array,
-        threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
+        threads: Threads,
     ) -> NDArray[np.int64]:
         """Number of nodes that each point took.
 
@@ -209,16 +209,15 @@ class Ensemble:
                 schedule, packed = blocks.schedule_of(step_sizes, selected), selected
             first_points = schedule.points[:, 0]  # all points of a block have the same history
             segment = done[first_points], _segment_end(share, schedule.nodes)
-            blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads, progress=progress)
+            blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads)
             done[selected] = until[goes_on]
             certain = done[active] > 0  # before its first node a point has undefined sums
             with np.errstate(invalid="ignore", over="ignore"):  # of undefined sums, and of overflow
                 certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
             certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
-            if progress is not None:
-                left_out = (run_nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
-                progress(int(left_out[ended].sum()))
+            left_out = (run_nodes[active] - done[active]) * step_sizes.steps_per_sample[active]
+            threads.progress(int(left_out[ended].sum()))
             active = active[~ended]
         return done
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..systems import jacobian
 from ..systems.base import Array, Mask, Points, System
+from .blocks import ALL_THREADS, Threads
 from .ensemble import Ensemble
 from .stepsize import GOLDEN_SECTION
 from .tableaux import Method
@@ -59,8 +60,7 @@ def along_runs(
     ensemble: Ensemble,
     duration: Array,
     max_steps: int,
-    *,
-    threads: int | None = None,
+    threads: Threads = ALL_THREADS,
 ) -> tuple[Array, Mask]:
     """Frequency bound of each point, rad per time unit, and whether no frequency in its run exceeds it."""
     if not system.has_numeric_bound:
@@ -114,7 +114,7 @@ def _largest_frequency(
     bound: Array,
     duration: Array,
     longest_step: Array,
-    threads: int | None,
+    threads: Threads,
 ) -> Array:
     """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
@@ -132,9 +132,10 @@ def _largest_frequency(
         # The number of samples doubles, because most bounds that are too low are exceeded early.
         count = int(np.clip(min(MATRICES // active.size, n_samples), 1, samples[active].max() - n_samples))
         # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
-        in_threads = 0 if n_samples > 0 and steps[active].sum() <= FEW_STEPS else threads
+        direct = n_samples > 0 and steps[active].sum() <= FEW_STEPS
+        in_threads = Threads(0) if direct else threads
         step_sizes = distances[n_samples : n_samples + count, None] * mean_step_size[active]
-        states = part.states_at_samples(kernel, steps[active], step_sizes, threads=in_threads)
+        states = part.states_at_samples(kernel, steps[active], step_sizes, in_threads)
         ensemble.state[:, active] = states[:, -1]
         with np.errstate(all="ignore"):
             constants = np.repeat(part.constants[:, None], count, axis=1)

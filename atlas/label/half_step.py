@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..flags import LABELS, Label
+from ..kernel.blocks import ALL_THREADS, Threads
 from ..kernel.statistics import RATES
 from ..scene import grid
 from ..scene.draws import mixed
@@ -47,7 +48,9 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
     return np.asarray(first + np.minimum((fraction * width).astype(np.int64), width - 1), np.int64)
 
 
-def half_step_sample(scene: Scene, plan: Plan | None = None, *, threads: int | None = None) -> dict[str, Any]:
+def half_step_sample(
+    scene: Scene, plan: Plan | None = None, *, threads: Threads = ALL_THREADS
+) -> dict[str, Any]:
     """Attributes of a sample of points integrated at the scene's step and at half of it, see docs/accuracy.md."""
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)

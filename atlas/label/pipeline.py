@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..flags import Status
 from ..kernel import blocks, numeric_bound
+from ..kernel.blocks import ALL_THREADS, Threads
 from ..kernel.ensemble import Ensemble
 from ..kernel.generated import WIDTH
 from ..kernel.statistics import Row
@@ -39,24 +39,22 @@ def evaluate(
     tile: Grid,
     *,
     halved: Mask | bool = False,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    threads: Threads = ALL_THREADS,
 ) -> dict[str, np.ndarray]:
     """Integrate, measure, label and compare points; the arrays have names of the registry of variables.
 
     Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan. Statistics that the plan
     does not want may be missing or cover a part of the run, because a point ends once its label is certain; of points that the
-    settings let a proof decide all are. `halved`: whether points run at half the step of the settings, all or each; `progress`:
-    gets the number of points done.
+    settings let a proof decide all are. `halved`: whether points run at half the step of the settings, all or each. The threads
+    tell the number of points done.
     """
-    progress = progress or (lambda points: None)
 
     def of_part(plan: Plan, where: Mask) -> dict[str, np.ndarray]:
         """The variables of some points, missing values at the others."""
         columns, registry = {}, variables(plan.system)
         if where.any():
             part, half = tile.subset(where), np.broadcast_to(halved, where.shape)[where]
-            some = evaluate(plan, part, halved=half, threads=threads, progress=progress)
+            some = evaluate(plan, part, halved=half, threads=threads)
         else:
             some = {name: np.empty(0, variable.dtype) for name, variable in registry.items()}
         for name, values in some.items():
@@ -71,12 +69,12 @@ def evaluate(
     if plan.settings.prove:
         from .proved import by_proof
 
-        proved, known = by_proof(plan, tile, progress)
+        proved, known = by_proof(plan, tile, threads.progress)
         columns = of_part(plan.without_prove(), ~proved)
         for name, values in known.items():
             columns[name][proved] = values
         return columns
-    runs = _prepare(plan, tile, halved, threads, progress)
+    runs = _prepare(plan, tile, halved, threads)
     run = runs.integrate()
     columns = _assemble(runs, run, *_recheck(runs, run))
     for name, values in plan.proofs(tile).items():
@@ -84,7 +82,7 @@ def evaluate(
     added = dict[str, np.ndarray]()
     if runs.tangent is not None:
         tangent = replace(runs.tangent, ensemble=run.ensemble)
-        added |= tangent.variables(columns, runs.theory.unstable, threads, runs.progress)
+        added |= tangent.variables(columns, runs.theory.unstable, threads)
     if not frozenset(plan.names).isdisjoint(ANY_AXIS_THEORY):
         from .any_axis import predict_any_axis
 
@@ -137,12 +135,11 @@ class _Runs:
     theory: Theory
     tangent: TangentRuns | None  # after the transient, for the indicators of chaos
     growth: TangentRuns | None  # from the start, for the growth of errors
-    threads: int | None
-    progress: Callable[[float], None]  # takes a number of points; may raise an exception to end the run
+    threads: Threads  # they tell numbers of points
 
-    def check(self, points: float = 0) -> None:
-        """Call `progress`, which may end the run, without points done."""
-        self.progress(0.0)
+    def check(self) -> None:
+        """Call the progress of the threads, which may end the run, without points done."""
+        self.threads.progress(0.0)
 
     def integrate(self) -> Run:
         """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
@@ -150,8 +147,8 @@ class _Runs:
         total = max(int(step_sizes.whole_steps.sum()), 1)
         further = self.tangent or self.growth
         points = self.ensemble.size * (1.0 - (further.share if further else 0.0))
-        options: dict[str, Any] = {"threads": self.threads, "progress": lambda n: self.progress(points * n / total)}  # fmt: skip
-        ensemble = after_transient(self.plan, self.tile.points, self.ensemble, step_sizes, **options)
+        threads = self.threads.scaled(points / total)
+        ensemble = after_transient(self.plan, self.tile.points, self.ensemble, step_sizes, threads)
         stop_rate = None
         if self.plan.may_stop_early:
             with np.errstate(all="ignore"):
@@ -159,7 +156,7 @@ class _Runs:
                 stop_rate = main.early_stop_rate(bound, step_sizes, settings.tolerances)
                 stop_rate = np.where(self.theory.error_amplified(step_sizes, settings), np.inf, stop_rate)
         integration = ensemble.integrate(
-            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, **options
+            self.plan.kernel, step_sizes, settings.cylinder, early_stop_rate=stop_rate, threads=threads
         )
         rates, growth = self.theory.frame_rates, self.theory.prediction.log_growth
         return Run(
@@ -169,9 +166,9 @@ class _Runs:
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
         """The points of a run integrated by other steps."""
-        options: dict[str, Any] = {"threads": self.threads, "progress": self.check}
-        ensemble = after_transient(self.plan, run.points, run.ensemble, step_sizes, **options)
-        integration = ensemble.integrate(self.plan.kernel, step_sizes, run.settings.cylinder, **options)
+        threads = self.threads.scaled(0.0)
+        ensemble = after_transient(self.plan, run.points, run.ensemble, step_sizes, threads)
+        integration = ensemble.integrate(self.plan.kernel, step_sizes, run.settings.cylinder, threads=threads)
         return replace(run, ensemble=ensemble, step_sizes=step_sizes, integration=integration).measure()
 
     def resolved(self, run: Run) -> Mask:
@@ -188,8 +185,8 @@ class _Runs:
         if self.growth is None or not needed:
             return run
         # With chaos, the runs for it count as the work.
-        progress = self.check if self.tangent else self.progress
-        return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), self.threads, progress))
+        threads = self.threads.scaled(0.0) if self.tangent else self.threads
+        return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 
     def status(self, run: Run, step_sensitive: Mask | bool) -> Flags:
         with np.errstate(all="ignore"):
@@ -199,9 +196,7 @@ class _Runs:
             )  # fmt: skip
 
 
-def _prepare(
-    plan: Plan, tile: Grid, halved: Mask | bool, threads: int | None, progress: Callable[[float], None]
-) -> _Runs:
+def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _Runs:
     """The ensemble, its step sizes and its theory. Points whose parameters overflow are unresolved."""
     system, settings, main = plan.system, plan.settings.at(tile.rate_tolerance), plan.main
     points = SharedValues(tile.points)
@@ -210,7 +205,7 @@ def _prepare(
     _, transient = whole_periods(system, ensemble.constants, np.broadcast_to(tile.transient, duration.shape))
     tile = replace(tile, duration=duration, transient=transient)
     bound, settled = numeric_bound.along_runs(
-        system, plan.kernel, method, ensemble, tile.until, settings.max_steps, threads=threads
+        system, plan.kernel, method, ensemble, tile.until, settings.max_steps, threads
     )
     ensemble = replace(ensemble, frequency_bound=main.bound(bound, settled))
     with np.errstate(all="ignore"):
@@ -229,12 +224,12 @@ def _prepare(
                 tangent = of(duration, settings, step_sizes, has_chaos=True)
             if plan.needs_growth:
                 growth = of(tile.until, settings, step_sizes, has_chaos=False)
-    return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads, progress)  # fmt: skip
+    return _Runs(plan, tile, settings, ensemble, step_sizes, settled, theory, tangent, growth, threads)  # fmt: skip
 
 
 @np.errstate(all="ignore")
-def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, **options: Any) -> Ensemble:  # fmt: skip
-    """The ensemble at the end of transients from its origin; options: threads and progress of `blocks.integrate`."""
+def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, threads: Threads = ALL_THREADS) -> Ensemble:  # fmt: skip
+    """The ensemble at the end of transients from its origin; the threads tell the point-steps done."""
     where, start = np.flatnonzero(step_sizes.transient_steps), replace(ensemble, state=ensemble.origin)
     if not where.size:
         return start
@@ -244,7 +239,7 @@ def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: 
     strides = -(-steps // intervals)
     step_size = step_sizes.transient[where] / (strides * intervals)
     arrays = start.subset(where).arrays(plan.kernel, step_size)
-    blocks.integrate(plan.kernel, blocks.pack_blocks(strides * intervals, strides), arrays, **options)
+    blocks.integrate(plan.kernel, blocks.pack_blocks(strides * intervals, strides), arrays, threads=threads)
     state[:, where] = arrays.state[: len(state)]
     change[where] = arrays.sums[0 if plan.kernel.OBSERVABLES else Row.DRIFT]
     return replace(start, state=state, change=change).with_given(plan.system, points, plan.plugs)

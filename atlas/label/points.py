@@ -15,6 +15,7 @@ from .. import systems
 from ..errors import BadInput, allowed_text, shown
 from ..extension import available_text
 from ..kernel import numeric_bound
+from ..kernel.blocks import Threads
 from ..kernel.compiling import Stopwatch
 from ..kernel.stepsize import StepSizes
 from ..kernel.tableaux import METHODS
@@ -266,7 +267,7 @@ def _evaluate_in_tiles(
     for first in range(0, size, length):
         tile = slice(first, first + length)
         part = points.subset(tile)
-        values = evaluate(plan, part, threads=threads, progress=bar.advance)
+        values = evaluate(plan, part, threads=Threads(threads, bar.advance))
         bar.skip(part.reason.size - int(part.exists.sum()))
         for name, column in columns.items():
             column[tile] = values[name]

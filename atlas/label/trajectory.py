@@ -138,9 +138,10 @@ def trajectory_of_point(
             raise BadInput(f"no motion: {grid.sentence(reason, system, None, duration)}")
     settings = settings.with_number(float(rate_tolerance[0]))
     at_point, ensemble = settings.at(rate_tolerance), Ensemble.of(system, points)
+    method = METHODS[settings.method]
     with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
         bound, _ = numeric_bound.along_runs(
-            system, plan.kernel, METHODS[settings.method], ensemble, durations, settings.max_steps, threads=1
+            system, plan.kernel, method, ensemble, durations, settings.max_steps, blocks.Threads(1)
         )
         whole = StepSizes.of(at_point, bound, durations).steps
     steps = int(steps_between_instants(at_point, whole, durations, samples - 1)[0])
@@ -155,7 +156,7 @@ def trajectory_of_point(
     if has_angles:
         with np.errstate(all="ignore"):
             equations = with_frame_vector(system.equations)
-            motion = _Motion(equations, METHODS[settings.method], ensemble.constants, float(step_size[0]))
+            motion = _Motion(equations, method, ensemble.constants, float(step_size[0]))
             path = _path(system, points, motion, states, steps_of_parts)
     at_samples = slice(None, None, parts)
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
@@ -204,7 +205,7 @@ def _states(
     states = np.empty((steps.size + 1, len(arrays.state)))
     states[0] = arrays.state[:, 0]
     for i, n in enumerate(steps.tolist(), 1):
-        blocks.integrate(module, schedules[n], arrays, threads=0)
+        blocks.integrate(module, schedules[n], arrays, threads=blocks.Threads(0))
         states[i] = arrays.state[:, 0]
     lost = getattr(module, "LOSSES", ())
     return states[:, :count], dict(zip(lost, states[:, count:].T, strict=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
@@ -163,8 +163,7 @@ class Separation:
         self,
         where: NDArray[np.int64] | None = None,
         *,
-        threads: int | None = None,
-        progress: Callable[[int], None] | None = None,
+        threads: blocks.Threads = blocks.ALL_THREADS,
     ) -> None:
         """Integrate points, which have run equally long, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
@@ -177,7 +176,7 @@ class Separation:
             self.steps.step_size, self.state, self.constants, self.vectors, self.weights, self.sums
         )
         call = partial(self.kernel.integrate, longest, arrays)
-        blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads, progress)
+        blocks.call_by_parts(call, schedule.steps * WIDTH, first_node, first_node + nodes, threads)
         self.durations[where] += 1
 
 
@@ -216,48 +215,43 @@ class TangentRuns:
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
-    def _separation(
-        self, where: NDArray[np.int64], threads: int | None, progress: Callable[[float], None]
-    ) -> Separation:
-        """Tangent vectors of some points after their runs; `progress` gets `share` of all points."""
+    def _separation(self, where: NDArray[np.int64], threads: blocks.Threads) -> Separation:
+        """Tangent vectors of some points after their runs; the threads tell `share` of all points."""
         steps = self.steps.subset(where)
         separation = Separation(
             self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
         )
         points_per_step = self.rate_unit.size * self.share / float(steps.steps.sum())
-        separation.integrate(
-            threads=threads, progress=lambda point_steps: progress(points_per_step * point_steps)
-        )
+        separation.integrate(threads=threads.scaled(points_per_step))
         return separation
 
-    def growth(self, where: Mask, threads: int | None, progress: Callable[[float], None]) -> Array:
-        """Logarithm of the largest growth of a tangent vector, infinite where that is not resolved, nan elsewhere; for
-        `progress` see `variables`."""
+    def growth(self, where: Mask, threads: blocks.Threads) -> Array:
+        """Logarithm of the largest growth of a tangent vector, infinite where that is not resolved, nan elsewhere; the
+        threads tell `share` of the points in all."""
         result = np.where(where, np.inf, np.nan)
         resolved = np.flatnonzero(where & self.steps.resolved)
         if resolved.size:
-            separation = self._separation(resolved, threads, progress)
+            separation = self._separation(resolved, threads)
             result[resolved] = np.nan_to_num(separation.sums[tangent.Growth.HIGHEST], nan=np.inf)
         else:
-            progress(where.size * self.share)
+            threads.progress(where.size * self.share)
         return result
 
     def variables(
         self,
         columns: Mapping[str, np.ndarray],
         unstable: Mask,
-        threads: int | None,
-        progress: Callable[[float], None],
+        threads: blocks.Threads,
     ) -> dict[str, np.ndarray]:
-        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; `progress` gets `share` of the points in all."""
+        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; the threads tell `share` of the points in all."""
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
         flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
         where = np.flatnonzero(columns["status"] == Status.OK)
         if not where.size:
-            progress(size * self.share)
+            threads.progress(size * self.share)
             return {"megno": megno, "lyapunov": lyapunov, "regularity": flags}
-        separation = self._separation(where, threads, progress)
+        separation = self._separation(where, threads)
         values = np.array([separation.megno, separation.lyapunov])
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
@@ -272,7 +266,7 @@ class TangentRuns:
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
             if duration < MAX_DURATIONS and active.size:
-                separation.integrate(active, threads=threads, progress=lambda steps: progress(0.0))
+                separation.integrate(active, threads=threads.scaled(0.0))
         sustained = (drawdown[chaotic] <= MAX_DRAWDOWN) & (log_growth[chaotic] > MAX_PASSAGE_GROWTH)
         kind[chaotic[~sustained]] = Regularity.UNDECIDED
         values[:, chaotic[~sustained]] = np.nan

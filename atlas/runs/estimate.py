@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import BadInput
 from ..kernel import blocks
+from ..kernel.blocks import Threads
 from ..label.pipeline import evaluate
 from ..label.theory import predict_runs
 from ..scene import grid
@@ -153,7 +154,9 @@ def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
     if count < LEAST_POINTS or steps[chosen].sum() > 2 * LABEL_STEPS:
         return []
     part = plan.sample.subset(chosen)
-    ended = evaluate(replace(labels, outputs=[*labels.names, "end_time"]), part, threads=threads)["end_time"]
+    ended = evaluate(replace(labels, outputs=[*labels.names, "end_time"]), part, threads=Threads(threads))[
+        "end_time"
+    ]
     share = np.minimum(np.nan_to_num(ended) / part.until, 1.0)
     left = (share * steps[chosen]).sum() / steps[chosen].sum()
     return [f"statistics: they need whole runs; without them about {left:.2g} of the integration"]
@@ -233,12 +236,12 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
 
     plan = _short_tile(plan, threads)
     points, started = plan.sample, time.perf_counter()
-    evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=1)
+    evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=Threads(1))
     compile_seconds, memory = time.perf_counter() - started, most_memory()
     began = time.process_time()  # independent of other programs
     predict_runs(plan.runs, points)
     theory_seconds = time.process_time() - began
-    columns = evaluate(plan.runs, points, threads=threads) | points.base
+    columns = evaluate(plan.runs, points, threads=Threads(threads)) | points.base
     seconds = time.process_time() - began - theory_seconds
     size, most = points.exists.size, most_memory()
     content = encode({}, {name: columns[name].astype(kind) for name, kind in tile_types(plan.scene).items()})

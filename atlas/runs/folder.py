@@ -172,7 +172,9 @@ def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | No
         attributes, saved = {}, None
     if not attributes:
         plan = execution.plan
-        attributes = half_step.half_step_sample(plan.scene, plan.runs, threads=execution.threads)
+        attributes = half_step.half_step_sample(
+            plan.scene, plan.runs, threads=blocks.Threads(execution.threads)
+        )
     elif saved and saved.table() == totals.table():
         return
     folder.save_notes(attributes, totals)
@@ -201,7 +203,7 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> N
 
     scratch = folder.place.path if isinstance(folder.place, Folder) else Path(tempfile.gettempdir())
     fine, attributes = refine.refined(
-        integrate, plan, scratch, threads=execution.threads, progress=execution.progress
+        integrate, plan, scratch, blocks.Threads(execution.threads), progress=execution.progress
     )
     folder.check_kept()
     for tile in tiles.missing():
@@ -369,7 +371,7 @@ class _Job:
                 return last_end - before
 
         def compute(tile: int, advance: Advance) -> None:
-            header = _compute_tile(source, tile, threads, by, seconds, advance)
+            header = _compute_tile(source, tile, blocks.Threads(threads, advance), by, seconds)
             bar.skip(header["points"] - header["computed"] + sum(header["reused"].values()))
             with lock:
                 self.own.add(tile)
@@ -405,14 +407,12 @@ def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
 
 
 def _compute_tile(
-    source: Source, tile: int, threads: int | None, by: str, seconds: Callable[[], float], advance: Advance
+    source: Source, tile: int, threads: blocks.Threads, by: str, seconds: Callable[[], float]
 ) -> dict[str, Any]:
     """Compute and write a tile; its header."""
     run, tiles, plan, earlier = source
     with claims.held(tiles.place, tiles.name(tile, claims.SUFFIX)):
-        columns, computed, reused = evaluate_at(
-            plan, run.scene, tiles.indices(tile), earlier, threads=threads, progress=advance
-        )
+        columns, computed, reused = evaluate_at(plan, run.scene, tiles.indices(tile), earlier, threads)
         run.check_kept()
         return tiles.write(tile, columns, computed=computed, seconds=seconds(), by=by, reused=reused)
 
@@ -425,7 +425,7 @@ def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] 
 def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
     """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
     source = _open_cached(path, level, key, reuse)
-    _compute_tile(source, tile, 1, "dask workers", Stopwatch().seconds, lambda points: None)
+    _compute_tile(source, tile, blocks.Threads(1), "dask workers", Stopwatch().seconds)
     return tile
 
 

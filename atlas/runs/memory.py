@@ -20,6 +20,7 @@ import xarray as xr
 
 from .. import interruption
 from ..kernel import blocks
+from ..kernel.blocks import ALL_THREADS, Threads
 from ..kernel.compiling import Stopwatch, announced, say
 from ..label import half_step
 from ..label.pipeline import evaluate
@@ -111,7 +112,7 @@ class Execution:
             sample = self.plan.sample
             points = replace(self.plan.runs.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
-                evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=1)
+                evaluate(points, sample.subset(np.flatnonzero(sample.exists)[:1]), threads=Threads(1))
         from . import cluster
 
         return self.stack.enter_context(cluster.connect(self.scheduler, self.workers))
@@ -119,12 +120,12 @@ class Execution:
 
 def run_in_memory(execution: Execution) -> xr.Dataset:
     """Compute an atlas without a run folder."""
-    plan, threads, progress = execution.plan, execution.threads, execution.progress
+    plan, threads, progress = execution.plan, Threads(execution.threads), execution.progress
     scene, stopwatch, reused = plan.scene, Stopwatch(), Counter[str]()
     execution.name_cheaper_method()
     if scene.refine is None:
         with closing(Progress(scene.size, show=progress)) as bar:
-            columns, reused = columns_of(plan, bar, threads, execution.earlier)
+            columns, reused = columns_of(plan, bar, execution.threads, execution.earlier)
         ds, points = dataset.dataset(scene, columns), scene.size
         attributes = half_step.half_step_sample(scene, plan.runs, threads=threads)
     else:
@@ -133,12 +134,12 @@ def run_in_memory(execution: Execution) -> xr.Dataset:
         no_bar = Progress(scene.size, show=False)
 
         def integrate(indices: np.ndarray) -> Iterator[Part]:
-            columns, counts = columns_of(plan, no_bar, threads, execution.earlier, indices)
+            columns, counts = columns_of(plan, no_bar, execution.threads, execution.earlier, indices)
             reused.update(counts)
             yield indices, columns
 
         with announced(progress):
-            fine, attributes = refine.refined(integrate, plan, None, threads=threads, progress=progress)
+            fine, attributes = refine.refined(integrate, plan, None, threads, progress=progress)
         ds, points = dataset.dataset(scene, fine.values(())), fine.n_integrated
     provenance = dataset.provenance(
         scene.system, scene.settings, plan.runs.kernel_hash, scene=scene, warnings=plan.warnings,
@@ -164,9 +165,7 @@ def columns_of(
     def compute(tile: int, advance: Advance) -> None:
         part = tiles.indices(tile)
         indices = part if points is None else points[part]
-        values, computed, reused = evaluate_at(
-            plan.runs, scene, indices, earlier, threads=threads, progress=advance
-        )
+        values, computed, reused = evaluate_at(plan.runs, scene, indices, earlier, Threads(threads, advance))
         for name, column in columns.items():
             column[part] = values[name]
         all_reused.update(reused)
@@ -181,9 +180,7 @@ def evaluate_at(
     scene: Scene,
     indices: np.ndarray,
     earlier: Sequence[Earlier] = (),
-    *,
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    threads: Threads = ALL_THREADS,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
     """Variables and parameters of points of a scene, the number of points with a motion, and the counts of reused points."""
     points = grid.points_at_indices(scene, indices)
@@ -200,7 +197,7 @@ def evaluate_at(
             reused[atlas.history] += where.size
     if remaining.size:
         part = points.subset(remaining) if parts else points
-        parts.append((remaining, evaluate(plan, part, threads=threads, progress=progress)))
+        parts.append((remaining, evaluate(plan, part, threads=threads)))
     merged = dict(parts[0][1])
     if len(parts) > 1:
         registry = variables(scene.system)

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..errors import BadInput, say
 from ..flags import Stability
+from ..kernel.blocks import Threads
 from ..label import half_step, theory
 from ..scene import grid
 from ..scene.model import Scene
@@ -46,12 +47,12 @@ MAX_BOX_POINTS = 2**20
 
 
 def refined(
-    integrate: Integrate, plan: ScenePlan, folder: Path | None, *, threads: int | None, progress: bool
+    integrate: Integrate, plan: ScenePlan, folder: Path | None, threads: Threads, *, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
     """The finest grid of a scene with [refine], computed in memory or in a folder (which has no measured numbers), and attributes."""
     scene = plan.scene
     assert scene.refine is not None
-    fine = FineGrid(plan, threads, integrate, folder)
+    fine = FineGrid(plan, integrate, folder)
     fine.trace(scene.refine.levels, progress)
     size, missed = fine.probe(scene.refine.probe)
     share = fine.n_integrated / fine.n_existing
@@ -62,8 +63,8 @@ def refined(
 class FineGrid:
     """The finest grid of a scene: predictions at every point, and measured flags, assumed from a neighbour where none is measured."""
 
-    def __init__(self, plan: ScenePlan, threads: int | None, integrate: Integrate, folder: Path | None):
-        self.scene, self.plan, self.threads, self.integrate = plan.scene, plan.runs, threads, integrate
+    def __init__(self, plan: ScenePlan, integrate: Integrate, folder: Path | None):
+        self.scene, self.plan, self.integrate = plan.scene, plan.runs, integrate
         scene = plan.scene
         self.registry = variables(scene.system)
         self.flags = traced(scene)
@@ -226,7 +227,7 @@ def expected_points(plan: ScenePlan) -> float:
         yield indices, {name: values.get(PREDICTIONS.get(name, ""), zero) for name in predicted.flags}
 
     simulated = replace(scene, axes=axes, refine=coarser, outputs=tuple(traced(scene)))
-    predicted = FineGrid(replace(plan, scene=simulated), 1, predictions, None)
+    predicted = FineGrid(replace(plan, scene=simulated), predictions, None)
     predicted.trace(simulated_levels, progress=False)
     near = sum(map(np.count_nonzero, predicted._near_boundary(predicted.flag_code)))
     existing_share, simulated_points = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, MutableMapping
+from collections import UserDict
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -33,32 +33,17 @@ __all__ = [
 BUILT_IN = ("satellite", "fixed_point")
 
 
-class _Systems(MutableMapping[str, System]):
+class _Systems(UserDict[str, Any]):
     """Systems of this package, each imported when first asked for, and others that were asked for or registered."""
 
-    def __init__(self) -> None:
-        self._known: dict[str, System | None] = dict.fromkeys(BUILT_IN)
-
     def __getitem__(self, name: str) -> System:
-        system = self._known[name]
-        if system is None:
-            system = self._known[name] = getattr(import_module(f".{name}", __name__), name.upper())
+        if self.data[name] is None:
+            self.data[name] = getattr(import_module(f".{name}", __name__), name.upper())
+        system: System = self.data[name]
         return system
 
-    def __setitem__(self, name: str, system: System) -> None:
-        self._known[name] = system
 
-    def __delitem__(self, name: str) -> None:
-        del self._known[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._known)
-
-    def __len__(self) -> int:
-        return len(self._known)
-
-
-SYSTEMS: MutableMapping[str, System] = _Systems()
+SYSTEMS = _Systems(dict.fromkeys(BUILT_IN))
 _ORIGINS: dict[System, plugins.Origin] = {}
 
 

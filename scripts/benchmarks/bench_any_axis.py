@@ -15,6 +15,7 @@ from statistics import median
 
 import numpy as np
 
+from atlas.kernel.blocks import Threads
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.statistics import Row
@@ -48,7 +49,7 @@ def measure(system: System, method: str, count: int, rounds: int) -> None:
     for i in range(rounds + 1):  # the first compiles
         for each, ensemble, module in zip(seconds, ensembles, kernels, strict=True):
             began = time.process_time()
-            run = ensemble.integrate(module, sizes, settings.cylinder, threads=1)
+            run = ensemble.integrate(module, sizes, settings.cylinder, threads=Threads(1))
             each.append(time.process_time() - began)
             if i == 0:
                 runs.append(run)

@@ -113,7 +113,7 @@ class Case:
 
     def run(self, threads: int) -> None:
         """Integrate all points."""
-        self.ensemble.integrate(self.kernel, self.step_sizes, 1e-5, threads=threads)
+        self.ensemble.integrate(self.kernel, self.step_sizes, 1e-5, threads=blocks.Threads(threads))
 
     def assembly(self) -> str:
         """Assembly of the kernel, compiled again because Numba does not show what came from its cache."""
@@ -335,7 +335,7 @@ def engine(points: int, rk4_steps: int, repeat: int) -> bool:
 
 def tangent_run(*arguments) -> None:
     """Runs with tangent vectors, from their preparation to the end."""
-    tangent_runs.Separation(*arguments).integrate(threads=1)
+    tangent_runs.Separation(*arguments).integrate(threads=blocks.Threads(1))
 
 
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
@@ -349,7 +349,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
         works = {
             "tangent": partial(tangent_run, system, own, case.ensemble, tangent, unit),
             "state": partial(
-                case.ensemble.final_states, case.kernel, sizes.steps, sizes.step_size, threads=1
+                case.ensemble.final_states, case.kernel, sizes.steps, sizes.step_size, blocks.Threads(1)
             ),
             "statistics": partial(case.run, 1),
         }

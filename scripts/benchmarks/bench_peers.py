@@ -43,6 +43,7 @@ from numba import cfunc, njit
 from scipy.integrate import odeint, solve_ivp
 
 from atlas.kernel import machine_code
+from atlas.kernel.blocks import Threads
 from atlas.kernel.differentiate import simplify
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import Specialization, kernel
@@ -113,7 +114,7 @@ def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], stati
         step_sizes = StepSizes.of(settings, part.frequency_bound, np.full(part.size, duration))
         if not statistics:
             step_sizes = replace(step_sizes, steps_per_sample=step_sizes.steps)
-        return part.integrate(module, step_sizes, 1e-5, threads=1).final_state
+        return part.integrate(module, step_sizes, 1e-5, threads=Threads(1)).final_state
 
     return run
 

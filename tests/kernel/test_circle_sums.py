@@ -37,7 +37,7 @@ def test_the_compiled_kernel_is_the_python_one(name, method):
         first = np.zeros_like(schedule.nodes)
         for last in lasts:
             segment = first, np.full_like(first, last)
-            blocks.integrate(module, schedule, arrays, segment=segment, threads=1)
+            blocks.integrate(module, schedule, arrays, segment=segment, threads=blocks.Threads(1))
             first = segment[1]
         return arrays.state, arrays.sums
 

@@ -49,14 +49,14 @@ def integrate(
     threads=1,
     steps_per_sample=1,
     cylinder=1e-5,
-    progress=None,
+    progress=lambda work: None,
 ):
     """Statistics and final state of points with the given numbers of steps."""
     ensemble = Ensemble.of(system, points)
     steps = np.broadcast_to(steps, (ensemble.size,)).astype(np.int64)
     schedule = blocks.pack_blocks(steps, np.full(ensemble.size, steps_per_sample))
     arrays = ensemble.arrays(module, duration / steps, cylinder)
-    blocks.integrate(module, schedule, arrays, threads=threads, progress=progress)
+    blocks.integrate(module, schedule, arrays, threads=blocks.Threads(threads, progress))
     measured = finish(arrays.sums, steps // steps_per_sample, np.full(ensemble.size, duration))
     return measured, arrays.state[: len(ensemble.state)]
 
@@ -210,11 +210,11 @@ def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method, dampi
     ensemble, module = Ensemble.of(SATELLITE, points), module_of(SATELLITE, method)
     schedule = blocks.pack_blocks(np.full(5, 32), np.ones(5, np.int64))
     whole, cut = (ensemble.arrays(module, np.full(5, 0.05), 1e-5) for _ in range(2))
-    blocks.integrate(module, schedule, whole, threads=1)
+    blocks.integrate(module, schedule, whole, threads=blocks.Threads(1))
     first, cut = np.zeros_like(schedule.nodes), blocks.resumable(module, cut)
     for last in (1, 2, 5, 20, int(schedule.nodes[0])):
         segment = first, np.full_like(first, last)
-        blocks.integrate(module, schedule, cut, segment=segment, threads=1)
+        blocks.integrate(module, schedule, cut, segment=segment, threads=blocks.Threads(1))
         first = segment[1]
     np.testing.assert_array_equal(cut.state, whole.state)
     np.testing.assert_array_equal(cut.sums, whole.sums)
@@ -227,7 +227,7 @@ def test_a_long_run_takes_many_short_calls(monkeypatch):
     schedule = blocks.pack_blocks(np.r_[np.full(35, 640), np.full(5, 16)], np.full(40, 2))
     whole, arrays = (ensemble.arrays(module, np.full(40, 0.01), 1e-5) for _ in range(2))
     calls, progress = [], []
-    blocks.integrate(module, schedule, whole, threads=1)
+    blocks.integrate(module, schedule, whole, threads=blocks.Threads(1))
 
     def integrate_counted(*call_arguments):
         calls.append(call_arguments[2:4])
@@ -235,7 +235,7 @@ def test_a_long_run_takes_many_short_calls(monkeypatch):
 
     monkeypatch.setattr(blocks, "CHUNK", 64 * blocks.WIDTH)
     counted = SimpleNamespace(**{**vars(module), "integrate": integrate_counted})
-    blocks.integrate(counted, schedule, arrays, threads=2, progress=progress.append)
+    blocks.integrate(counted, schedule, arrays, threads=blocks.Threads(2, progress.append))
     assert len(calls) == len(progress) == 2 * 10 + 1  # two blocks of 640 steps, one of 16
     assert sum(progress) == schedule.point_steps
     np.testing.assert_array_equal(arrays.state, whole.state)

@@ -49,7 +49,7 @@ def integrated(points, steps, duration, method="rk8", *, module=None, change=Non
     schedule = blocks.pack_blocks(np.full(ensemble.size, steps), np.ones(ensemble.size, np.int64))
     arrays = ensemble.arrays(module, np.full(ensemble.size, duration / steps), 1e-5)
     arrays = arrays._replace(constants=values, scales=scales)
-    blocks.integrate(module, schedule, arrays, threads=1)
+    blocks.integrate(module, schedule, arrays, threads=blocks.Threads(1))
     return arrays.state, arrays.sums[Row.DRIFT]
 
 

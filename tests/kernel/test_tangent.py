@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from strategies import RANDOM, random_satellites, select, specialization_of
 
 from atlas.kernel import augmented, blocks, tangent
+from atlas.kernel.blocks import Threads
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import tangent_runs
@@ -22,7 +23,7 @@ def indicators(name, points, duration, *, kernel=None, threads=1, step=None):
     separation = tangent_runs.Separation(
         system, kernel, ensemble, steps, tangent_runs.rate_unit(system, points)
     )
-    separation.integrate(threads=threads)
+    separation.integrate(threads=Threads(threads))
     return separation.megno, separation.lyapunov
 
 

@@ -10,6 +10,7 @@ from scipy.stats import binom
 from strategies import default_points, evaluate
 
 from atlas.flags import Label
+from atlas.kernel.blocks import Threads
 from atlas.kernel.statistics import RATES
 from atlas.kernel.stepsize import StepSizes
 from atlas.kernel.tableaux import METHODS
@@ -73,7 +74,7 @@ def test_half_the_step_changes_nothing_in_a_well_resolved_scene(small_scene):
     attributes = half_step.half_step_sample(scene)
     assert attributes["atlas_half_step_changed"] == attributes["atlas_labels_may_change"] == 0
     assert 0 < attributes["atlas_half_step_difference"] < 1e-6
-    assert attributes == half_step.half_step_sample(scene, threads=1)
+    assert attributes == half_step.half_step_sample(scene, threads=Threads(1))
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)

@@ -7,6 +7,7 @@ import pytest
 
 from atlas.flags import Label, Regularity, Status
 from atlas.kernel import tangent
+from atlas.kernel.blocks import ALL_THREADS, Threads
 from atlas.kernel.tableaux import TANGENT_METHOD
 from atlas.measure import tangent_runs
 from atlas.measure.tangent_runs import Separation, TangentRuns, TangentSteps, rate_unit, regularity
@@ -111,7 +112,7 @@ class Growing:
         self.sums[tangent.Growth.HIGHEST] = self.sums[tangent.Growth.LOG_GROWTH] + drawdown
         self.calls = []
 
-    def integrate(self, active=None, *, threads, progress):
+    def integrate(self, active=None, *, threads):
         if active is not None:  # beyond the run
             self.sums[tangent.Growth.LOG_GROWTH, active] *= 2.0
             self.calls.append(active.tolist())
@@ -140,7 +141,7 @@ def test_what_is_called_chaotic(monkeypatch):
     )
     monkeypatch.setattr(tangent_runs, "Separation", lambda *arguments: growing)
     columns = {"label": np.array(label), "status": status}
-    found = runs.variables(columns, np.array(unstable), None, lambda points: None)
+    found = runs.variables(columns, np.array(unstable), ALL_THREADS)
     names = [Regularity(flag).name for flag in found["regularity"]]
     assert names == [*kinds, "UNDECIDED", "CHAOTIC", "REGULAR", "REGULAR", "NOT_COMPUTED"]
     known = [True, True, True, False, True, False, False, True, False, True, False]
@@ -148,7 +149,7 @@ def test_what_is_called_chaotic(monkeypatch):
     chaotic, slow = 2, 6
     assert growing.calls == [[chaotic, slow], *14 * [[slow]]]
     done = []
-    none = runs.variables(columns | {"status": 0 * status}, np.array(unstable), None, done.append)
+    none = runs.variables(columns | {"status": 0 * status}, np.array(unstable), Threads(None, done.append))
     assert done == [0.5 * size]
     assert (none["regularity"] == Regularity.NOT_COMPUTED).all()
     assert np.isnan(none["megno"]).all()

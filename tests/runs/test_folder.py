@@ -24,6 +24,7 @@ from atlas import BadInput, cli, files, load_scene
 from atlas.analysis.summary import summary
 from atlas.files import process_name
 from atlas.flags import Label
+from atlas.kernel.blocks import Threads
 from atlas.label.plan import Plan
 from atlas.runs import memory
 from atlas.runs import run as folder
@@ -472,13 +473,13 @@ from atlas.runs import memory
 
 calls, evaluate = itertools.count(1), memory.evaluate
 
-def endless_third(plan, points, *, threads, progress):
+def endless_third(plan, points, *, threads):
     if next(calls) == 3:
         print("at work", flush=True)
         while True:
-            progress(0.0)
+            threads.progress(0.0)
             time.sleep(0.01)
-    return evaluate(plan, points, threads=threads, progress=progress)
+    return evaluate(plan, points, threads=threads)
 
 memory.evaluate = endless_third
 sys.exit(cli.main(["run", "scene.toml", "-o", "run/", "--threads", "1", "--quiet"]))
@@ -507,7 +508,7 @@ def test_ctrl_c_keeps_finished_tiles(longer):
 
 def test_a_tile_is_written_whole_or_not_at_all(scene, tmp_path, small_tiles, monkeypatch):
     run = empty_run_folder(scene, tmp_path / "run")
-    columns, computed, _ = evaluate_at(Plan.of(scene), scene, run.tiling.indices(3), threads=1)
+    columns, computed, _ = evaluate_at(Plan.of(scene), scene, run.tiling.indices(3), threads=Threads(1))
     facts = {"computed": computed, "seconds": 1.0, "by": "test"}
     run.tiles.write(3, columns, **facts)
     assert run.tiles.read(3)[1].keys() == tile_types(scene).keys()
@@ -681,7 +682,7 @@ def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, 
     tile = run.tiling.count // 2
     indices = run.tiling.indices(tile)[:1]
     monkeypatch.setattr(Tiling, "indices", lambda *_: indices)
-    columns, computed, _ = evaluate_at(Plan.of(scene), scene, run.tiling.indices(tile), threads=1)
+    columns, computed, _ = evaluate_at(Plan.of(scene), scene, run.tiling.indices(tile), threads=Threads(1))
     assert computed == 1
     assert set(columns) >= set(tile_types(scene))
 

@@ -119,7 +119,7 @@ def labels_of_region(inside, x, y):
 
 
 def replace_integration(monkeypatch, inside):
-    def evaluate_at(plan, scene, indices, earlier, *, threads=None, progress=None):
+    def evaluate_at(plan, scene, indices, earlier, threads):
         points = grid.points_at_indices(scene, indices)
         labels = labels_of_region(inside, points.base["h1"], points.base["h3"])
         return dict.fromkeys(scene.outputs, 0) | {"label": labels}, indices.size, Counter()
@@ -225,7 +225,7 @@ def test_a_grid_that_does_not_fit_onto_the_disk_is_refused(scene_text, tmp_path,
         monkeypatch.setattr(refine.shutil, "disk_usage", lambda folder: usage)
 
     leave(22 * scene.size)
-    refine.FineGrid(ScenePlan.of(scene), 1, None, tmp_path)
+    refine.FineGrid(ScenePlan.of(scene), None, tmp_path)
     leave(22 * scene.size - 1)
     message = rf"3185 points needs 7.01e-05 GB, free on the disk of {tmp_path}/night are 7.01e-05 GB"
     with pytest.raises(BadInput, match=message):
@@ -258,7 +258,7 @@ def test_memory_does_not_grow_with_the_grid(tmp_path, monkeypatch):
         scene = plane(count, 3, 0.0)
         plan = ScenePlan.of(scene)
         tracemalloc.start()
-        fine = refine.FineGrid(plan, 1, integrate, tmp_path)
+        fine = refine.FineGrid(plan, integrate, tmp_path)
         tracemalloc.reset_peak()  # theory is evaluated tile by tile
         fine.trace(3, progress=False)
         fine.probe(0.001)

@@ -15,6 +15,7 @@ import atlas
 from atlas import systems
 from atlas.flags import Regularity, Status, Steadiness
 from atlas.kernel import numeric_bound, observe, poles, sampling
+from atlas.kernel.blocks import Threads
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.stepsize import StepSizes
@@ -297,7 +298,7 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
     ensemble = Ensemble.of(pendulum, points)
     whole = ensemble.integrate(kernel(pendulum, METHOD), sizes)
     monkeypatch.setattr(blocks, "CHUNK", 500)
-    cut = ensemble.integrate(kernel(pendulum, METHOD), sizes, threads=2)
+    cut = ensemble.integrate(kernel(pendulum, METHOD), sizes, threads=Threads(2))
     np.testing.assert_array_equal(cut.sums, whole.sums)
     np.testing.assert_array_equal(cut.final_state, whole.final_state)
 
@@ -458,10 +459,10 @@ def test_the_differences_of_extremes_have_no_order(driven):
 
 def test_the_bound_of_a_point_depends_on_it_alone(pendulum):
     points = random_points(70) | {"v0": np.linspace(0, 20, 70)}
-    bound, _ = bound_along(pendulum, points, 30.0, threads=2)
+    bound, _ = bound_along(pendulum, points, 30.0, threads=Threads(2))
     for i in (0, 33, 69):
         alone = {name: values[i : i + 1] for name, values in points.items()}
-        assert bound_along(pendulum, alone, 30.0, threads=1)[0] == bound[i]
+        assert bound_along(pendulum, alone, 30.0, threads=Threads(1))[0] == bound[i]
 
 
 def test_a_motion_that_reaches_infinity_keeps_its_last_finite_bound(pendulum):

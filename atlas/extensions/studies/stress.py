@@ -128,7 +128,8 @@ def _run_levels(
             if mask.any():
                 plan = Plan(system, replace(settings, max_steps=max_steps))
                 part = tile.subset(mask)
-                values, run_settings = evaluate(plan, part, threads=1), settings.at(part.rate_tolerance)
+                values = evaluate(plan, part, threads=blocks.Threads(1))
+                run_settings = settings.at(part.rate_tolerance)
                 values["unsteadiness"] = main_instrument(system).unsteadiness(system, values, run_settings)
                 values = dict.fromkeys(EXACT_STATISTICS, np.full(mask.sum(), np.nan)) | values
                 for name, column in results.items():

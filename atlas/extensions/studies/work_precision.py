@@ -16,6 +16,7 @@ import xarray as xr
 from ...errors import BadInput, attribute_text, text_table
 from ...flags import Label
 from ...kernel import numeric_bound
+from ...kernel.blocks import Threads
 from ...kernel.compiling import Stopwatch
 from ...kernel.ensemble import Ensemble
 from ...kernel.generated import WIDTH
@@ -255,7 +256,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
         times = []
         for _ in range(6):  # the first may load or compile the kernel
             began = process_time()
-            ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=1)
+            ensemble.integrate(module, timed, sample.scene.settings.cylinder, threads=Threads(1))
             times.append(process_time() - began)
         seconds[count] = median(times[1:]) / (steps * repeated.size)
     return float((np.array([seconds[count] for count in counts]) * step_sizes.whole_steps).mean())

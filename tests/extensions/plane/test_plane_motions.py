@@ -17,6 +17,7 @@ from atlas.errors import BadInput
 from atlas.extensions.plane.motions import PlaneMotions
 from atlas.flags import Label, Regularity, Stability
 from atlas.kernel import tangent
+from atlas.kernel.blocks import Threads
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import tangent_kernel
 from atlas.measure import tangent_runs
@@ -215,7 +216,7 @@ def test_multipliers_are_those_of_the_compiled_tangent_vectors():
         SATELLITE, tangent_kernel(SATELLITE), ensemble, steps, tangent_runs.rate_unit(SATELLITE, many)
     )
     separation.vectors[:] = np.tile(np.eye(6), size) / separation.weights
-    separation.integrate(threads=1)
+    separation.integrate(threads=Threads(1))
     columns = separation.vectors * separation.weights * np.exp(separation.sums[tangent.Growth.LOG_GROWTH])
     t, s = motions.multipliers()
     for i in range(size):

@@ -12,7 +12,14 @@ from types import ModuleType
 import numpy as np
 
 from atlas.kernel import augmented, generated, integrate
-from atlas.kernel.assemble import MEASURING, entries, file_of, generated_functions, generated_numbers, reachable
+from atlas.kernel.assemble import (
+    MEASURING,
+    entries,
+    file_of,
+    generated_functions,
+    generated_numbers,
+    reachable,
+)
 from atlas.kernel.ensemble import Plug
 from atlas.kernel.tableaux import METHODS
 from atlas.systems import arithmetic

@@ -35,6 +35,9 @@ Table: TypeAlias = (
 FORMATS = (".csv", ".nc")
 # Type -> what NetCDF reads where no number was written.
 _UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8": -(2**63) + 2}
+_NO_RADIANS = re.compile(
+    r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE
+)  # the beginning of units that are none of rad
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 
@@ -160,6 +163,10 @@ def kept_columns(
             raise BadInput(f"keep: {shown(name)} is no column of the points")
         if name in system.parameters:
             raise BadInput(f"keep: {shown(name)} is a parameter, which the result contains anyhow")
+    for name in system.parameters.keys() & table.keys():
+        needed, unit = system.parameters[name].unit, str(getattr(table[name], "attrs", {}).get("units", ""))
+        if "rad" in needed and _NO_RADIANS.match(unit):
+            raise BadInput(f"{name}: its units are {shown(unit)}; must be {needed}")
     result = {}
     for name, values in ((name, table[name]) for name in table if name not in {*system.parameters, *ties}):
         column = values if isinstance(values, xr.DataArray) else np.asarray(values)

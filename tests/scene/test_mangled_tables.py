@@ -156,6 +156,23 @@ def test_a_table_without_any_parameter_is_refused(given):
         atlas.label_points("satellite", given, duration=5.0)
 
 
+@pytest.mark.parametrize("unit", ["degree", "deg", "\N{DEGREE SIGN}", "degrees", "arcmin"])
+def test_angles_whose_units_are_degrees_are_refused(tmp_path, unit):
+    """As `select` gives them with degrees=True; in rad they would be other angles."""
+    angle = xr.DataArray([30.0, 40.0], dims="point", attrs={"units": unit})
+    ds = xr.Dataset({"theta0": angle, "A": ("point", [0.8, 0.9], {"units": "kg m2"})})
+    ds.to_netcdf(tmp_path / "mine.nc")
+    sentence = f"theta0: its units are '{unit}'; must be rad"
+    for given in (ds, {"theta0": angle}, ds.set_coords("theta0"), tmp_path / "mine.nc"):
+        assert read(given).endswith(sentence)
+    (tmp_path / "scene.toml").write_text(GIVEN.replace("mine.csv", "mine.nc").replace("sigma * A", "A"))
+    with pytest.raises(BadInput, match=sentence):
+        load_scene(tmp_path / "scene.toml")
+    assert read(ds.assign(theta0=angle.assign_attrs(units="rad")))["theta0"] == [30.0, 40.0]
+    rate = xr.DataArray([6.0], dims="point", attrs={"units": "rpm"})
+    assert read({"m": rate}) == "m: its units are 'rpm'; must be rad s-1"
+
+
 def test_an_index_that_may_be_a_parameter_is_refused():
     frame = pd.DataFrame({"c": [0.8, 1.2], "m": [0.5, 0.6]}).set_index("c")
     for given in (

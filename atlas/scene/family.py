@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import BadInput, allowed_text, shown
 from ..systems.base import NEAR, Array, Family, Points, System, on_family
 from . import checks
+from .expressions import Expression
 
 # A solved point counts as on its family if its largest condition residual is below this.
 ON_FAMILY = 1e-9
@@ -62,13 +63,24 @@ def near_values(
         if len(names) != 1:
             several = f"must be a table with one of {', '.join(names)}"
             raise BadInput(found + (several if names else "no solved parameter has several solutions"))
-        return {names[0]: checks.number("family.near", value)}
+        return {names[0]: _near("family.near", value, system.parameters[names[0]].unit)}
     for name in value:
         if name not in names:
             raise BadInput(
                 f"family.near.{name}: no solved parameter with several solutions; {allowed_text(name, names)}"
             )
-    return {name: checks.number(f"family.near.{name}", each) for name, each in value.items()}
+    return {
+        name: _near(f"family.near.{name}", each, system.parameters[name].unit) for name, each in value.items()
+    }
+
+
+def _near(key: str, value: object, unit: str) -> float:
+    """A value of near in its unit, also by arithmetic without names; an angle of more than a turn would be one in degrees."""
+    arithmetic = isinstance(value, str) and not Expression(key, value).names
+    result = (checks.quantity if arithmetic else checks.number)(key, value)
+    if unit == "rad" and abs(result) > 2 * np.pi:
+        raise BadInput(f"{key} = {shown(value)}: in rad, at most a turn; of degrees give '{result:g} * deg'")
+    return result
 
 
 def check_solution(

@@ -63,6 +63,18 @@ def test_slow_and_fast_precession_of_a_top():
     assert np.abs(fast).min() > 8 > 1 > np.abs(slow).max()
 
 
+def test_near_takes_arithmetic_as_fixed_values_do():
+    top = {key: value for key, value in TOP.items() if key not in ("theta0", "Mg")}
+    for near, theta0 in (
+        ("20 * deg", 0.0),
+        ("150 * deg", np.pi),
+        (2.9, np.pi),
+        ({"theta0": "pi - 0.2"}, np.pi),
+    ):
+        found = solved("fixed_point", top, "rest", ["theta0"], "Mg", (1.0, 2.0), near=near)["theta0"]
+        np.testing.assert_allclose(found, theta0, atol=1e-12)
+
+
 def test_a_fast_precession_is_measured():
     ds = atlas.run(
         scene_of("fixed_point", TOP, "conical", ["n"], "m", (8.0, 9.0), branch="fast"), progress=False
@@ -207,6 +219,9 @@ WRONG = [
     ("conical", ["n"], {"near": {"m": 1.0}}, "family.near.m: no solved parameter with several solutions; allowed: n"),
     ("conical", ["n"], {"near": {"n": True}}, "family.near.n = True: must be a number"),
     ("staude", ["theta0", "phi0"], {"near": 1.0}, "family.near = 1.0: must be a table with one of theta0, phi0"),
+    ("conical", ["n"], {"near": "8.5 *"}, "family.near = '8.5 *': not an expression"),
+    ("rest", ["theta0"], {"near": 30}, "family.near = 30: in rad, at most a turn; of degrees give '30 * deg'"),
+    ("rest", ["theta0"], {"near": {"theta0": 180}}, "family.near.theta0 = 180: in rad, at most a turn; of degrees give '180 * deg'"),
     ("conical", ["n"], {"root": 1}, "family.root: unknown key; allowed: name, solve, branch, near"),
 ]  # fmt: skip
 

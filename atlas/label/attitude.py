@@ -147,7 +147,7 @@ def start(
     units : str, optional
         "rad/s" (rad per time unit), "deg/s" or "rpm".
     Omega : float or array_like (points,), optional
-        Angular velocity of the orbit, for inertial rates; default: that of the satellite.
+        Angular velocity of the orbit, for inertial rates: the one of the points. Without it 1, the default of the satellite.
     axes : array_like, optional
         Principal axes from `principal`, where attitude and rates are those of the given axes of the body.
 
@@ -207,6 +207,8 @@ def attitude(
 ) -> xr.Dataset:
     """Quaternions, rates and angles, in rad, along a motion in rad, see `Atlas.attitude`."""
     (frame, to_own), body = _frame(system, frame), _rotation("axes", np.eye(3) if axes is None else axes)
+    if body.as_quat().ndim > 1:
+        raise BadInput("axes: those of one body; allowed: one rotation")
     vectors = frame_vectors(system.equations)
     first = vectors[:-1][:1] if hasattr(system.equations, "axis_in_frame") else (FRAME_AXIS,)
     names = [*system.rate_states, *sum((*first, *vectors[-1:]), ())]

@@ -376,6 +376,9 @@ def test_a_motion_that_lacks_what_an_attitude_needs_is_refused():
             atlas.BadInput, match="not the trajectory of a body: it needs time, w1, w2, w3, a1, "
         ):
             broken.atlas.attitude()
+    for axes in (Rotation.random(2), Rotation.random(3), Rotation.random(3).as_matrix(), [[0, 0, 0, 1]]):
+        with pytest.raises(atlas.BadInput, match="axes: those of one body; allowed: one rotation"):
+            motion.atlas.attitude(axes=axes)
     with pytest.raises(atlas.BadInput, match="the motion does not stay finite"):
         motion.assign(w1=motion.w1, a1=motion.a1 * np.nan).atlas.attitude()
     degrees = motion.assign(theta=xr.Variable("time", np.degrees(motion.theta), {"units": "degree"}))

@@ -336,9 +336,11 @@ class Atlas(Questions):
             As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
         euler : str, optional
             SciPy's letters of three turns: "ZYX" in the frame "lvlh" gives yaw, pitch and roll, about the third axis, the second
-            one as turned and the first one as turned twice; "xyz" gives the same three, roll first.
+            one as turned and the first one as turned twice; "xyz" gives the same three, roll first. They are those of a body whose
+            axes are forward, right and down.
         axes : array_like, optional
-            As in `atlas.start`.
+            As in `atlas.start`. ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` where A, B and C are about up, forward and left, as the
+            axes of a body with theta = psi = phi = 0 are: without it "lvlh" gives other angles than yaw, pitch and roll.
         degrees : bool, optional
             Angles in degrees.
 

@@ -163,6 +163,17 @@ def test_without_omega_the_orbit_of_the_satellite_turns_at_its_default():
     assert atlas.start("satellite", **arguments, Omega=[0.2, 0.3])["m"] == pytest.approx([1.3, 1.2])
 
 
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, -0.3)])
+def test_yaw_pitch_and_roll_of_a_body_with_axes_up_forward_and_left(angles):
+    """Turns about down, right and forward, of the axes that a body has at theta = psi = phi = 0."""
+    yaw, pitch, roll = angles
+    body = turn(-yaw, 0) @ turn(-pitch, 2) @ turn(roll, 1)
+    start = atlas.start("satellite", attitude=body, rates=(0, 0, 0))
+    motion = atlas.trajectory("satellite", start, duration=1e-3, samples=2)
+    ds = motion.atlas.attitude(frame="lvlh", euler="ZYX", axes=[[0, 0, -1], [1, 0, 0], [0, -1, 0]])
+    np.testing.assert_allclose(ds.angles[0], angles, atol=1e-12)
+
+
 def inertial_motion(kind, body, matrix, w, times):
     """Direction cosines and rates of a body in inertial space: Euler's equations with the torques of the text books."""
     moments = np.array([body["A"], body["B"], body["C"]])

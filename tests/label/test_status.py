@@ -1,5 +1,7 @@
 """Status and agreement of points, by flags and numbers; no run."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 from atlas.flags import Agreement, Label, Status
 from atlas.label import pipeline
 from atlas.label.theory import agreement
+from atlas.systems import SYSTEMS
 
 
 @given(
@@ -70,3 +73,54 @@ def test_agreement_of_each_pair():
         (Label.NOT_COMPUTED, Label.NOT_COMPUTED, Agreement.NOT_COMPARED),
     ):  # fmt: skip
         assert agreement(np.array([label]), np.array([predicted])).tolist() == [expected]
+
+
+@dataclass
+class Start:
+    """Starts beside each other, (states, points)."""
+
+    origin: np.ndarray
+    constants: np.ndarray
+
+
+@dataclass
+class Moved:
+    """A run by numbers alone: by how much its statistics differ from those of the run at hand, and its expected error."""
+
+    ensemble: Start
+    changed: np.ndarray
+    error: float
+    points: np.ndarray
+    system: object = SYSTEMS["fixed_point"]
+    bound: float = 2.0
+    step_sizes: object = None
+
+    def subset(self, where):
+        ensemble = Start(self.ensemble.origin[:, where], self.ensemble.constants[:, where])
+        return replace(self, ensemble=ensemble, changed=self.changed[where], points=self.points[where])
+
+    def errors(self):
+        return {}, np.full(self.points.size, self.error)
+
+    def change(self, other):
+        return other.changed
+
+
+def test_the_step_decides_where_a_neighbouring_start_differs_less_than_another_step():
+    """Of a statistic that changes by more than a hundredth; in chaos the neighbour has grown as much."""
+    changed = np.array([0.009, 0.02, 0.02, 0.02, 0.02])
+    of_neighbour = np.array(
+        [0.0, 0.0, 1e-3, 1.9e-3, 2.1e-3]
+    )  # errors of the longer step are ten times as large
+    start = Start(np.full((6, 5), 0.3), np.ones((16, 5)))
+    run = Moved(start, np.zeros(5), 1e-6, np.arange(5))
+    coarse = Moved(start, changed, 1e-5, np.arange(5))
+
+    class Runs:
+        def by_steps(self, beside, step_sizes):
+            distance = np.abs(beside.ensemble.origin - 0.3)
+            assert (distance < 1e-5).all()
+            assert (distance.max(0) > 1e-7).all()
+            return replace(beside, changed=of_neighbour[beside.points])
+
+    assert pipeline._step_decides(Runs(), run, coarse).tolist() == [False, True, True, True, False]

@@ -163,7 +163,7 @@ def kept_columns(
             raise BadInput(f"keep: {shown(name)} is no column of the points")
         if name in system.parameters:
             raise BadInput(f"keep: {shown(name)} is a parameter, which the result contains anyhow")
-    for name in system.parameters.keys() & table.keys():
+    for name in (name for name in table if name in system.parameters):
         needed, unit = system.parameters[name].unit, str(getattr(table[name], "attrs", {}).get("units", ""))
         if "rad" in needed and _NO_RADIANS.match(unit):
             raise BadInput(f"{name}: its units are {shown(unit)}; must be {needed}")

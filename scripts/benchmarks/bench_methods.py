@@ -24,6 +24,7 @@ import numpy as np
 
 import atlas
 from atlas.flags import Label
+from atlas.kernel.blocks import Threads
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.tableaux import METHODS
 from atlas.label.pipeline import evaluate
@@ -54,14 +55,14 @@ class Comparison:
         integrations = [
             partial(
                 ensemble.integrate,
-                plan.runs.kernel, size, scene.settings.cylinder, threads=1,
+                plan.runs.kernel, size, scene.settings.cylinder, threads=Threads(1),
             )
             for plan, size in zip(plans, sizes, strict=True)
         ]  # fmt: skip
         for integrate in integrations:
             integrate()  # may compile
         self.seconds, _ = seconds_in_turn(integrations, rounds)
-        tiles = [partial(evaluate, plan.runs, self.points, threads=1) for plan in plans]
+        tiles = [partial(evaluate, plan.runs, self.points, threads=Threads(1)) for plan in plans]
         self.tile_seconds, columns = seconds_in_turn(tiles, rounds)
         labels = np.array([values["label"] for values in columns])
         unresolved = labels == Label.UNRESOLVED

@@ -102,7 +102,7 @@ def test_a_folder_begun_for_a_processor_goes_on_with_another_one_alike(scene_tex
     assert set(whole.attrs["atlas_cpu"].split(", ")) == {"haswell", machine_code.cpu()}
 
     # Neither loads the machine code of the other.
-    plan = ScenePlan.of(atlas.load_scene(small_scene)).points
+    plan = ScenePlan.of(atlas.load_scene(small_scene)).runs
     text = specialization.source(plan.system, plan.settings.method, plan.specialization, plan.plugs)
     kernels = [path.name for path in cache.iterdir() if machine_code.is_kernel(path.name)]
     assert kernels

@@ -6,12 +6,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...flags import Label
+from ...flags import Flag, Label
 from ...theory.point import Vector, larger, smaller
 
+BOUND = "proof_bound"
+PROOFS_OF = {"label": "label_proof", "label_inertial": "label_inertial_proof"}
 KEPT = 1e-9  # share of a tolerance that is not used
 # How often a limit is halved to find a distance, and then the interval in which it is.
 DOWN, WITHIN = 40, 34
+
+
+class Proof(Flag):
+    """How a label is proved."""
+
+    NONE = 0, "no proof"
+    ENERGY = 1, "for every duration the motion has the predicted label: the energy keeps it near a minimum"
+    MOMENTA = (
+        2,
+        "for every duration the motion has the predicted label: two momenta limit the nutation of a top",
+    )
 
 
 class Direction(NamedTuple):

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ...measure.instrument import Instrument, Tolerances, Variable
 from ...systems.base import Points, System
 from ...systems.gyrostat import Gyrostat
-from . import BOUND, PROOFS_OF
-from . import Proof as Proof
+from .bounds import BOUND, PROOFS_OF
+from .bounds import Proof as Proof
 
 _COMMENT = (
     "of theta', and of psi' and phi' from the middle of their ranges, or in the cylinder of the rate about the vertical; nan where"

@@ -12,8 +12,7 @@ from ...systems.base import Array, Points, shape_of
 from ...systems.gyrostat import Gyrostat
 from ...theory.compiled import of_system
 from ...theory.point import dot, fmin, greatest, minus, scaled, times
-from . import BOUND, PROOFS_OF, Proof
-from .bounds import Direction, GyrostatBody, Tolerances, label_of, largest_deviation
+from .bounds import BOUND, PROOFS_OF, Direction, GyrostatBody, Proof, Tolerances, label_of, largest_deviation
 from .energy import attitude, in_space, symmetric, upright
 from .top import top
 

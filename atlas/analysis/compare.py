@@ -59,6 +59,9 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
     lines += _plane_lines(ds)
     lines += _proof_lines(whole, worst)
     lines += _worst_lines(in_degrees(ds, degrees), result.ravel(), worst)
+    if "atlas_system" in whole.attrs and "label_any_axis" not in whole:
+        system = system_of(whole)
+        lines += system.remarks({name: whole[name] for name in system.parameters if name in whole.coords})
     if problem := scene_problem(whole):
         lines.append(problem)
     return "\n".join(lines)
@@ -170,27 +173,32 @@ def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
 
 
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
-    """The clearest disagreements: the strongest drift where theory predicts none, the weakest where it predicts drift."""
+    """The clearest disagreements: the strongest drift where theory predicts none, the weakest where it predicts drift.
+
+    Without measured rates nothing says which are clear: the first ones.
+    """
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
     # By whole arrays: xarray 2026.9 cannot choose single points of transposed variables that it reads lazily.
     values = {name: array.values.ravel()[disagree] for name, array in ds.data_vars.items()}
-    unsteadiness = np.fmax.reduce([np.zeros(disagree.size), *(values[n] for n in VARIATIONS if n in ds)])
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
-    order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     names, dims = list(Label.meanings()), ds["label"].dims
+    rates = [values[name] for name in VARIATIONS if name in ds]
+    unsteadiness = np.fmax.reduce([np.full(disagree.size, np.nan), *rates])
+    growth = values.get("growth_rate", np.nan) * values.get("end_time", unsteadiness * np.nan)
+    order = np.argsort(np.where(theory_steady, -unsteadiness, unsteadiness), kind="stable")[:count]
     lines = ["worst disagreements (unsteadiness = largest rms or std of the rates):"]
+    if not rates:
+        needed = f"the worst need {', '.join(VARIATIONS)} in [outputs]"
+        lines = [f"disagreements in the order of the grid ({needed}):"]
     for i in order:
         index = np.unravel_index(disagree[i], ds["label"].shape)
         indices = dict(zip(map(str, dims), map(int, index), strict=True))
-        line = (
-            f"  {place(ds, indices)}: theory {names[values['predicted'][i]]},"
-            f" measured {names[values['label'][i]]}, unsteadiness {unsteadiness[i]:.3g}"
-        )
-        if {"growth_rate", "end_time"} <= set(ds):
-            line += f", growth_rate x time = {values['growth_rate'][i] * values['end_time'][i]:.2f}"
-        lines.append(line)
+        line = f"  {place(ds, indices)}: theory {names[values['predicted'][i]]}"
+        line += f", measured {names[values['label'][i]]}"
+        numbers = {", unsteadiness {:.3g}": unsteadiness[i], ", growth_rate x time = {:.2f}": growth[i]}
+        lines.append(line + "".join(text.format(n) for text, n in numbers.items() if np.isfinite(n)))
     return lines
 
 

@@ -420,6 +420,10 @@ class System(ABC):
         """One sentence for each thing that a user should know about the points."""
         return []
 
+    def remarks(self, points: Mapping[str, Any]) -> list[str]:
+        """One sentence for each thing that a user who compares labels with theory should know; parameters by name, maybe not all."""
+        return []
+
     # Theory.
 
     families: Mapping[str, Family] = MappingProxyType({})

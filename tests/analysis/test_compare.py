@@ -156,6 +156,41 @@ def test_the_report_uses_what_the_atlas_has(name):
     assert "compared: 0 of 16 points, nothing agree" in compare.report(ds)
 
 
+def test_numbers_that_the_atlas_does_not_hold_are_not_printed():
+    """Neither of atlases of labels alone, nor at points without them."""
+    ds = small_atlas()
+    lines = compare.report(ds.drop_vars(["theta_dot_rms", "psi_dot_std"]), worst=2).splitlines()
+    assert lines[-3:] == [
+        "disagreements in the order of the grid"
+        " (the worst need theta_dot_rms, psi_dot_std, phi_dot_std, normal_rate_std in [outputs]):",
+        "  x = 0, y = 0: theory permanent_rotation, measured drifting, growth_rate x time = 0.00",
+        "  x = 1, y = 0: theory permanent_rotation, measured drifting, growth_rate x time = 0.00",
+    ]
+    lines = compare.report(ds[["label", "predicted"]], worst=1).splitlines()
+    assert lines[-1] == "  x = 0, y = 0: theory permanent_rotation, measured drifting"
+    ds["theta_dot_rms"][1, 0] = ds["growth_rate"][3, 1] = np.nan
+    lines = compare.report(ds, worst=9).splitlines()[-6:]
+    assert lines[0] == "  x = 3, y = 5: theory permanent_rotation, measured drifting, unsteadiness 0.5"
+    (unknown,) = (line for line in lines if "x = 1, y = 0" in line)
+    assert (
+        unknown
+        == lines[-1]
+        == ("  x = 1, y = 0: theory permanent_rotation, measured drifting, growth_rate x time = 0.00")
+    )
+
+
+def test_a_comparison_says_once_that_labels_follow_the_third_axis(caplog):
+    """Of bodies that are symmetric about another axis; neither a run nor its check says so."""
+    bodies = {"A": 1.0, "B": np.array([1.3, 1.2]), "C": 1.3, "theta0": 0.3}
+    names = ["label", "predicted", "label_any_axis"]
+    ds = atlas.label_points("satellite", bodies, duration=5.0, variables=names)
+    assert "third axis" not in caplog.text + str(ds.attrs.get("atlas_warnings"))
+    text = ds.drop_vars("label_any_axis").atlas.compare()
+    assert text.count("label describes the motion of the third axis") == 1
+    assert "label describes" not in ds.atlas.compare()
+    assert "label describes" not in ds.drop_vars("label_any_axis").isel(point=[1]).atlas.compare()
+
+
 def test_the_report_refuses_what_is_no_atlas():
     ds = small_atlas()
     for name in ("label", "predicted"):

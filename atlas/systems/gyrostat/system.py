@@ -38,6 +38,18 @@ class Gyrostat(System):
     def __init__(self) -> None:
         self.derived = {**type(self).derived, **oscillation_variables(self)}
 
+    def remarks(self, points: Mapping[str, Any]) -> list[str]:
+        if not {"A", "B", "C"} <= points.keys():
+            return []
+        A, B, C = points["A"], points["B"], points["C"]
+        if not ((A != B) & ((B == C) | (A == C))).any():
+            return []
+        return [
+            "at some points A != B but B = C or A = C: label describes the motion of the third axis, so that a"
+            " steady motion about the axis of symmetry of the body is labelled as drifting; label_any_axis, a variable"
+            " for [outputs], describes motions about any axis"
+        ]
+
     @abstractmethod
     def body(self, points: Points) -> Body:
         """The body, the frame and what acts, with vectors of shape (points, 3)."""

@@ -87,17 +87,6 @@ class Satellite(Gyrostat):
         """Everywhere: numbers that overflow get the status not_finite."""
         return np.ones(shape_of(points), bool)
 
-    def warnings(self, points: Points) -> list[str]:
-        A, B, C = points["A"], points["B"], points["C"]
-        symmetric = (A != B) & ((B == C) | (A == C))
-        if not symmetric.any():
-            return []
-        return [
-            "at some points A != B but B = C or A = C: label describes the motion of the third axis, so that a"
-            " steady motion about the axis of symmetry of the body is labelled as drifting; label_any_axis, a variable"
-            " for [outputs], describes motions about any axis"
-        ]
-
     def frame_rate(self, points: Points) -> Array:
         """Angular velocity Omega of the orbit."""
         return points["Omega"]

@@ -8,6 +8,7 @@ import reprlib
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TextIO
 
 MAX_MESSAGE = 1000  # characters of a message
@@ -85,6 +86,14 @@ def similar_text(value: object, names: Collection[str]) -> str:
         for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):
             return f"did you mean {by_lower_case[similar]!r}? "
     return ""
+
+
+def failure_text(error: Exception) -> str:
+    """A failure of the system in words; of a file whose folder is gone the folder."""
+    folder = Path(str(getattr(error, "filename", None) or ".")).parent
+    if isinstance(error, FileNotFoundError) and not folder.is_dir():
+        return f"{folder}: this folder is not there any more: it was removed, renamed or unmounted"
+    return str(error) or type(error).__name__
 
 
 _in_shell = False

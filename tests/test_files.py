@@ -8,7 +8,23 @@ from pathlib import Path
 import pytest
 
 from atlas import BadInput, files
+from atlas.errors import failure_text
 from atlas.files import atomic_write, remove_leftovers
+
+
+def test_a_folder_that_is_gone_is_named_in_words(tmp_path):
+    """The error names a temporary file in it."""
+    for path, text in (
+        (
+            tmp_path / "tiles" / ".x.tmp",
+            f"{tmp_path / 'tiles'}: this folder is not there any more: it was removed",
+        ),
+        (tmp_path / "a.nc", "[Errno 2] No such file or directory"),
+    ):
+        with pytest.raises(FileNotFoundError) as error:
+            path.read_bytes()
+        assert failure_text(error.value).startswith(text)
+    assert failure_text(MemoryError()) == "MemoryError"
 
 
 def test_a_file_is_flushed_before_it_is_moved_and_its_folder_after(tmp_path, monkeypatch):

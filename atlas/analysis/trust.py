@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from ..flags import Steadiness
 from ..label.half_step import upper_bound
 from ..systems.base import Array
 from ..variables import proofs_of_labels
@@ -180,7 +181,13 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
         for flag in range(len(names)):
             counts[..., flag][tuple(box[dim] for dim in dims_along)] += (values == flag).sum(others)
     coords = {dim: ds[dim] for dim in dims_along if dim in ds.coords}
-    return xr.DataArray(counts, {**coords, variable: names}, (*dims_along, variable))
+    # The number 2 of labels is no motion of a system with observables.
+    listed = [
+        i for i, name in enumerate(names) if name != Steadiness.UNUSED.name.lower() or counts[..., i].any()
+    ]
+    return xr.DataArray(
+        counts[..., listed], {**coords, variable: [names[i] for i in listed]}, (*dims_along, variable)
+    )
 
 
 def cite(ds: xr.Dataset) -> str:

@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from .. import extension
 from .._version import __version__
-from ..errors import MAX_MESSAGE, BadInput, messages_for_shell, printable, say
+from ..errors import MAX_MESSAGE, BadInput, failure_text, messages_for_shell, printable, say
 from ..interruption import (
     STOPPED,
     Stopped,
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return FAILED
     except (OSError, MemoryError) as error:
-        message = printable(str(error) or type(error).__name__, MAX_MESSAGE)
+        message = printable(failure_text(error), MAX_MESSAGE)
         say(f"atlas: failed: {message}", file=sys.stderr)
         return FAILED
 

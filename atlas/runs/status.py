@@ -47,11 +47,13 @@ def _status_of(run: RunFolder, verify: bool) -> str:
         damaged = tiles.check({*range(tiles.tiling.count)} - {*missing})[1] if verify else {}
         done = tiles.tiling.count - len(missing) - len(damaged)
         verified = f"damaged {len(damaged)}, " if verify else ""
-        lines.append(f"{name}done {done}, {verified}missing {len(missing)}")
+        lines.append(f"{name or 'tiles: '}done {done}, {verified}missing {len(missing)}")
         lines += [f"{name}tile {tile} will be computed again: {why}" for tile, why in damaged.items()]
         points_left += sum(map(tiles.tiling.size_of, [*missing, *damaged]))
     total_speed, is_running = 0.0, False
     for _, content, state in run.processes():
+        if state == progress.ENDED and (not points_left or content["done"] >= content["points"]):
+            continue
         lines.append(
             f"shard {content['shard']} on {content['host']}: {content['done']} of {content['points']}"
             f" points, {content['points_per_second']:.4g} points/s, {state}; written {content['written']}"

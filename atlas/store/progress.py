@@ -22,7 +22,9 @@ LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
 # Seconds without a write after which a process of another machine counts as dead.
 SILENCE = 600.0
-AT_WORK = "at work"
+# Share of the points, or seconds of computing, after which the speed says how much time is left.
+KNOWN_SHARE, KNOWN_TIME = 0.05, 60.0
+AT_WORK, ENDED = "at work", "ended"
 
 
 @dataclass(eq=False)
@@ -58,7 +60,9 @@ class Progress:
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now
                 speed, seconds_left = self._speed()
-                rest = f"{speed:.3g} points/s  {clock(seconds_left)} left" if speed > 0 else "starting"
+                rest = f"{speed:.3g} points/s" if speed > 0 else "starting"
+                if self._done >= KNOWN_SHARE * self.points or self.stopwatch.seconds() >= KNOWN_TIME:
+                    rest += f"  {clock(seconds_left)} left" * (speed > 0)
                 share = 100 * self._done / self.points
                 text = f"{share:5.1f} %  {self._done:.0f} of {self.points} points  {rest}"
                 self.stream.write(f"\r{text}\x1b[K" if self.live else f"{text}\n")
@@ -104,7 +108,7 @@ class Progress:
 def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
     """AT_WORK, or why the writer of a progress file ended; the age of the file decides where it runs on another machine."""
     if not content["running"]:
-        return "ended"
+        return ENDED
     running = is_running(str(content["process"]))
     if running is None and not is_recent(age(), SILENCE):
         return f"no progress for more than {SILENCE / 60:.0f} minutes"

@@ -371,7 +371,9 @@ def test_shards_in_any_order_complete_the_run(scene, whole, tmp_path, small_tile
     for part in (3, 1, 3):
         ds = atlas.run(scene, out, progress=False, shard=(part, 3))
     assert "6 of 9 tiles" in ds.attrs["atlas_run"]
-    assert "done 6, missing 3" in status(out)
+    lines = status(out).splitlines()
+    assert lines[1] == "tiles: done 6, missing 3"
+    assert not [line for line in lines if line.startswith("shard")]  # all of them did what they had to
     assert_same_bytes(whole, atlas.run(scene, out, progress=False, shard=(2, 3)))
     for wrong in ((0, 3), (4, 3), (1, 0)):
         with pytest.raises(BadInput, match="shard"):
@@ -621,6 +623,10 @@ def test_status_counts_only_processes_that_live(scene, tmp_path, small_tiles):
     for line, case in zip(lines[2:8], cases, strict=True):
         assert f", {case.partition(',')[0]}; written" in line
     assert lines[8].startswith("63 points left, 0:01 at")  # 101 points per second
+    assert any(line.startswith("shard 5/5 on h: 1 of 13 points, 1e+04 points/s, ended;") for line in lines)
+    (finished,) = run.path.glob("progress-4*.json")
+    finished.write_text(finished.read_text().replace('"done": 1,', '"done": 13,'))
+    assert "shard 5/5" not in status(run.path)
     progress_file(run.path, points_per_second=1e-310)
     for file in run.path.glob("progress-[0-4]*.json"):
         if file.name != f"progress-{process_name()}.json":

@@ -323,6 +323,7 @@ def test_figures(pendulum, tmp_path):
     figure = trajectory_figure(ds.atlas.trajectory(omega=1.0, x0=1.0))
     assert [ax.get_ylabel() for ax in figure.axes] == ["$x$ (rad)", "height"]
     assert float(ds.atlas.fractions().sum()) == pytest.approx(1.0)
+    assert ds.atlas.fractions().label.values.tolist() == ["not_computed", "steady", "drifting", "unresolved"]
     assert ds.atlas.select(label="steady").sizes["point"] > 0
 
 

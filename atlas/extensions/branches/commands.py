@@ -6,6 +6,7 @@ import argparse
 
 from ...cli.atlases import write_or_draw
 from ...cli.options import (
+    DEGREES,
     SCENE,
     argument,
     command,
@@ -25,6 +26,7 @@ from ...files import FIGURES, atomic_write, writable
     *out_options("OUT", ".png, .pdf, .svg, .nc, or of borders .csv (default: NAME_branches.png)"),
     option_with_default("--variable", "NAME", "theta0", "what to draw; gamma: the arcs on the sphere"),
     argument("--borders", action="store_true", help="the borders over both axes of the scene as curves"),
+    DEGREES,
 )
 def draw_branches(options: argparse.Namespace) -> None:
     """Draw the branches of equilibria of the bodies of a scene along its only axis, or their borders over two."""
@@ -41,7 +43,7 @@ def draw_branches(options: argparse.Namespace) -> None:
         with atomic_write(out) as temporary:
             table(ds).to_csv(temporary, index=False, lineterminator="\n")
     else:
-        write_or_draw(ds, out, "diagram", options.variable)
+        write_or_draw(ds, out, "diagram", options.variable, degrees=bool(options.degrees))
     if options.borders:
         curves = ds["curve"].values[-1] + 1 if ds.sizes["vertex"] else 0
         say(f"{curves} borders, {ds.sizes['special']} special points; wrote {out}")

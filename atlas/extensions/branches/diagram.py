@@ -16,6 +16,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from scipy.interpolate import PchipInterpolator
 
+from ...analysis.degrees import factor, in_degrees
 from ...errors import BadInput, allowed_text, shown
 from ...flags import BifurcationKind, StabilityKind
 from ...plotting.maps import Entries, Sheet
@@ -75,6 +76,7 @@ def diagram(
     title: str | None = None,
     legend: bool = True,
     width: Width = "column",
+    degrees: bool = False,
 ) -> Figure:
     """Bifurcation diagram of branches from `atlas.branches`, or the curves of `atlas.borders` over their two parameters.
 
@@ -91,6 +93,8 @@ def diagram(
         Draw the legend.
     width : {"column", "page"}, optional
         88 mm or 180 mm.
+    degrees : bool, optional
+        Show angles in degrees.
 
     Returns
     -------
@@ -100,7 +104,7 @@ def diagram(
         interpolated without corners, and are vertical at folds. Borders are cubics, thick where a minimum ends, dashed at
         pitchforks, dotted at extrema of the momentum, with dots at cusps and diamonds where a pitchfork meets another border.
     """
-    chosen = MapOptions(ax=ax, title=title, legend=legend, width=width)
+    chosen = MapOptions(ax=ax, title=title, legend=legend, width=width, degrees=degrees)
     if "count_change" in ds:
         return border_diagram(ds, chosen)
     if not {"fold_kind", "stability_kind"} <= set(ds) or "branch" not in ds.dims:
@@ -126,9 +130,12 @@ def diagram(
             visible = points @ sphere.toward_viewer >= 0
             points, kinds = sphere.project(points[visible]), kinds[visible]
         else:
-            points = np.stack([ds[f"fold_{along}"].values, points], -1)
+            scale = [1.0, factor(ds[variable].attrs, degrees)]
+            lines = {kind: [line * scale for line in group] for kind, group in lines.items()}
+            points = np.stack([ds[f"fold_{along}"].values, points], -1) * scale
             symbol = SYMBOLS.get(variable.removesuffix("0"))
-            label = f"{symbol} (rad)" if symbol else variable_label(ds[variable])
+            label = variable_label(in_degrees(ds[variable], degrees))
+            label = label.replace(variable, symbol) if symbol else label
             sheet.label_axes([ax], [[axis_label(ds, along), label]], entries)
             ax.set_xlim(ds[along].values.min(), ds[along].values.max())
         for kind, style in LINES.items():

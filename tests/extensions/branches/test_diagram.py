@@ -109,3 +109,14 @@ def test_other_datasets_have_no_diagram(ds):
         atlas.equilibria("fixed_point", {}).atlas.diagram()
     with pytest.raises(BadInput, match="allowed"):
         ds.atlas.diagram("axis")
+
+
+def test_diagrams_in_degrees(ds):
+    (rad,), (degrees,) = (ds.atlas.diagram("theta0", degrees=each).axes for each in (False, True))
+    assert (rad.get_ylabel(), degrees.get_ylabel()) == (r"$\theta$ (rad)", r"$\theta$ (deg)")
+    assert rad.get_xlabel() == degrees.get_xlabel() == "$k_3$ (N m s)"
+    for a, b in zip(rad.lines, degrees.lines, strict=True):
+        np.testing.assert_allclose(a.get_xydata() * [1, 180 / np.pi], b.get_xydata())
+    (plain,), (same,) = (ds.atlas.diagram("potential", degrees=each).axes for each in (False, True))
+    assert plain.get_ylabel() == same.get_ylabel()
+    np.testing.assert_array_equal(plain.lines[0].get_xydata(), same.lines[0].get_xydata())

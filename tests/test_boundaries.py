@@ -25,7 +25,8 @@ REPLACED = {
     "the clock": """
         interruption.GRACE_PERIOD interruption.MESSAGE_PERIOD kernel.compiling._finished kernel.compiling.time
         runs.claims.CLAIM_AGE runs.claims.CLAIM_INTERVAL runs.claims.NAMED_AFTER runs.claims.time runs.cluster.CONNECT_TIMEOUT runs.folder.Event
-        runs.folder.time runs.memory.Execution.time_is_up runs.run.time store.place.time.monotonic store.place.time.sleep
+        runs.folder.time runs.memory.Execution.time_is_up runs.run.time store.place.time.monotonic store.place.time.sleep store.progress.PLAIN_INTERVAL
+        store.progress.compiling.Stopwatch.seconds
     """,
     "the disk: full, read-only, without hard links, with other contents; and how often it is read": """
         files.MIN_FREE_BYTES files.os.fsync files.os.link files.os.replace files.secrets.token_hex

@@ -118,7 +118,10 @@ def test_a_rule_whose_flags_its_variable_has_not_is_refused(instrument, message,
 @pytest.mark.parametrize("kind", [Instrument, MainInstrument])
 def test_the_docstring_of_an_instrument_names_its_members(kind):
     """All of an instrument; of a main one those without a default, and what needs one of them."""
-    told, own = set(re.findall(r"`(\w+)`", kind.__doc__)), {name for name in vars(kind) if name[0] != "_"}
+    documented, own = (
+        set(re.findall(r"`(\w+)`", kind.__doc__)),
+        {name for name in vars(kind) if name[0] != "_"},
+    )
     if kind is MainInstrument:
         own = {
             name
@@ -126,7 +129,7 @@ def test_the_docstring_of_an_instrument_names_its_members(kind):
             if "NotImplementedError"
             in inspect.getsource(kind).partition(f"def {name}(")[2].partition("def ")[0]
         }
-    assert told - {"may_stop_early"} == own
+    assert documented - {"may_stop_early"} == own
 
 
 FAMILY = """

@@ -191,13 +191,13 @@ def test_every_name_that_is_replaced_or_private_has_a_reason():
 
 def imports_of(path: Path, modules: Collection[str]) -> set[str]:
     """Modules of the package that a file of it imports anywhere, also for type checkers."""
-    package, found = ("atlas", *path.relative_to(PACKAGE).parent.parts), set[str]()
+    package, imported = ("atlas", *path.relative_to(PACKAGE).parent.parts), set[str]()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom):
             above = package[: len(package) + 1 - node.level] if node.level else ()
             base = ".".join([*above, *filter(None, [node.module])])
-            found |= {name if (name := f"{base}.{each.name}") in modules else base for each in node.names}
-    return found & set(modules)
+            imported |= {name if (name := f"{base}.{each.name}") in modules else base for each in node.names}
+    return imported & set(modules)
 
 
 def test_no_file_imports_itself_through_others():

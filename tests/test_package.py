@@ -48,12 +48,12 @@ def test_the_sources_on_which_numbers_depend_are_all_that_the_computation_import
     }  # fmt: skip
     for pattern in sources.NUMERIC_SOURCES:
         assert list(PACKAGE.glob(pattern)), f"{pattern}: there is no such file"
-    found, waiting = set(), ["label/pipeline.py", "label/points.py", "store/tile.py"]
+    imported, waiting = set(), ["label/pipeline.py", "label/points.py", "store/tile.py"]
     while waiting:
         path = PACKAGE / waiting.pop()
-        if path in found:
+        if path in imported:
             continue
-        found.add(path)
+        imported.add(path)
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.level:
                 base = path.parents[node.level - 1].joinpath(*(node.module or "").split("."))
@@ -64,7 +64,7 @@ def test_the_sources_on_which_numbers_depend_are_all_that_the_computation_import
                 ):
                     if file.exists() and file != PACKAGE / "__init__.py":
                         waiting.append(file.relative_to(PACKAGE).as_posix())
-    names = {path.relative_to(PACKAGE).as_posix() for path in found}
+    names = {path.relative_to(PACKAGE).as_posix() for path in imported}
     assert names - sources.read().keys() <= without_numbers
     assert len(names) > 80
 

@@ -36,11 +36,8 @@ NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
 # from the third axis over MARGIN.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
-FRAME_AXIS = (
-    "frame_axis_1",
-    "frame_axis_2",
-    "frame_axis_3",
-)  # names of the first axis of the frame, in the body
+# Components of the first axis of the frame along the body axes.
+FRAME_AXIS = ("frame_axis_1", "frame_axis_2", "frame_axis_3")
 _RATE = "rad s-1"
 # Variable -> long_name and units.
 _VARIABLES = {

@@ -8,31 +8,19 @@ from functools import lru_cache
 
 import numpy as np
 
-SAMPLE = 1001  # odd, so that no vector of numbers ends with it
+SAMPLE, MATRICES = 1001, 99  # odd, so that no vector of numbers ends with them
 
 
 @lru_cache(maxsize=1)
 def library_bits() -> str:
     """Hash of results of NumPy, LAPACK and libm: what they make of a sample tells whether their code for two processors differs."""
     x = np.arange(1, SAMPLE + 1) / SAMPLE
-    reverse, matrices = (
-        x[::-1],
-        (np.arange(2 * SAMPLE * 36) * 7919 % 1009 / 1009 - 0.5).reshape(-1, 6, 6)[:99],
-    )
+    reverse = x[::-1]
+    matrices = (np.arange(MATRICES * 36) * 7919 % 1009 / 1009 - 0.5).reshape(-1, 6, 6)
     z, symmetric = x + 1j * reverse, matrices + matrices.swapaxes(1, 2)
     functions = (
-        np.sin,
-        np.cos,
-        np.tan,
-        np.arcsin,
-        np.arccos,
-        np.exp,
-        np.exp2,
-        np.log,
-        np.log2,
-        np.log10,
-        np.sinc,
-    )
+        np.sin, np.cos, np.tan, np.arcsin, np.arccos, np.exp, np.exp2, np.log, np.log2, np.log10, np.sinc,
+    )  # fmt: skip
     results = [
         *(function(x) for function in functions),
         *(function(1000.0 * x) for function in (np.sin, np.cos)),

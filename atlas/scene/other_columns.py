@@ -55,7 +55,11 @@ def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
         if (
             any(a in parameters and b in parameters for a, b in pairwise(parts))
             or 1 < len(parts) == len(held)
-            or (held and not meant and _most(map(_holds_number, _fields(values))))
+            or (
+                held
+                and not meant
+                and _most(any(map(_is_nearly_number, _BREAK.split(field))) for field in _fields(values))
+            )
         ):
             problem = f"understood as one column, whose name holds {', '.join(held)}; separate the columns, or {REMEDY}"
     if problem and not np.array_equal(np.ravel(values), np.arange(np.size(values))):
@@ -83,11 +87,6 @@ def _most(answers: Iterable[bool]) -> bool:
     """Whether more than half of them are true."""
     answers = list(answers)
     return 2 * sum(answers) > len(answers)
-
-
-def _holds_number(field: str) -> bool:
-    """Whether a part of a field is a number."""
-    return any(map(_is_nearly_number, _BREAK.split(field)))
 
 
 def _is_numbers(field: str) -> bool:

@@ -56,15 +56,15 @@ class Atlas(Questions):
     def map(self, variable: str | None = None, **options: Any) -> Figure:
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
-        Flags have one colour each in every figure. Positive numbers that span more than two decades get a logarithmic scale,
-        numbers of both signs a scale centred on zero, integers a colour each. White cells have no value. A single axis
+        Flags have one colour each in every figure. Positive numbers that span more than two decades, but no angles, get a logarithmic
+        scale, numbers of both signs a scale centred on zero, integers a colour each. White cells have no value. A single axis
         gives a curve, of flags with a level for each.
 
         Parameters
         ----------
         variable : str, optional
-            Default: what the scene names by `map` in [outputs], else the first flags of the atlas that are not the same at
-            all points, else label.
+            Default: what the scene names by `map` in [outputs], else label; without labels the first flags that are not the same at
+            all points.
         **options
 
         Returns

@@ -36,11 +36,16 @@ def instruments() -> tuple[Instrument, ...]:
     return (*INSTRUMENTS, *extension.every("instruments"))
 
 
+def is_theory(system: System, name: str) -> bool:
+    """Whether a variable is from theory alone, also where a point is not integrated."""
+    proofs = (each.variables(system) for each in instruments() if each.proofs_of)
+    listed = PREDICTED | derived_variables(system).keys() | {v.name for part in proofs for v in part}
+    return name in listed or name.startswith("predicted_")
+
+
 def is_measured(system: System, name: str) -> bool:
     """Whether a variable has numbers at points that are integrated alone."""
-    proofs = (each.variables(system) for each in instruments() if each.proofs_of)
-    others = PREDICTED | derived_variables(system).keys() | {v.name for part in proofs for v in part}
-    return name not in others and data_variables(system)[name].dtype.startswith("float")
+    return not is_theory(system, name) and data_variables(system)[name].dtype.startswith("float")
 
 
 def proofs_of_labels(system: System | None = None) -> dict[str, str]:

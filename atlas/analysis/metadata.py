@@ -350,10 +350,12 @@ def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> n
 
 
 def map_variable(ds: xr.Dataset) -> str:
-    """Variable of a map by default: the scene's choice, else the first flags that differ between points, else the label."""
+    """Variable of a map by default: the scene's choice, else the label, else the first flags that differ between points."""
     scene = scene_of(ds)
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
+    if "label" in ds.data_vars or not ds.data_vars:
+        return "label"
     rank = max((array.ndim for array in ds.data_vars.values()), default=0)
     for name, array in ds.data_vars.items():
         if array.ndim == rank and has_flags(array) and not is_averaged(array):
@@ -362,7 +364,7 @@ def map_variable(ds: xr.Dataset) -> str:
             first = next(values)
             if (first != first[:1]).any() or any((each != first[:1]).any() for each in values):
                 return str(name)
-    return "label" if "label" in ds.data_vars or not ds.data_vars else str(next(iter(ds.data_vars)))
+    return str(next(iter(ds.data_vars)))
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:

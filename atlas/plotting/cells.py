@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,10 +28,13 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from .. import extension
 from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, ZERO_RATES
+from ..analysis.degrees import DEGREE, RAD
 from ..analysis.metadata import scene_of
+from ..errors import BadInput
 from ..flags import Regularity
 from ..systems.base import Mask
 from .content import NOT_YET, PROVED, SLOW, Panel
+from .options import MapOptions
 from .style import COLOURS
 
 
@@ -112,7 +117,7 @@ class ColorScale:
 
     colormap: Colormap  # as Matplotlib uses them
     norm: Normalize  # as Matplotlib uses them
-    extend: str = "neither"  # ends of the colour bar beyond which there are values: "neither" or "min"
+    extend: str = "neither"  # ends of the colour bar beyond which there are values: "min", "max" or "both"
     log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
     integers: bool = False  # whether each integer has a colour of its own
 
@@ -123,38 +128,78 @@ class ColorScale:
         return np.where(values <= 0, 0.5 * self.log_range[0], values)
 
 
+def is_angle(array: xr.DataArray) -> bool:
+    """Whether a variable is an angle: linear on any scale, other than its errors and variations."""
+    is_small = re.search("error|drift|std|rms|roughness", str(array.name))
+    return array.attrs.get("units") in (RAD, DEGREE) and not is_small
+
+
 def color_scale(
-    values: np.ndarray, flags: Sequence[str] = (), cmap: str | Colormap | None = None
+    values: np.ndarray,
+    flags: Sequence[str] = (),
+    options: MapOptions | None = None,
+    *,
+    name: str = "",
+    angle: bool = False,
 ) -> ColorScale:
-    """Colour scale of a variable by its values, of flags by their colours."""
+    """Colour scale of a variable by its values, of flags by their colours; BadInput for options that its values do not have."""
     if flags:
         return ColorScale(ListedColormap(flags), BoundaryNorm(np.arange(len(flags) + 1) - 0.5, len(flags)))
-    colormap = colormaps.get_cmap("viridis" if cmap is None else cmap)
+    options = MapOptions() if options is None else options
+    vmin, vmax, chosen = options.vmin, options.vmax, options.norm
+    colormap = colormaps.get_cmap("viridis" if options.cmap is None else options.cmap)
     finite = values[np.isfinite(values)]
     if not finite.size:
         return ColorScale(colormap, Normalize(0, 1))
     low, high = float(finite.min()), float(finite.max())
-    if high - low <= MAX_INTEGERS and (finite == np.rint(finite)).all() and (high > low or low != 0):
+    is_free = vmin is None and vmax is None and chosen is None
+    if (
+        is_free
+        and high - low <= MAX_INTEGERS
+        and (finite == np.rint(finite)).all()
+        and (high > low or low != 0)
+    ):
         edges = np.arange(low, high + 2) - 0.5
         shades = colormap(np.linspace(0, 1, max(len(edges) - 1, 2)))[: len(edges) - 1]
         return ColorScale(ListedColormap(shades), BoundaryNorm(edges, len(edges) - 1), integers=True)
-    if low < 0 < high:
-        # Cividis is blue below, grey at and yellow above its middle, and its luminance shows the sign.
-        bound = max(-low, high)
-        signed = colormaps["cividis"] if cmap is None else colormap
-        return ColorScale(signed, Normalize(-bound, bound))
-    if high > 0 and high > MIN_LOG_RATIO * float(finite[finite > 0].min()):
-        return _log_scale(colormap, finite, MAX_DECADES)
     if low == high:
         low, high = low - 0.5, high + 0.5
-    return ColorScale(colormap, Normalize(low, high))
+    first, last = low if vmin is None else vmin, high if vmax is None else vmax
+    if not first < last:
+        option = "vmin" if vmax is None else "vmax"
+        raise BadInput(f"{option}: beyond the values of {name}, which are from {low:g} to {high:g}")
+    if isinstance(chosen, Normalize):
+        norm = copy(chosen)
+        norm.autoscale_None(finite)
+        return ColorScale(colormap, norm, _extend(finite, norm))
+    if chosen is None and first < 0 < last and (vmin is None or vmax is None):
+        # Cividis is blue below, grey at and yellow above its middle, and its luminance shows the sign.
+        bound = next((abs(end) for end in (vmin, vmax) if end is not None), max(-low, high))
+        signed = colormaps["cividis"] if options.cmap is None else colormap
+        norm = Normalize(-bound, bound)
+        return ColorScale(signed, norm, _extend(finite, norm))
+    positive = finite[finite > 0]
+    floor = float(positive.min()) if vmin is None and positive.size else first
+    is_wide = chosen is None and not angle and 0 < MIN_LOG_RATIO * floor < last
+    if chosen == "log" or is_wide:
+        if not 0 < floor < last:
+            raise BadInput(f"norm = 'log': {name} from {first:g} to {last:g} is not above 0")
+        return _log_scale(colormap, finite, floor if vmin else max(floor, last * 10.0**-MAX_DECADES), last)
+    named: Any = ScalarMappable(norm=chosen).norm  # type: ignore[arg-type]
+    named.vmin, named.vmax = first, last
+    return ColorScale(colormap, named, _extend(finite, named))
 
 
-def _log_scale(colormap: Colormap, values: np.ndarray, decades: int) -> ColorScale:
-    """Logarithmic scale of numbers, some of them positive, that ends at most `decades` below the largest."""
-    high = float(values.max())
-    low = max(float(values[values > 0].min()), high * 10.0**-decades)
-    return ColorScale(colormap, LogNorm(low, high), "min" if values.min() < low else "neither", (low, high))
+def _extend(values: np.ndarray, norm: Normalize) -> str:
+    """The ends of a colour bar beyond which there are values."""
+    below, above = values.min() < norm.vmin, values.max() > norm.vmax
+    return {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above), "neither")
+
+
+def _log_scale(colormap: Colormap, values: np.ndarray, low: float, high: float) -> ColorScale:
+    """Logarithmic scale of numbers between two positive ones."""
+    norm = LogNorm(low, high)
+    return ColorScale(colormap, norm, _extend(values, norm), (low, high))
 
 
 def add_color_bar(
@@ -191,7 +236,8 @@ def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
     values = values[values > 0]
     if not values.size or values.max() == values.min():
         return None
-    return _log_scale(_COLOURS, values, MAX_EXPONENT_DECADES)
+    high = float(values.max())
+    return _log_scale(_COLOURS, values, max(float(values.min()), high * 10.0**-MAX_EXPONENT_DECADES), high)
 
 
 def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:

@@ -17,16 +17,17 @@ from matplotlib.transforms import Bbox
 from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.degrees import in_degrees, lines_in_degrees
-from ..analysis.metadata import axes_of, flag_names, is_averaged, without_run
+from ..analysis.metadata import axes_of, flag_names, is_averaged, system_of, without_run
 from ..analysis.plane import Plane, family_curves
 from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene
 from ..systems.base import Mask
-from ..variables import proofs_of_labels
+from ..variables import is_theory, proofs_of_labels
 
 # Why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
+NO_THEORY = "theory says nothing"
 BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every duration"
 SLOW = "unstable, too slow to show in this run"
 # A region with a smaller share of the points is not visible.
@@ -186,8 +187,9 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     if "computed" in ds:
         missing &= ds["computed"].values == 1  # elsewhere the value of the nearest point is drawn
     reasons = np.full(array.shape, "", object)
-    not_computed = missing & (ds["label"].values == Label.NOT_COMPUTED if "label" in ds else bool(flags))
-    reasons[missing] = NO_VALUE
+    run = next((each for each in ("label", "status") if each in ds), None)  # 0 where no motion was computed
+    not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
+    reasons[missing] = NO_THEORY if is_theory(system_of(ds), name) else NO_VALUE
     reasons[not_computed] = NO_MOTION
     if (proved := without_run(ds)) is not None:
         reasons[missing & proved.transpose(*array.dims).values] = BY_PROOF
@@ -212,7 +214,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
             reasons[without_motion] = NOT_YET
     return {
         reason: reasons == reason
-        for reason in (NO_BODY, NO_MOTION, NOT_YET, BY_PROOF, NO_VALUE)
+        for reason in (NO_BODY, NO_MOTION, NOT_YET, BY_PROOF, NO_THEORY, NO_VALUE)
         if (reasons == reason).any()
     }
 

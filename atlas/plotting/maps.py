@@ -35,9 +35,10 @@ from ..analysis.metadata import (
 from ..analysis.select import cell_edges, check_axes, check_panels, nearest_on_axes, plane_of
 from ..errors import BadInput, allowed_text, attribute_text, shown
 from ..flags import Regularity
+from ..scene.checks import typed
 from ..store.joined import subject_of
 from ..systems.base import Mask, families_of
-from ..variables import POINT
+from ..variables import POINT, is_theory
 from . import cells
 from .cells import ColorScale
 from .content import MIN_VISIBLE, NO_VALUE, SLOW, Panel, panel_of, remarks, visible
@@ -58,6 +59,7 @@ from .style import (
 Entries = dict[str, Artist]  # text of the legend -> sample
 
 
+@typed
 @takes_map_options
 def figure(
     panels: Sequence[xr.Dataset | tuple[xr.Dataset, str]] | Mapping[str, xr.Dataset | tuple[xr.Dataset, str]],
@@ -120,6 +122,13 @@ class View:
     families: list[str] = field(default_factory=list)  # of the system, in the order of their flags
     texts: list[str] = field(default_factory=list)  # to tell panels apart: one, or of its row and its column
     exponents: np.ndarray | None = None  # of chaotic cells, else nan
+    heading: str = ""  # text for a variable of flags that no axis names
+
+    def named(self) -> View:
+        """The panel with its heading above it."""
+        return replace(
+            self, texts=[*self.texts[:-1], ": ".join(filter(None, [*self.texts[-1:], self.heading]))]
+        )
 
     @property
     def is_points(self) -> bool:
@@ -170,6 +179,7 @@ def views_of(ds: xr.Dataset, variable: str | None, options: MapOptions) -> list[
             parts, rest = list[list[View]](), replace(options, **{role: None})  # type: ignore[arg-type]
             for i, value in enumerate(ds[dim].values):
                 part, text = subject_of(ds.isel({dim: i})), [drawable(str(value))]
+                part = part.drop_vars(dim, errors="ignore")
                 variable = map_variable(part) if variable is None else variable
                 views = views_of(part, variable, rest)
                 parts.append([replace(v, texts=text + v.texts if is_row else v.texts + text) for v in views])
@@ -210,7 +220,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
     if options.caption:
         notes.append(caption(nearest_on_axes(ds, select, in_input)))
     labels = [text_of(options, dim, axis_label(in_degrees(plane[[dim]], degrees), dim)) for dim in dims]
-    label = text_of(options, name, variable_label(in_degrees(plane[name], degrees)))
+    label = label_of(options, in_degrees(plane[name], degrees), ds)
     shown_edges = [e * factor(plane[dim].attrs, degrees) for e, dim in zip(edges, dims, strict=True)]
     views = []
     for index in np.ndindex(*(plane.sizes[dim] for dim in panel_dims)):
@@ -222,11 +232,25 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
             texts.append(drawable(f"{axis_label(place, dim, unit=False)} = {value} {unit}".strip()))
         panel = visible(panel_of(part, name, dims, scene, options.boundary), edges).in_degrees(degrees)
         families, exponents = list(families_of(system_of(ds))), cells.chaotic_exponents(part, panel.array)
+        heading = label if flags and len(dims) == 2 else ""
+        bar_label = label
         if exponents is not None:
-            label = variable_label(plane["lyapunov"]).replace("lyapunov", r"Lyapunov exponent $\lambda$")
-        shown_labels = [*labels, "" if flags else label][:2]
+            bar_label = variable_label(plane["lyapunov"]).replace("exponent", r"exponent $\lambda$")
+        shown_labels = [*labels, label][:2]
         views.append(
-            view(dims, shown_labels, label, log, shown_edges, panel, notes, families, texts, exponents)
+            view(
+                dims,
+                shown_labels,
+                bar_label,
+                log,
+                shown_edges,
+                panel,
+                notes,
+                families,
+                texts,
+                exponents,
+                heading,
+            )
         )
     if any(view.panel.crowded for view in views):
         logging.getLogger("atlas").warning(
@@ -256,13 +280,19 @@ def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> lis
         spread = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
         log.append(spread and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1))
     labels = [text_of(options, axis, axis_label(ds, axis)) for axis in axes]
-    label = text_of(options, name, variable_label(array))
-    return [view(axes, labels, label, log, places, panel, notes)]
+    label = label_of(options, array, ds)
+    return [view(axes, labels, label, log, places, panel, notes, heading=label if flags else "")]
 
 
 def text_of(options: MapOptions, name: str, default: str) -> str:
     """Text for a flag, an axis or a variable: the caller's, or the default."""
     return drawable(str((options.labels or {}).get(name, default)))
+
+
+def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
+    """Text for the variable of a map of an atlas, which says so where it is theory."""
+    name = str(array.name)
+    return text_of(options, name, variable_label(array, theory=is_theory(system_of(ds), name)))
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
@@ -287,6 +317,11 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels, row by row, with one legend."""
     check_options(views, options)
+    # Bars and axes name what they show; flags are named above the legend, or where that has a title or several names above each panel.
+    headings = list(dict.fromkeys(view.heading for view in views if view.heading))
+    heading = "".join(headings[:1]) if len(headings) == 1 else ""
+    if options.ax is None and (options.title or not heading):
+        views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
     columns = options.columns or (1 if options.row else min(len(views), 2 if options.size_mm[0] < 130 else 4))
     if len(views[0].texts) == 2:
@@ -300,15 +335,22 @@ def draw(views: list[View], options: MapOptions) -> Figure:
     width = options.size_mm[0] / columns
     heights = [8.0 + 7.0 * len(levels[v.name]) if v.flags else 0.6 * width for v in views if v.is_curve]
     height = max(heights) if len(heights) == len(views) else None
-    shared = [len({view.extent(axis) for view in views}) == 1 for axis in (0, 1)]
+    share_x, share_y = (len({view.extent(axis) for view in views}) == 1 for axis in (0, 1))
     with nullcontext() if options.ax is not None else rc_context(STYLE):
         entries, notes = map_legend(views)
-        sheet = Sheet(options, len(views), columns, height, *shared)
+        sheet = Sheet(options, len(views), columns, height, share_x, share_y, heading)
         fig, axes = sheet.figure(entries, notes)
         bars: dict[int, tuple[Callable[[list[Axes]], None], list[Axes]]] = {}
         for i, (view, ax) in enumerate(zip(views, axes, strict=True)):
-            scale = cells.color_scale(by_variable[view.name], list(view.flags.values()), options.cmap)
+            scale = cells.color_scale(
+                by_variable[view.name], list(view.flags.values()), options,
+                name=view.name, angle=cells.is_angle(view.panel.array),
+            )  # fmt: skip
             image = view.draw(ax, scale, exponents, levels[view.name], inner=columns > 1)
+            if view.is_curve and not view.flags:
+                if isinstance(options.norm, str):
+                    ax.set_yscale(options.norm)
+                ax.set_ylim(options.vmin, options.vmax)
             if len(view.texts) == 1 or (view.texts and i < columns):
                 ax.set_title(wrapped(view.texts[-1], 0.75 * width, 8, fig.dpi))
             if len(view.texts) == 2 and (i + 1) % columns == 0:
@@ -329,10 +371,11 @@ def check_options(views: list[View], options: MapOptions) -> None:
         raise BadInput(f"ax: {len(views)} panels do not fit into one; choose one by select")
     check_panels("these", len(views))
     flags = list(dict.fromkeys(flag for view in views for flag in view.flags))
-    if options.cmap is not None and all(view.flags for view in views):
-        raise BadInput(
-            f"cmap: {views[0].name} has flags, each with a colour of its own; choose them by colors"
-        )
+    for name in ("cmap", "vmin", "vmax", "norm"):
+        if getattr(options, name) is not None and all(view.flags for view in views):
+            raise BadInput(
+                f"{name}: {views[0].name} has flags, each with a colour of its own; choose them by colors"
+            )
     if options.colors and not flags:
         raise BadInput(f"colors: {views[0].name} has no flags; choose its colours by cmap")
     others = dict.fromkeys(name for view in views for name in [*view.axes, view.name])
@@ -359,6 +402,7 @@ class Sheet:
     panel_height: float | None = None  # mm; default: that of a map over two axes
     share_x: bool = True
     share_y: bool = True
+    heading: str = ""  # of the legend, if the caller chose no title
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -369,9 +413,12 @@ class Sheet:
             assert caller is not None
             handles, names = list(legend.values()), list(legend)
             if legend:  # inside, since there may be no room around the Axes of the caller
-                options.ax.legend(handles, names, loc="upper right", fontsize="small", framealpha=0.85)
-            if options.title:
-                options.ax.set_title(options.title)
+                options.ax.legend(
+                    handles, names, loc="upper right", fontsize="small", framealpha=0.85,
+                    title=self.heading or None, title_fontsize="small",
+                )  # fmt: skip
+            if title := options.title or ("" if legend else self.heading):
+                options.ax.set_title(title)
             for note in notes:
                 logging.getLogger("atlas").info("%s", note)
             return caller, [options.ax]
@@ -404,12 +451,13 @@ class Sheet:
         """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
         width = self.options.size_mm[0]
         texts = [wrapped(text, width - 9.0, 7, figure.dpi) for text in legend]
-        title = wrapped(self.options.title, width, 9, figure.dpi) if self.options.title else None
+        size, text = (9, self.options.title) if self.options.title else (8, self.heading)
+        title = wrapped(text, width, size, figure.dpi) if text else None
         for columns in range(len(legend), 0, -1):
             drawn = figure.legend(
                 list(legend.values()), texts, loc="outside upper center",
                 ncols=columns, frameon=False, columnspacing=0.8,
-                handlelength=1.8, borderaxespad=0.2, borderpad=0, title=title, title_fontsize=9,
+                handlelength=1.8, borderaxespad=0.2, borderpad=0, title=title, title_fontsize=size,
             )  # fmt: skip
             box = drawn.get_window_extent()
             if columns == 1 or box.width < LEGEND_SHARE * figure.bbox.width:
@@ -417,7 +465,7 @@ class Sheet:
             drawn.remove()
         if title is None:
             return 0.0
-        figure.suptitle(title, fontsize=9)
+        figure.suptitle(title, fontsize=size)
         return 1.0 + 4.0 * (title.count("\n") + 1)
 
     def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:

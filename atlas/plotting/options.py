@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..errors import BadInput, shown, similar_text
+from ..errors import BadInput, allowed_text, shown, similar_text
 from ..scene.checks import boolean, whole_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
+    from matplotlib.colors import Colormap, Normalize
 
 Width = Literal["column", "page"] | float
 WIDTHS = {"column": 88.0, "page": 180.0}  # mm, one and two columns of a journal
 MIN_SIZE, MAX_SIZE = 20.0, 2000.0  # mm
 MIN_DPI, MAX_DPI = 10.0, 2400.0
+NORMS = ("linear", "log", "symlog", "asinh")
 
 
 def option(default: Any, text: str, /, **settings: Any) -> Any:
@@ -50,6 +51,11 @@ class MapOptions:
         Title of the figure.
     cmap : str or Colormap, optional
         Colour map of a variable of numbers.
+    vmin, vmax : float, optional
+        Ends of the colours of a variable of numbers in the unit shown, over a single axis of the vertical one. Both together give a
+        scale that is not centred on zero.
+    norm : str or matplotlib.colors.Normalize, optional
+        "linear", "log", "symlog", "asinh", or a norm of Matplotlib, for a variable of numbers.
     colors : mapping of str to str, optional
         Name of a flag -> colour, for a variable of flags.
     labels : mapping of str to str, optional
@@ -86,6 +92,11 @@ class MapOptions:
     cmap: str | Colormap | None = option(  # noqa: RUF009 - a field
         None, "Matplotlib's colour map for a variable of numbers", metavar="NAME"
     )
+    vmin: float | None = option(None, "lower end of the colours of numbers", type=float, metavar="X")
+    vmax: float | None = option(None, "upper end of the colours of numbers", type=float, metavar="X")
+    norm: str | Normalize | None = option(  # noqa: RUF009 - a field
+        None, "scale of the colours of numbers", choices=NORMS
+    )
     colors: Mapping[str, str] | None = option(None, "colours of flags, one or several", metavar="FLAG=COLOUR")
     labels: Mapping[str, str] | None = option(
         None, "texts for flags, axes and the variable, one or several", metavar="NAME=TEXT"
@@ -102,7 +113,7 @@ class MapOptions:
     def __post_init__(self) -> None:
         from matplotlib import colormaps
         from matplotlib.axes import Axes
-        from matplotlib.colors import Colormap, is_color_like
+        from matplotlib.colors import Colormap, Normalize, is_color_like
 
         width_mm(self.width)
         if self.columns is not None:
@@ -127,6 +138,18 @@ class MapOptions:
             )
         if self.cmap is not None and not isinstance(self.cmap, str | Colormap):
             raise BadInput(f"cmap = {shown(self.cmap)}: must be a colour map of Matplotlib or its name")
+        for name in ("vmin", "vmax"):
+            if getattr(self, name) is not None and not _is_number(getattr(self, name), -np.inf, np.inf):
+                raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a finite number")
+        if self.vmin is not None and self.vmax is not None and not self.vmin < self.vmax:
+            raise BadInput(f"vmin = {self.vmin:g}: must be below vmax = {self.vmax:g}")
+        if isinstance(self.norm, Normalize):
+            if self.vmin is not None or self.vmax is not None:
+                raise BadInput("norm: a norm of Matplotlib has vmin and vmax of its own")
+        elif self.norm is not None and self.norm not in NORMS:
+            raise BadInput(
+                f"norm = {shown(self.norm)}: {allowed_text(self.norm, NORMS)}, or a norm of Matplotlib"
+            )
         for name in ("colors", "labels"):
             if not isinstance(getattr(self, name) or {}, Mapping):
                 raise BadInput(f"{name} = {shown(getattr(self, name))}: must be a mapping")
@@ -157,6 +180,7 @@ def _is_number(value: object, low: float, high: float) -> bool:
         isinstance(value, int | float | np.integer | np.floating)
         and not isinstance(value, bool)
         and bool(low <= value <= high)
+        and bool(np.isfinite(value))
     )
 
 

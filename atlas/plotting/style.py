@@ -172,6 +172,11 @@ STATISTICS = {
     "mean": "mean", "rms": "rms", "std": "standard deviation of", "min": "least", "max": "largest", "drift": "drift of",
 }  # fmt: skip
 
+WORDS = {
+    "lower": "lower 95 % limit of probability", "upper": "upper 95 % limit of probability",
+    "lyapunov": "Lyapunov exponent", "megno": "MEGNO",
+}  # fmt: skip
+
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
     """Symbol and unit of an axis from the registry, or the long_name and units in the scene."""
@@ -297,16 +302,20 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
     return f"{letter}_{{{index}}}" if index else letter
 
 
-def variable_label(array: xr.DataArray) -> str:
-    """Short name and unit of a variable: a statistic of a symbol, or the words of its name."""
+def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
+    """Short name and unit of a variable: a statistic of a symbol, or the words of its name; what it is of, and if it is theory."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = (
         f"{STATISTICS[statistic]} {SYMBOLS[stem]}"
         if stem in SYMBOLS and statistic in STATISTICS
-        else name.replace("_", " ")
+        else WORDS.get(name, name.replace("_", " "))
     )
-    return drawable(f"{text} ({units})" if units else text)
+    chosen = [
+        f"{dim} = {c.item()}" for dim, c in array.coords.items() if not c.ndim and c.dtype.kind in "OSTU"
+    ]
+    brackets = ", ".join(filter(None, ["theory" * theory, units]))
+    return drawable(", ".join([f"{text} ({brackets})" if brackets else text, *chosen]))
 
 
 def unit_text(unit: str) -> str:

@@ -241,6 +241,7 @@ def typed(target: Annotated) -> Annotated:
                 setattr(target, name, typed(method))
         return target
     signature = inspect.signature(target)
+    takes_listed = all(each.kind is not each.VAR_KEYWORD for each in signature.parameters.values())
     allowed = {}
     for name, parameter in signature.parameters.items():
         types = re.sub(r"\[.*\]", "", str(parameter.annotation)).split(" | ")
@@ -249,6 +250,12 @@ def typed(target: Annotated) -> Annotated:
 
     @functools.wraps(target)
     def checked_function(*arguments: Any, **options: Any) -> Any:
+        unknown = [name for name in options if name not in signature.parameters]
+        if unknown and takes_listed:
+            names = [name for name in signature.parameters if name not in ("self", "ds")]
+            raise BadInput(
+                f"{target.__name__}: {unknown[0]}: no such option; {allowed_text(unknown[0], names)}"
+            )
         for name, value in signature.bind(*arguments, **options).arguments.items():
             kinds = allowed.get(name)
             if kinds and not any(

@@ -17,7 +17,8 @@ def test_a_map_shows_the_first_flags_that_differ_wherever_they_do(points, monkey
     ds = xr.Dataset(
         {name: (("x", "y"), np.int8(values).reshape(4, 3), flags) for name, values in columns.items()}
     )
-    assert metadata.map_variable(ds) == "status"
+    assert metadata.map_variable(ds) == "label"
+    assert metadata.map_variable(ds.drop_vars("label")) == "status"
 
 
 @pytest.mark.parametrize("values", [[0.0, 1.0], [0, 3], [-1, 0], [True, False]])

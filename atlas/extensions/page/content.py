@@ -36,8 +36,8 @@ from ...errors import MAX_MESSAGE, MAX_TEXT, BadInput, attribute_text, printable
 from ...flags import Regularity
 from ...kernel.tableaux import METHODS
 from ...plotting import cells
-from ...plotting.cells import ColorScale, color_scale
-from ...plotting.content import MOTIONS, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, remarks
+from ...plotting.cells import ColorScale, color_scale, is_angle
+from ...plotting.content import MOTIONS, NO_THEORY, NO_VALUE, NOT_YET, SLOW, Panel, panel_of, remarks
 from ...plotting.maps import as_math, scatter_axes
 from ...plotting.style import axis_label, caption, flag_colours, unit_text, variable_label
 from ...scene.model import Scene
@@ -169,7 +169,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
     values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
         added = store.add(float_array(values))
-        return {"values": added, "scale": store.add_scale(color_scale(array.values))}
+        return {"values": added, "scale": store.add_scale(color_scale(array.values, angle=is_angle(array)))}
     variable = data_variables(layout.system).get(name)
     registered = {} if variable is None or variable.flags is None else dict(variable.flags)
     sentences = registered if list(registered) == flags else {}
@@ -216,7 +216,7 @@ def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
     parts = [part for _, part in layout.slices()]
     panels = [panel_of(part, name, layout.axes, layout.scene, has_lines) for part in parts]
     slices = [_lines(layout, part, panel) for part, panel in zip(parts, panels, strict=True)]
-    reasons = [reason for panel in panels for reason in panel.white if reason != NO_VALUE]
+    reasons = [reason for panel in panels for reason in panel.white if reason not in (NO_THEORY, NO_VALUE)]
     reasons = list(dict.fromkeys(reasons))
     code = np.zeros(layout.shape, np.int8)
     for number, reason in enumerate(reasons, 1):

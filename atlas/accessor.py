@@ -209,8 +209,8 @@ class Atlas(Questions):
         Dataset
             Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
             of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
-            `atlas.analysis.boundary.KINDS`. Lines close or end with the axes. Attributes are the parameters that all points
-            have in common, angles in rad. Lines of a region run halfway
+            `atlas.analysis.boundary.KINDS`, and "conical (exact)" for the exact motions of a family. Lines close or end
+            with the axes. Attributes are the parameters that all points have in common, angles in rad. Lines of a region run halfway
             between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
             value counts.
         """
@@ -305,10 +305,11 @@ class Atlas(Questions):
         -------
         dict
             Family -> curves of shape (vertices, axes), x first; rows of nan cut a curve. Which families
-            have curves: see `atlas.analysis.plane.family_curves`.
+            have curves: see `atlas.analysis.exact_curves.family_curves`.
         """
+        from .analysis.exact_curves import family_curves
         from .analysis.metadata import resolved_scene, scene_of, system_of
-        from .analysis.plane import Plane, family_curves
+        from .analysis.plane import Plane
         from .analysis.select import plane_of
 
         system_of(self._ds)

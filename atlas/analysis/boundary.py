@@ -19,6 +19,7 @@ from ..systems.base import Array, Mask, derived_variables
 from ..systems.gyrostat.system import FREQUENCIES
 from ..variables import variables
 from .degrees import in_degrees
+from .exact_curves import family_curves
 from .metadata import (
     axes_of,
     common_values,
@@ -38,6 +39,7 @@ from .tracer import (
     contours,
     crossings,
     on_axes,
+    shown_parts,
     values_at,
     within,
 )
@@ -71,11 +73,19 @@ def boundary(
                 " of its region"
             )
         low, high = (np.array([extreme(column) for column in columns]) for extreme in (np.min, np.max))
+        theory = theory_lines(scene, plane, dims, variable)
+        if variable not in extension.parts("lines"):
+            theory |= {
+                f"{name.replace('_', ' ')} (exact)": [
+                    part for curve in curves for part in shown_parts(curve, np.isfinite(curve).all(1))
+                ]
+                for name, curves in family_curves(Plane.of(scene, plane, dims)).items()
+            }
         lines = {
             kind: [
                 part for line in group for part in within(np.log(line, out=line.copy(), where=log), low, high)
             ]
-            for kind, group in theory_lines(scene, plane, dims, variable).items()
+            for kind, group in theory.items()
         }
     else:
         (flag,) = flag_values(ds, variable, label)

@@ -132,7 +132,7 @@ def narrowed_lines(
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
     while new.size:
-        vertices[new] = _narrow(is_above, at_low[new], low[new], high[new], trisections)
+        vertices[new] = narrow(is_above, at_low[new], low[new], high[new], trisections)
         long = last - first > 1
         first, last = first[long], last[long]
         if first.size:
@@ -151,7 +151,7 @@ def narrowed_lines(
     return np.split(vertices[kept], ends), list(edges)
 
 
-def _narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
+def narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
     """Positions (vertices, axes) between low and high at which `is_above` first differs from its value at low, by trisection."""
     for _ in range(count):
         third = (high - low) / 3

@@ -17,8 +17,9 @@ from matplotlib.transforms import Bbox
 from ..analysis.boundary import KINDS, RESONANCES, theory_lines
 from ..analysis.compare import MAX_SURVIVED_GROWTH
 from ..analysis.degrees import in_degrees, lines_in_degrees
+from ..analysis.exact_curves import family_curves
 from ..analysis.metadata import axes_of, flag_names, is_averaged, system_of, without_run
-from ..analysis.plane import Plane, family_curves
+from ..analysis.plane import Plane
 from ..errors import BadInput, attribute_text
 from ..flags import Label, Stability
 from ..scene.model import Scene

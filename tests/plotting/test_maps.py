@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import boundary, metadata, select, tracer
+from atlas.analysis import boundary, exact_curves, metadata, select, tracer
 from atlas.analysis import plane as planes
 from atlas.errors import MAX_TEXT, printable
 from atlas.files import FIGURES
@@ -436,7 +436,7 @@ def test_the_stability_limit_on_one_axis(small_scene):
 )
 def test_family_curves_are_exact_motions(m, C, mu3):
     view = plane(CURVE_SCENE.format(m=m, C=C, mu3=mu3))
-    curves = planes.family_curves(view)
+    curves = exact_curves.family_curves(view)
     assert "perp_velocity" in curves
     for lines in curves.values():
         for line in lines:
@@ -448,18 +448,18 @@ def test_family_curves_are_exact_motions(m, C, mu3):
 
 def test_family_curves_for_either_axis(scene_text, without_family):
     view = plane(scene_text(without_family))
-    (curve,) = planes.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
+    (curve,) = exact_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
     sigma, theta = curve[np.isfinite(curve).all(1)].T
     assert sigma.size > 100
     # k3 = 0: 4 Omega c (A - C) = C m
     np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
     transposed = planes.Plane(view.scene, dict(reversed(view.extent.items())), {})
-    (transposed_curve,) = planes.family_curves(transposed)["perp_velocity"]
+    (transposed_curve,) = exact_curves.family_curves(transposed)["perp_velocity"]
     np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
 
 
 def test_a_family_on_one_axis_is_a_point(scene_text, without_family):
-    (point,) = planes.family_curves(plane(scene_text(without_family), sigma=0.8))["perp_velocity"]
+    (point,) = exact_curves.family_curves(plane(scene_text(without_family), sigma=0.8))["perp_velocity"]
     np.testing.assert_allclose(point, [[np.pi / 3]], atol=1e-9)  # 4 Omega c (A - C) = C m
 
 
@@ -469,17 +469,17 @@ def test_an_offset_axis_has_its_family_at_zero():
     )
     view = plane(scene + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
     assert list(view.extent) == ["theta0", "k3_offset"]
-    (line,) = planes.family_curves(view)["perp_velocity"]
+    (line,) = exact_curves.family_curves(view)["perp_velocity"]
     np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
     away = planes.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
-    assert planes.family_curves(away) == {}
+    assert exact_curves.family_curves(away) == {}
     figure = maps.atlas_map(atlas.run(view.scene, progress=False))
     assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
     assert "perp velocity (exact)" in legend(figure)
 
 
 def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
-    assert planes.family_curves(plane(small_scene)) == {}
+    assert exact_curves.family_curves(plane(small_scene)) == {}
 
 
 def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small, caplog):

@@ -311,10 +311,13 @@ class Atlas(Questions):
         from .analysis.metadata import resolved_scene, scene_of, system_of
         from .analysis.plane import Plane
         from .analysis.select import plane_of
+        from .variables import POINT
 
         system_of(self._ds)
         if (scene := scene_of(self._ds, needed=True)) is None:
             raise BadInput("families: these points come from no scene, so that there are no axes")
+        if self._ds.sizes.keys() == {POINT}:
+            raise BadInput("families: these are single points without axes")
         plane, dims, panel_dims = plane_of(self._ds, x, y, select or {})
         for dim in panel_dims:
             raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ..scene.family import ON_FAMILY
-from ..systems.base import Array, Condition, Family, Mask, families_of, on_family
+from ..systems.base import Array, Family, Mask, families_of, on_family
 from .metadata import axes_of
 from .plane import Plane
-from .tracer import lines_at, narrow, shown_parts, values_at
+from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
 # Samples along each axis, and trisections of the distance between two of them, of curves that are traced.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
+# Share of the samples at which a condition holds in a region, where rounding has signs.
+REGION = 0.1
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
@@ -33,45 +36,72 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
                 line[:, i] = 0.0
                 lines.append(line)
         return {str(scene.family): lines} if lines else {}
-    curves = {}
-    for name in [scene.family] if scene.family is not None else list(families_of(scene.system)):
-        family = families_of(scene.system)[name]
-        if family.rate_std:  # its motions fill regions
-            continue
-        if lines := _traced_curves(plane, family):
-            curves[name] = lines
-    return curves
+    families = families_of(scene.system)
+    chosen = families if scene.family is None else [scene.family]
+    traced = [name for name in chosen if not families[name].rate_std]  # motions of the others fill regions
+
+    def trace() -> dict[str, list[Array]]:
+        return {name: _traced_curves(plane, families[name]) for name in traced}
+
+    return {name: lines for name, lines in cached_lines(trace, plane, traced).items() if lines}
 
 
 def _traced_curves(plane: Plane, family: Family) -> list[Array]:
-    """The lines on which one condition of a family changes its sign where the others hold."""
+    """The lines on which one condition of a family changes its sign, and the others hold.
+
+    A condition that is the magnitude of a vector has no sign: a solution for a parameter less its value takes its place,
+    of several the one with the longest lines.
+    """
     axes, coordinates = plane.lattice(TRACING_SAMPLES)
-    shape = [axis.size for axis in axes]
+
+    def solved(name: str, points: Mapping[str, Array]) -> Array:
+        return family.solve[name](points) - points[name]
+
+    with np.errstate(all="ignore"):
+        points = plane.points(coordinates).base
+        fails = [np.broadcast_to(c.residual(points), axes[0].size ** len(axes)) for c in family.conditions]
+        holds = [np.abs(each) < ON_FAMILY for each in fails]
+        curves = list[Array]()
+        for i, condition in enumerate(family.conditions):
+            others = np.logical_and.reduce(holds[:i] + holds[i + 1 :], axis=0, initial=True)
+            if not others.any() or holds[i][others].mean() > REGION:
+                continue
+            varied = [name for name in family.solve if np.ptp(points[name])]
+            names = [name for name in varied if name in plane.extent] or varied
+            has_signs = bool((fails[i][others] < 0).any())
+            functions = [condition.residual] if has_signs else [partial(solved, name) for name in names]
+            found = [
+                _zero_lines(plane, family, axes, np.where(others, f(points), np.nan), f) for f in functions
+            ]
+            curves += max(found, key=lambda lines: sum(map(len, lines)), default=[])
+    return curves
+
+
+def _zero_lines(
+    plane: Plane, family: Family, axes: list[Array], column: Array, function: Callable[[Any], Array]
+) -> list[Array]:
+    """The lines on which a function of points, in a column of its values at samples, is 0, as far as a family is on them."""
 
     def base(places: Array) -> Mapping[str, Array]:
         return plane.points(dict(zip(plane.extent, places.T, strict=True))).base
 
-    with np.errstate(all="ignore"):
-        points = plane.points(coordinates).base
-        fails = [np.broadcast_to(c.residual(points), math.prod(shape)) for c in family.conditions]
-        curves = []
-        for i, condition in enumerate(family.conditions):
-            if (np.abs(fails[i]) < ON_FAMILY).all():
-                continue  # rounding has signs too
-            others = [np.abs(each) < ON_FAMILY for each in (*fails[:i], *fails[i + 1 :])]
-            values = np.where(np.all(others, axis=0), fails[i], np.nan).reshape(shape)
+    def is_above(positions: Array) -> Mask:
+        return function(base(values_at(positions, axes))) > 0
 
-            def is_above(positions: Array, condition: Condition = condition) -> Mask:
-                return condition.residual(base(values_at(positions, axes))) > 0
-
-            for line in lines_at(values, 0.0):
-                line = line if line[0].sum() <= line[-1].sum() else line[::-1]  # whichever axis is the first
-                low, high = np.floor(line), np.ceil(line)
-                at_low = values[tuple(low.astype(int).T)] > 0
-                places = values_at(narrow(is_above, at_low, low, high, TRISECTIONS), axes)
-                here = base(places)
-                shown = on_family(family, here) < ON_FAMILY
-                if plane.scene.family is None:
-                    shown &= plane.scene.system.identify_family(here)[0] == family.flag
-                curves += [part for part in shown_parts(places, shown) if len(part) > 1 or len(axes) == 1]
-    return curves
+    values = column.reshape([axis.size for axis in axes])
+    lines = lines_at(values, 0.0)
+    if not lines or (np.abs(column) < ON_FAMILY).mean() > REGION:
+        return []
+    lines = [
+        line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines
+    ]  # whichever axis is the first
+    low, high = np.floor(np.concatenate(lines)), np.ceil(np.concatenate(lines))
+    at_low = values[tuple(low.astype(int).T)] > 0
+    places = values_at(narrow(is_above, at_low, low, high, TRISECTIONS), axes)
+    here = base(places)
+    shown = on_family(family, here) < ON_FAMILY
+    if plane.scene.family is None:
+        shown &= plane.scene.system.identify_family(here)[0] == family.flag
+    ends = np.cumsum([len(line) for line in lines])[:-1]
+    parts = map(shown_parts, np.split(places, ends), np.split(shown, ends))
+    return [part for each in parts for part in each if len(part) > 1 or len(axes) == 1]

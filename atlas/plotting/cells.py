@@ -30,7 +30,7 @@ from .. import extension
 from ..analysis.boundary import EXISTENCE, KINDS, LABEL, RESONANCES, STABILITY, ZERO_RATES
 from ..analysis.degrees import DEGREE, RAD
 from ..analysis.metadata import scene_of
-from ..errors import BadInput
+from ..errors import BadInput, attribute_text
 from ..flags import Regularity
 from ..systems.base import Mask
 from .content import NOT_YET, PROVED, SLOW, Panel
@@ -131,7 +131,7 @@ class ColorScale:
 def is_angle(array: xr.DataArray) -> bool:
     """Whether a variable is an angle: linear on any scale, other than its errors and variations."""
     is_small = re.search("error|drift|std|rms|roughness", str(array.name))
-    return array.attrs.get("units") in (RAD, DEGREE) and not is_small
+    return attribute_text(array.attrs, "units") in (RAD, DEGREE) and not is_small
 
 
 def color_scale(

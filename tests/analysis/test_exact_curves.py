@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import atlas
+from atlas.errors import BadInput
 
 THETA, TOP = 2.2, {"A": 1.0, "B": 1.0, "C": 0.4, "Mg": 1.0, "z0": 0.3, "theta0": 2.2}
 AXES = {
@@ -40,3 +41,20 @@ def test_slow_and_fast_precession_are_one_curve(is_tied):
     assert exact.n.min() == -3
     legend = [text.get_text() for text in ds.atlas.map().legends[0].get_texts()]
     assert "conical (exact)" in legend
+
+
+def test_a_region_of_exact_motions_has_no_curve_of_rounding():
+    """Ties put every point of the quickstart that has a motion onto the family."""
+    axes = {
+        "l3": {"from": -2.5, "to": 2.5, "count": 3},
+        "n": {"from": -2.0, "to": 2.0, "count": 3},
+    }
+    scene = atlas.example("quickstart")
+    assert atlas.run(scene | {"axes": axes}, progress=False).atlas.families() == {}
+
+
+def test_single_points_have_no_plane():
+    points = {"sample": "sobol", "count": 4, "seed": 1, "ranges": {"theta0": {"from": 0.1, "to": 0.2}}}
+    ds = atlas.run(SCENE | {"points": points, "fixed": {"Mg": 1.0}}, progress=False)
+    with pytest.raises(BadInput, match="families: these are single points"):
+        ds.atlas.families()

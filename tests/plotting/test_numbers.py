@@ -122,7 +122,7 @@ def test_bad_input_is_one_line(options, message):
 def test_unknown_options_of_other_figures_are_refused():
     with pytest.raises(BadInput, match="figure: widht: no such option; did you mean 'width'"):
         atlas.figure([FLAGS], widht=85)
-    with pytest.raises(BadInput, match="plot: degree: no such option; allowed: ax"):
+    with pytest.raises(BadInput, match="plot: degree: no such option; did you mean 'degrees'"):
         FLAGS.atlas.plot(degree=True)
     with pytest.raises(BadInput, match="diagram: colour: no such option; allowed: variable, ax"):
         FLAGS.atlas.diagram(colour=True)

@@ -271,8 +271,8 @@ def test_the_how_to_page_lists_its_questions_and_draws_its_pictures():
     assert max(picture.stat().st_size for picture in pictures) < 40_000
 
 
-@pytest.mark.parametrize("page", ["my_satellite", "my_top"])
-def test_pages_from_a_data_sheet_draw_their_pictures(page):
+@pytest.mark.parametrize("page", ["my_satellite", "my_top", "teaching"])
+def test_pages_draw_their_pictures(page):
     text = (ROOT / "docs" / f"{page}.md").read_text()
     drawn = re.findall(r'savefig\("(\w+\.png)"', text)
     assert re.findall(rf"\({page}/(\w+\.png)\)", text) == drawn

@@ -1,4 +1,4 @@
-"""Run the blocks of docs/how_to.md, my_satellite.md and my_top.md that have a picture, and draw it into the folder of the page.
+"""Run the blocks of docs/how_to.md, my_satellite.md, my_top.md and teaching.md that have a picture, and draw it into the folder of the page.
 
 python scripts/tools/how_to.py [--out docs] [--only NAME ...]
 """
@@ -18,7 +18,7 @@ from matplotlib import pyplot
 from PIL import Image
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = ("how_to", "my_satellite", "my_top")
+PAGES = ("how_to", "my_satellite", "my_top", "teaching")
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 LARGEST = (1100, 600)  # pixels of a picture: the page has many
 COLOURS = 48

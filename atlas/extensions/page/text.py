@@ -34,6 +34,7 @@ _ACCENTS = {
     "tilde": "\u0303",
     "vec": "\u20d7",
 }
+_FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "ln")
 _FONTS = ("mathrm", "mathbf", "mathit", "text", "rm")
 _TOKEN = re.compile(r"\\[A-Za-z]+|\\.|[{}_^]|\s+|[^\\{}_^\s]", re.DOTALL)
 _SUPERSCRIPTS = str.maketrans("0123456789-\N{MINUS SIGN}+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻⁺")
@@ -129,6 +130,11 @@ class _Formula:
             _append(self.result, _SPACES[name], False, shift)
         elif name in _FONTS:
             self.argument(shift, accent)
+        elif name in _FUNCTIONS:
+            last = self.result[-1]["t"][-1:] if self.result else "("
+            following = next((token for token in self.tokens if not token.isspace()), "}")
+            before, behind = last != "(" and not last.isspace(), following not in "()^_}"
+            _append(self.result, "\u2009" * before + name + accent + "\u2009" * behind, False, shift)
         else:
             letter = _COMMANDS.get(name, name)
             _append(self.result, letter + accent, name in _COMMANDS and letter.isalpha(), shift)

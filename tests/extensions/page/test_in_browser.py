@@ -241,6 +241,22 @@ def test_phone(browser, address):
     browser.wait(DONE)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 390
     assert not browser.errors
+    heights = "[...document.querySelectorAll('select, button, summary')].map((each) => each.getBoundingClientRect().height)"
+    shown = [height for height in browser.evaluate(heights) if height]
+    assert len(shown) > 5
+    assert min(shown) >= 44  # px: as wide as a finger
+
+
+def test_a_wide_window_is_used_after_a_click(browser, address):
+    browser.open(address, 2400, 1000)
+    browser.click(*pixel(browser, [5, 1]))
+    browser.wait(DONE)
+    box = "document.querySelector('{}').getBoundingClientRect().{}"
+    motion, values = (browser.evaluate(box.format(each, "left")) for each in ("#motion-section", "#values"))
+    assert values > motion + 400  # beside each other
+    right = max(browser.evaluate(box.format(each, "right")) for each in ("#motion-section", "#values"))
+    assert right > 2300
+    assert browser.evaluate("document.documentElement.scrollHeight") < 2000
 
 
 def test_a_slider_for_a_further_axis(browser, cube_atlas, tmp_path, quick_page):

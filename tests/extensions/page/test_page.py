@@ -44,6 +44,8 @@ def unpacked(entry):
         (r"mean $\dot\psi$ (rad s$^{-1}$)", "mean ψ\u0307 (rad s⁻¹)"),
         (r"$\omega'\cdot\gamma$", "ω\N{PRIME}·\N{GREEK SMALL LETTER GAMMA}"),
         ("$K_{1} = (C - A)/B$", "K₁ = (C \N{MINUS SIGN} A)/B"),
+        (r"$\Omega \cos \theta$", "Ω\u2009cos\u2009\N{GREEK SMALL LETTER THETA}"),
+        (r"$(\sin(x) + \cos^2 y)$", "(sin(x) + cos²y)"),
         ("costs 5 $", "costs 5 $"),
         (r"$\unknown x$", "unknownx"),
         ("$" + "{" * 90 + "x$", "x"),

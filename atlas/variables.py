@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
 
@@ -13,7 +14,7 @@ from .measure.circle import CIRCLES
 from .measure.instrument import Instrument, MainInstrument, Variable
 from .measure.observables import Observables
 from .measure.rates import Rates
-from .systems.base import NATURAL_RATE, System, derived_variables
+from .systems.base import NATURAL_RATE, System, derived_variables, time_units
 
 # The instruments of the core, in the order of the variables in a file; the first of a system is its main one.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
@@ -83,7 +84,7 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
         )
         for d in derived_variables(system).values()
     ]  # fmt: skip
-    registry = {variable.name: variable for variable in listed}
+    registry = {v.name: replace(v, units=time_units(system, v.units)) for v in listed}
     if len(registry) < len(listed):
         names = [variable.name for variable in listed]
         repeated = next(name for name in names if names.count(name) > 1)

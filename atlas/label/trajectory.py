@@ -22,7 +22,7 @@ from ..scene.model import DEFAULTS, Duration, Scene, Settings
 from ..scene.read import check_at_points, check_unit, parse_duration
 from ..scene.tables import point_columns, table
 from ..store import dataset
-from ..systems.base import Array, Points, System, check_possible
+from ..systems.base import Array, Points, System, check_possible, time_units
 from ..variables import main_instrument
 from .plan import Plan
 
@@ -159,7 +159,11 @@ def trajectory_of_point(
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, durations[0], samples))
     # Variables, because xarray prints scalar coordinates over every plot.
-    ds["step"] = ((), float(step_size[0]), {"long_name": "integration step", "units": "s"})
+    ds["step"] = (
+        (),
+        float(step_size[0]),
+        {"long_name": "integration step", "units": time_units(system, "s")},
+    )
     for name, parameter in system.parameters.items():
         start = float(points[name][0])
         if not np.isnan(start):
@@ -250,7 +254,7 @@ def _dataset(
         attributes[name]["comment"] = "nan where the third axis is exactly on the vertical"
     return xr.Dataset(
         {name: ("time", np.asarray(values), attributes[name]) for name, values in columns.items()},
-        coords={"time": ("time", time, {"long_name": "time", "units": "s"})},
+        coords={"time": ("time", time, {"long_name": "time", "units": time_units(system, "s")})},
     )
 
 

@@ -660,6 +660,13 @@ def _magnitude(condition: Condition, points: Points) -> Array:
     return np.where(np.isnan(value), np.inf, value)
 
 
+def time_units(system: System, units: str) -> str:
+    """Units of a time, or of a rate, in a system: pure numbers where all its parameters and observables are."""
+    own = {parameter.unit for parameter in system.parameters.values()}
+    own |= {observable.unit for observable in system.observables}
+    return "1" if system.observables and own == {"1"} and units in ("s", "s-1") else units
+
+
 @cache
 def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
     """Quantities from theory that a scene may list, by name: of the system, then of extensions; BadInput for a name given twice."""

@@ -15,7 +15,7 @@ from atlas import cli, systems
 from atlas.analysis import catalogue
 from atlas.flags import Agreement, EnergyStability, Label, Regularity, Stability, Status, Steadiness
 from atlas.systems.jacobian import jacobian
-from atlas.variables import default_variables
+from atlas.variables import data_variables, default_variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels", "short_timings")
 
@@ -47,6 +47,14 @@ def scene_of(name, **counts):
 
 def test_the_folder_of_examples_is_not_empty():
     assert NAMES == ["double_pendulum", "elliptic_orbit", "heavy_top_euler", "henon_heiles", "two_field_top"]
+
+
+def test_a_system_of_pure_numbers_has_no_seconds():
+    for name, units in (("henon_heiles", {"1"}), ("double_pendulum", {"s", "s-1"})):
+        found = data_variables(systems.get(name))
+        assert {found[each].units for each in ("lyapunov", "step", "end_time")} == units
+    motion = atlas.trajectory("henon_heiles", {}, duration=1.0, samples=5)
+    assert {motion[each].attrs["units"] for each in ("time", "step")} == {"1"}
 
 
 def test_the_command_finds_the_systems_of_installed_packages(path, tmp_path, monkeypatch):

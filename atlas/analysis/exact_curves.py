@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -70,6 +71,11 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
             names = [name for name in varied if name in plane.extent] or varied
             has_signs = bool((fails[i][others] < 0).any())
             functions = [condition.residual] if has_signs else [partial(solved, name) for name in names]
+            if not functions:
+                logging.getLogger("atlas").info(
+                    "no curve of exact motions of %s: no parameter that varies here solves %s",
+                    family.name, condition.text,
+                )  # fmt: skip
             found = [
                 _zero_lines(plane, family, axes, np.where(others, f(points), np.nan), f) for f in functions
             ]

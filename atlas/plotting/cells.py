@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
@@ -253,10 +254,10 @@ def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:
 _RESONANCE_COLOURS = dict(zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True))
 # Lines of the kinds of borders.
 BORDERS: dict[str, dict[str, Any]] = {
-    STABILITY: {"linestyle": "-", "linewidth": 1.2},
+    STABILITY: {"linestyle": "-", "linewidth": 1.0},
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
     EXISTENCE: {"linestyle": "-", "linewidth": 0.6},
-    PROVED: {"linestyle": "-", "linewidth": 1.2, "color": "#7b2cbf"},
+    PROVED: {"linestyle": "-", "linewidth": 1.0, "color": "#7b2cbf"},
     **{kind: {"linestyle": (0, (1.5, 1.2)), "linewidth": 1.0} for kind in ZERO_RATES.values()},
     **{
         kind: {"linestyle": "-", "linewidth": 0.8, "color": colour}
@@ -266,11 +267,12 @@ BORDERS: dict[str, dict[str, Any]] = {
 PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
 # Dashes of families, in the order of their names.
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
+# Lines are this much thinner on panels narrower than so many mm, of all figures alike.
+NARROW, THINNER = 90.0, 0.5
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # points on each side
-# One of KINDS with more than MAX_HALOED lines, or crowded ones, is THIN and has no halo: else it would cover the cells between them.
+# One of KINDS with more than MAX_HALOED lines, or crowded ones, has no halo: else it would cover the cells between them.
 MAX_HALOED = 40
-THIN = {"linestyle": "-", "linewidth": 0.5}
 
 
 @dataclass(frozen=True)
@@ -291,29 +293,36 @@ HATCHES = {
 }
 
 
-def border_style(kind: str, panel: Panel | None = None) -> dict[str, Any]:
-    """Line of a kind of border of the core or of an extension, on a panel maybe thin."""
-    style = {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE))
-    is_thin = panel and kind in KINDS and (len(panel.borders[kind]) > MAX_HALOED or kind in panel.crowded)
-    return style | THIN if is_thin else style
+def border_style(kind: str, width: float = math.inf) -> dict[str, Any]:
+    """Line of a kind of border of the core or of an extension, on a panel of a width in mm."""
+    return at_width(
+        {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE)), width
+    )
 
 
-def family_style(number: int) -> dict[str, Any]:
-    """Line of the family with this number in the system."""
-    return {"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}
+def family_style(number: int, width: float = math.inf) -> dict[str, Any]:
+    """Line of the family with this number in the system, on a panel of a width in mm."""
+    return at_width({"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}, width)
 
 
-def draw_overlay(ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str]) -> None:
-    """Draw hatching and theory over the cells of a panel, whose axes have their limits and scales."""
+def at_width(style: dict[str, Any], width: float) -> dict[str, Any]:
+    """Line on a panel of a width in mm."""
+    return style | {"linewidth": style["linewidth"] * (THINNER if width < NARROW else 1.0)}
+
+
+def draw_overlay(
+    ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str], width: float
+) -> None:
+    """Draw hatching and theory over the cells of a panel of a width in mm, whose axes have their limits and scales."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
     for kind in (*(each for each in panel.borders if each not in KINDS), *list(KINDS)[::-1]):
-        if kind in panel.borders:
-            style = border_style(kind, panel)
-            _draw_lines(ax, panel.borders[kind], style, halo=0.0 if style | THIN == style else HALO)
+        if lines := panel.borders.get(kind):
+            is_dense = kind in KINDS and (len(lines) > MAX_HALOED or kind in panel.crowded)
+            _draw_lines(ax, lines, border_style(kind, width), halo=0.0 if is_dense else HALO)
     for name, lines in panel.families.items():
-        _draw_lines(ax, lines, family_style(families.index(name)), halo=HALO)
+        _draw_lines(ax, lines, family_style(families.index(name), width), halo=HALO)
 
 
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:

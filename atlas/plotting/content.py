@@ -30,13 +30,13 @@ from ..variables import is_theory, proofs_of_labels
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
 NO_THEORY = "theory says nothing"
 BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every duration"
-SLOW = "unstable, too slow to show in this run"
+SLOW = "too slow to show"
 # A region with a smaller share of the points is not visible.
 MIN_VISIBLE = 1e-3
 # Hatching narrower than this share of the frame's side is not visible, nor are lines nearer to the frame.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# A border with a larger share of `crowding` is drawn thin. Sides of cells between samples of a line, and until it counts as returned.
+# A border with a larger share of `crowding` is drawn without a halo. Sides of cells between samples of a line, and until it counts as returned.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Flags of motions, on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")

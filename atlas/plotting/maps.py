@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,7 @@ class View:
     texts: list[str] = field(default_factory=list)  # to tell panels apart: one, or of its row and its column
     exponents: np.ndarray | None = None  # of chaotic cells, else nan
     heading: str = ""  # text for a variable of flags that no axis names
+    from_theory: bool = False  # the variable, so that its lines need not say so
 
     def named(self) -> View:
         """The panel with its heading above it."""
@@ -146,9 +148,16 @@ class View:
         return f"{self.labels[axis]} {edges} {self.log[axis : axis + 1] or self.name}"
 
     def draw(
-        self, ax: Axes, scale: ColorScale, exponents: ColorScale | None, levels: list[int], *, inner: bool
+        self,
+        ax: Axes,
+        scale: ColorScale,
+        exponents: ColorScale | None,
+        levels: list[int],
+        width: float,
+        *,
+        inner: bool,
     ) -> ScalarMappable | None:
-        """Draw the panel, inner if it has neighbours in its row; returns what the colour bar explains."""
+        """Draw the panel of a width in mm, inner if it has neighbours in its row; returns what the colour bar explains."""
         array, image = self.panel.array, None
         if self.is_points:
             image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
@@ -165,7 +174,7 @@ class View:
         for which, is_log in zip("xy", self.log, strict=False):
             cells.set_axis(ax, which, is_log, inner=inner and which == "x")
         if not self.is_points:
-            cells.draw_overlay(ax, self.panel, self.edges, self.families)
+            cells.draw_overlay(ax, self.panel, self.edges, self.families, width)
         return image
 
 
@@ -250,6 +259,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
                 texts,
                 exponents,
                 heading,
+                is_theory(system_of(ds), name),
             )
         )
     if any(view.panel.crowded for view in views):
@@ -323,7 +333,10 @@ def draw(views: list[View], options: MapOptions) -> Figure:
     if options.ax is None and (options.title or not heading):
         views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
-    columns = options.columns or (1 if options.row else min(len(views), 2 if options.size_mm[0] < 130 else 4))
+    most = (
+        4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
+    )  # flags stand beside their curves
+    columns = options.columns or (1 if options.row else min(len(views), most))
     if len(views[0].texts) == 2:
         columns = sum(view.texts[0] == views[0].texts[0] for view in views)
     by_variable, levels = dict[str, np.ndarray](), dict[str, list[int]]()
@@ -337,7 +350,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
     height = max(heights) if len(heights) == len(views) else None
     share_x, share_y = (len({view.extent(axis) for view in views}) == 1 for axis in (0, 1))
     with nullcontext() if options.ax is not None else rc_context(STYLE):
-        entries, notes = map_legend(views)
+        entries, notes = map_legend(views, width, caption=options.caption)
         sheet = Sheet(options, len(views), columns, height, share_x, share_y, heading)
         fig, axes = sheet.figure(entries, notes)
         bars: dict[int, tuple[Callable[[list[Axes]], None], list[Axes]]] = {}
@@ -346,7 +359,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
                 by_variable[view.name], list(view.flags.values()), options,
                 name=view.name, angle=cells.is_angle(view.panel.array),
             )  # fmt: skip
-            image = view.draw(ax, scale, exponents, levels[view.name], inner=columns > 1)
+            image = view.draw(ax, scale, exponents, levels[view.name], width, inner=columns > 1)
             if view.is_curve and not view.flags:
                 if isinstance(options.norm, str):
                     ax.set_yscale(options.norm)
@@ -453,11 +466,15 @@ class Sheet:
         texts = [wrapped(text, width - 9.0, 7, figure.dpi) for text in legend]
         size, text = (9, self.options.title) if self.options.title else (8, self.heading)
         title = wrapped(text, width, size, figure.dpi) if text else None
-        for columns in range(len(legend), 0, -1):
+        letters = 6.5 if width < cells.NARROW else 7
+        entries = list(zip(legend.values(), texts, strict=True))
+        by_length = sorted(entries, key=lambda entry: len(entry[1]))
+        # Columns are as wide as their longest text, and the last ones may have a text less.
+        for columns, listed in product(range(len(legend), 0, -1), (entries, by_length, by_length[::-1])):
             drawn = figure.legend(
-                list(legend.values()), texts, loc="outside upper center",
-                ncols=columns, frameon=False, columnspacing=0.8,
-                handlelength=1.8, borderaxespad=0.2, borderpad=0, title=title, title_fontsize=size,
+                *zip(*listed, strict=True), loc="outside upper center",
+                ncols=columns, frameon=False, columnspacing=0.8, fontsize=letters,
+                handlelength=1.6, handletextpad=0.5, borderaxespad=0.2, borderpad=0, title=title, title_fontsize=size,
             )  # fmt: skip
             box = drawn.get_window_extent()
             if columns == 1 or box.width < LEGEND_SHARE * figure.bbox.width:
@@ -486,8 +503,8 @@ class Sheet:
             ax.tick_params(labelbottom=True)
 
 
-def map_legend(views: Sequence[View]) -> tuple[Entries, list[str]]:
-    """Legend of all panels (text -> sample of colour, hatching or line), and the sentences below the figure."""
+def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[Entries, list[str]]:
+    """Legend of all panels of a width in mm (text -> sample of colour, hatching or line), and the sentences below the figure."""
     regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and its cells in panels
     panels = [view.panel for view in views]
     for view, panel in zip(views, panels, strict=True):
@@ -502,24 +519,32 @@ def map_legend(views: Sequence[View]) -> tuple[Entries, list[str]]:
             regions.setdefault(reason, (_sample(reason), []))[1].append(mask)
     for panel in panels:
         regions.setdefault(SLOW, (_sample(SLOW), []))[1].append(panel.slow)
-    entries: Entries = {}
-    too_small, total = [], sum(panel.array.size for panel in panels)
-    for text, (sample, masks) in regions.items():
-        count = sum(int(mask.sum()) for mask in masks)
-        if any(mask.mean() >= MIN_VISIBLE for mask in masks):
-            entries[text] = sample
-        elif count and text != SLOW:
-            too_small.append(f"{text}, {count} of {total} points")
+    visible_in = {
+        text: [mask.mean() >= MIN_VISIBLE for mask in masks] for text, (_, masks) in regions.items()
+    }
+    entries: Entries = {text: regions[text][0] for text, seen in visible_in.items() if any(seen)}
+    source = "" if all(view.from_theory for view in views) else " (theory)"
+    source = "" if all(view.from_theory for view in views) else " (theory)"
     for panel in panels:
         for kind in panel.borders:
-            text, style = f"{as_math(kind)} (theory)", cells.border_style(kind, panel)
-            entries.setdefault(text, Line2D([], [], **style))
+            entries.setdefault(as_math(kind) + source, Line2D([], [], **cells.border_style(kind, width)))
     for view in views:
         for name in view.panel.families:
-            style = cells.family_style(view.families.index(name))
+            style = cells.family_style(view.families.index(name), width)
             entries[f"{name.replace('_', ' ')} (exact)"] = Line2D([], [], **style)
-    notes = [f"Too few to be seen: {'; '.join(too_small)}."] if too_small else []
-    return entries, list(dict.fromkeys([*notes, *(note for view in views for note in view.notes)]))
+    notes = [note for view in views for note in view.notes]
+    rare = [
+        f"{text}, {mask.sum()} of {mask.size} points"
+        for text, (_, masks) in regions.items()
+        if text not in (*entries, SLOW)
+        for mask in masks
+        if mask.any()
+    ]
+    if rare and caption:
+        notes.insert(0, f"Too few to be seen: {'; '.join(rare)}.")
+    elif rare:
+        logging.getLogger("atlas").info("too few to be seen, and not in the legend: %s", "; ".join(rare))
+    return entries, list(dict.fromkeys(notes))
 
 
 def as_math(kind: str) -> str:

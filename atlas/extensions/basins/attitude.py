@@ -14,6 +14,8 @@ from ...variables import data_variables
 from ..equilibria.algebra import ANGLES, frames_of
 from .ends import END
 
+MINUS = "\N{MINUS SIGN}"
+
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
     """Texts of legends by the flags of ends, of an equilibrium in which all points that end there have the same attitude.
@@ -22,18 +24,14 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
     undecided ones in all points stands beside.
     """
     undecided = float((ds["settled_by"] == SettledBy.UNDECIDED).mean()) if "settled_by" in ds else 0.0
-    without = (
-        {"not_settled": f"not settled, or undecided: {100 * undecided:.2g} % of the points"}
-        if undecided
-        else {}
-    )
+    without = {"not_settled": f"not settled ({100 * undecided:.2g} % undecided)"} if undecided else {}
     names = [f"end_{name}" for name in ANGLES if f"end_{name}" in data_variables(system_of(ds))]
     if not {END, *names} <= {*ds}:
         return without
     angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
     directed: dict[int, list[str]] = {}
     # About a fixed point the frame is one direction.
-    frame_axes = system_of(ds).frame_axes if len(names) == len(ANGLES) else ("", "", "downward vertical")
+    frame_axes = system_of(ds).frame_axes if len(names) == len(ANGLES) else ("", "", "down")
     for i in np.unique(ds[END].values[ds[END].values >= 0]):
         own = [angle.where(ds[END] == i) for angle in angles.values()]
         if own[0].notnull().any() and not any(angle.max() - angle.min() > 1e-6 for angle in own):
@@ -41,17 +39,15 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
             frame = frames_of(*directions(dict(attitude)))
             nearest = np.where([name != "" for name in frame_axes], abs(frame.T), -1.0).argmax(1)
             third, first = (
-                f"{'on' if frame[nearest[axis], axis] > 0 else 'against'} the {frame_axes[nearest[axis]]}"
+                f"{'+' if frame[nearest[axis], axis] > 0 else MINUS}{frame_axes[nearest[axis]]}"
                 for axis in (2, 0)
             )
             angle = np.degrees(np.arccos(min(abs(frame[nearest[2], 2]), 1.0)))
             at_saddle = "end_index" in ds and bool((ds["end_index"].where(ds[END] == i) > 0).any())
-            saddle = ", a saddle, which the motion may only pass" * at_saddle
+            saddle = ", perhaps passing a saddle" * at_saddle
             directed[i] = [third + f", {angle:.0f} deg" * bool(angle >= 0.5), first, saddle]
     thirds = [third for third, *_ in directed.values()]
     return without | {
-        f"equilibrium_{i}": f"{i}: third axis {third}"
-        + f", first {first}" * (thirds.count(third) > 1)
-        + saddle
+        f"equilibrium_{i}": f"{i}: axis 3 {third}" + f", 1 {first}" * (thirds.count(third) > 1) + saddle
         for i, (third, first, saddle) in directed.items()
     }

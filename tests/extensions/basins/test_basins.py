@@ -113,7 +113,7 @@ def test_undecided_starts_are_counted(ds):
     some = ds.assign(settled_by=undecided, end_equilibrium=ds["end_equilibrium"].where(undecided != 3, -1))
     np.testing.assert_allclose(some.atlas.basin_fractions("n")["undecided"], 2 / 17)
     assert some.atlas.basin_fractions()["undecided"].item() == pytest.approx(2 / 17)
-    assert texts(some)["not_settled"] == "not settled, or undecided: 12 % of the points"
+    assert texts(some)["not_settled"] == "not settled (12 % undecided)"
     assert "not_settled" not in texts(ds)
     (legend,) = some.atlas.map().legends
     assert legend.get_texts()[0].get_text() == texts(some)["not_settled"]
@@ -163,11 +163,11 @@ def test_a_map_names_the_attitudes(ds):
             components = np.array([alpha[axis], beta[axis], gamma[axis]])
             nearest = np.abs(components).argmax()
             degrees = round(np.degrees(np.arccos(abs(components[nearest]))))
-            sense = "on" if components[nearest] > 0 else "against"
-            senses.append((f"{sense} the {['radius', 'velocity', 'normal'][nearest]}", degrees))
+            sense = "+" if components[nearest] > 0 else "\N{MINUS SIGN}"
+            senses.append((f"{sense}{['radius', 'velocity', 'normal'][nearest]}", degrees))
         (third, degrees), (first, _) = senses
         assert degrees > 0
-        assert text == f"{i}: third axis {third}, {degrees} deg, first {first}"
+        assert text == f"{i}: axis 3 {third}, {degrees} deg, 1 {first}"
     colours = style.flag_colours(["not_settled", "equilibrium_0", "equilibrium_1"])
     assert [to_hex(each.get_facecolor()) for each in legend.legend_handles] == list(colours.values())[1:]
     assert positions_as_flags(ds, "label") is ds
@@ -178,9 +178,9 @@ def test_the_first_axis_tells_attitudes_apart_that_the_third_does_not(ds):
     ends = xr.Dataset({"end_equilibrium": ("point", [0, 1, 2])}, attrs=ds.attrs)
     ends = ends.assign({f"end_{name}": ("point", values) for name, values in angles.items()})
     assert list(texts(ends).values()) == [
-        "0: third axis on the normal, first on the radius",
-        "1: third axis on the normal, first against the radius",
-        "2: third axis against the normal",
+        "0: axis 3 +normal, 1 +radius",
+        "1: axis 3 +normal, 1 \N{MINUS SIGN}radius",
+        "2: axis 3 \N{MINUS SIGN}normal",
     ]
     assert texts(ends.assign(end_equilibrium=("point", [0, 0, 2]))).keys() == {"equilibrium_2"}
 

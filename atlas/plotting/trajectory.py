@@ -150,10 +150,8 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], wi
     for observable in observables:
         if observable.name not in tr:
             raise BadInput(f"not a trajectory: {observable.name} is missing")
-        unit = "" if observable.unit == "1" else f" ({unit_text(observable.unit)})"
-        panels[f"{observable.symbol or observable.name}{unit}"] = {
-            observable.name: tr[observable.name].values
-        }
+        name, unit = observable.name, unit_text(attribute_text(tr[observable.name].attrs, "units"))
+        panels[f"{observable.symbol or name}{f' ({unit})' if unit else ''}"] = {name: tr[name].values}
     with rc_context(STYLE):
         figure = Figure(figsize=(width, (14 + 26 * len(observables)) / 25.4), layout="constrained")
         _draw_over_time(figure, tr, panels)

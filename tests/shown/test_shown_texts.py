@@ -1,0 +1,223 @@
+"""Tables, dry runs and texts of commands hold the numbers of the dataset, of the run itself, or of own arithmetic."""
+
+import re
+import resource
+import sys
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import atlas
+from atlas import load_scene
+from atlas.analysis.metadata import flag_names
+from atlas.analysis.summary import summary
+from atlas.cli import main
+from atlas.runs import estimate
+from atlas.runs.status import status
+from atlas.store.progress import clock
+
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
+
+@pytest.fixture(scope="module")
+def small(small_scene):
+    return atlas.run(load_scene(small_scene), progress=False).load()
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, small_scene):
+    """A folder with the small scene, in which commands are called."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.toml").write_text(small_scene)
+    return tmp_path
+
+
+def columns(path) -> dict[str, list[str]]:
+    """Columns of a CSV file by their names."""
+    names, *rows = (line.split(",") for line in path.read_text().splitlines())
+    return dict(zip(names, zip(*rows, strict=True), strict=True))
+
+
+def test_a_table_of_points_has_their_values(here):
+    """Each column by its name: numbers with all digits, flags as words, nan where there is none."""
+    (here / "in.csv").write_text("id,k1,theta0\na,0.1,0.5\nb,1e200,0.5\nc,0.3,1.2\n")
+    assert main(["points", "satellite", "in.csv", "-o", "out.csv", "--duration", "5", "--quiet"]) == 0
+    points = {"k1": [0.1, 1e200, 0.3], "theta0": [0.5, 0.5, 1.2]}
+    expected, table = atlas.label_points("satellite", points, duration=5.0), columns(here / "out.csv")
+    assert table.pop("id") == ("a", "b", "c")
+    assert set(table) == {*expected.data_vars, *expected.coords} - {"point"}
+    assert np.isnan(expected.theta_dot_rms[1])
+    for name, texts in table.items():
+        array = expected[name]
+        if flags := flag_names(array):
+            assert list(texts) == [flags[value] for value in array.values], name
+        else:
+            np.testing.assert_array_equal([float(text) for text in texts], np.broadcast_to(array, 3), name)
+            assert ("nan" in texts) == bool(np.isnan(array).any())
+
+
+def test_a_frame_has_the_values_in_rad_or_degrees(small):
+    angles = {"theta_min", "theta_max", "psi0", "phi0"}
+    for degrees in (False, True):
+        frame = small.atlas.to_dataframe(degrees=degrees)
+        for name in frame.columns:
+            size = 180 / np.pi if degrees and small[name].attrs.get("units") == "rad" else 1.0
+            assert (size != 1) == (degrees and name in angles), name
+            expected = small[name].broadcast_like(small.label).values.ravel()
+            if flags := flag_names(small[name]):
+                assert frame[name].tolist() == [flags[value] for value in expected]
+            else:
+                np.testing.assert_allclose(frame[name], expected * size, rtol=1e-15)
+        theta0 = frame.index.get_level_values("theta0")
+        np.testing.assert_allclose(theta0[:7], small.theta0 * (180 / np.pi if degrees else 1))
+
+
+def number(pattern: str, text: str) -> float:
+    """The number in brackets of a pattern that occurs once in a text."""
+    (found,) = re.findall(pattern, text)
+    return float(found)
+
+
+NUMBER = r"([\d.]+(?:e[+-]?\d+)?)"
+
+
+@pytest.fixture
+def few_steps(monkeypatch):
+    """Measure a tenth of the steps that a dry run takes."""
+    monkeypatch.setattr(estimate, "CALIBRATION_STEPS", estimate.CALIBRATION_STEPS / 10)
+    monkeypatch.setattr(estimate, "LABEL_STEPS", estimate.LABEL_STEPS / 10)
+
+
+@pytest.mark.usefixtures("few_steps")
+def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
+    """Points, steps, processor time, bytes and memory, each within a factor that the load of a machine leaves."""
+    scene = load_scene(
+        scene_text({"axes.sigma.count": 50, "axes.theta0.count": 40, "integration.duration": 15.0})
+    )
+    text = estimate.dry_run(scene, threads=1)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    began = time.process_time()
+    ds = atlas.run(scene, progress=False, threads=1)
+    seconds = time.process_time() - began
+    path, folder = tmp_path / "scene.nc", tmp_path / "run"
+    ds.to_netcdf(path)
+    atlas.run(scene, f"{folder}/", progress=False, threads=1).close()
+    stored = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+    steps = float((ds.end_time / ds.step).mean())
+    assert text.startswith("2000 points, about 2000 to integrate, ")
+    assert number(rf"\({NUMBER} steps a point", text) == pytest.approx(steps, rel=2e-3)
+    hours = number(rf"processor time: {NUMBER} h by rk4", text)
+    assert 1 / 5 < 3600 * hours / seconds < 3
+    nanoseconds = number(rf"{NUMBER} ns a step and processor", text)
+    assert 3600 * hours == pytest.approx(2000 * steps * nanoseconds * 1e-9, rel=0.35)
+    assert 1 / 3 < 1e6 * number(rf"file: about {NUMBER} MB", text) / path.stat().st_size < 2
+    assert 1 / 3 < 1e6 * number(rf"run folder: \d+ files, about {NUMBER} MB", text) / stored < 2
+    assert 0.5 * most < 1e6 * number(rf"memory: about {NUMBER} MB", text) < 1.2 * most
+    assert 1e-6 < number(rf"fastest frequency: at most {NUMBER} rad", text) <= 1e-5  # the tolerance
+    other = number(rf"h by rk4, {NUMBER} h by rk8", text)
+    assert other / hours == pytest.approx(number(rf"in about {NUMBER} of the time", text), rel=0.02)
+
+
+@pytest.mark.usefixtures("few_steps")
+def test_processes_share_the_time_and_add_their_memory(scene_text):
+    """A thousand times as many steps take a thousand times as long."""
+    one = estimate.dry_run(
+        load_scene(scene_text({"axes.sigma.count": 90, "axes.theta0.count": 70})), workers=1
+    )
+    more = {"axes.sigma.count": 900, "axes.theta0.count": 70, "integration.duration": 3000.0}
+    three = estimate.dry_run(load_scene(scene_text(more)), workers=3)
+    assert three.startswith("63000 points, about 63000 to integrate, ")
+    before, hours = (number(rf"processor time: {NUMBER} h by rk4", text) for text in (one, three))
+    assert 1000 / 3 < hours / before < 3000
+    minutes, seconds = map(int, re.search(r"time: about (\d+):(\d+) on 3 processes", three).groups())
+    assert 60 * minutes + seconds == pytest.approx(3600 * hours / 3, rel=0.02, abs=1)
+    memory = [number(rf"memory: about {NUMBER} MB", text) for text in (one, three)]
+    assert 2 < memory[1] / memory[0] < 5
+
+
+def test_times_are_hours_minutes_and_seconds():
+    assert [clock(t) for t in (0.4, 61.0, 3599.0, 3600.0, 90061.0)] == [
+        "0:00",
+        "1:01",
+        "59:59",
+        "1:00:00",
+        "25:01:01",
+    ]
+
+
+def test_the_summary_counts_what_the_atlas_has(small):
+    ds = small.copy(deep=True)
+    ds["status"][0, :3] = flag_names(ds.status).index("step_sensitive")
+    ds["error_estimate"][:] = np.where(ds.label == 3, 0.5, 1e-4)
+    ds["error_estimate"][2, 3] = 0.0625 if ds.label[2, 3] != 3 else 0.75
+    lines = summary(ds, verbose=True).splitlines()
+    for name in ("label", "label_inertial", "status", "agreement"):
+        names, values = flag_names(ds[name]), ds[name].values
+        counts = [f"{flag} {(values == i).sum()}" for i, flag in enumerate(names) if (values == i).any()]
+        assert f"{name}: {', '.join(counts)}" in lines
+    (line,) = (line for line in lines if line.startswith("expected relative error"))
+    assert "at steady points 1e-04 (median) to 0.062 (largest), at drifting points " in line
+    assert "to 0.5 (largest)" in line
+    drift = float(ds.integral_drift.max())
+    assert f"largest relative change of a first integral (integral_drift): {drift:.2g}" in lines
+    seconds, speed = ds.attrs["atlas_seconds"], ds.attrs["atlas_points_per_second"]
+    assert f"{seconds:.1f} s, {speed:.4g} points/s" in lines
+    assert speed == pytest.approx(63 / seconds, rel=1e-6)
+    short = summary(ds, verbose=False).splitlines()
+    agree = int((ds.agreement == 1).sum())
+    assert f"theory: {100 * agree / 63:.2f} % of 63 compared points agree" in short
+    assert "in doubt: step_sensitive 3" in short
+
+
+def test_a_comparison_with_theory_counts_the_pairs_of_labels(small):
+    lines = small.atlas.compare(worst=3).splitlines()
+    head, *rows = (line.split() for line in lines[:3])
+    names = flag_names(small.label)
+    for theory, *counts in rows:
+        for measured, count in zip(head[3:], counts, strict=True):
+            pair = (small.predicted == names.index(theory)) & (small.label == names.index(measured))
+            assert int(count) == int(pair.sum())
+    wrong = small.predicted != small.label
+    share = 100 * (1 - float(wrong.mean()))
+    assert lines[3] == f"compared: 63 of 63 points, {share:.3f} % agree"
+    place = r"sigma = (\S+), theta0 = (\S+): theory (\w+), measured (\w+), unsteadiness (\S+), growth_rate x time = (\S+)"
+    for line in lines[-3:]:
+        sigma, theta0, theory, measured, unsteady, growth = re.search(place, line).groups()
+        point = small.sel(sigma=float(sigma), theta0=float(theta0), method="nearest")
+        assert (theory, measured) == tuple(names[int(point[name])] for name in ("predicted", "label"))
+        rates = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
+        assert float(unsteady) == pytest.approx(max(float(point[name]) for name in rates), rel=5e-3)
+        assert float(growth) == pytest.approx(float(point.growth_rate * point.end_time), abs=5e-3)
+
+
+def test_status_counts_the_tiles_and_points_of_a_folder(here, monkeypatch, scene_text):
+    (here / "s.toml").write_text(
+        scene_text({"axes.sigma.count": 18, "axes.theta0.count": 48, "integration.duration": 2.0})
+    )
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "64")
+    assert main(["run", "s.toml", "-o", "r/", "--shard", "1/3", "--quiet"]) == 0
+    tiles = list((here / "r" / "tiles").glob("*.tile"))
+    with atlas.open_atlas("r") as ds:
+        left = int((ds.label == 0).sum())
+    first, counts, *_, last = status("r").splitlines()
+    whole = re.fullmatch(r"small: 864 points in (\d+) tiles of at most (\d+)", first)
+    assert int(whole[1]) * int(whole[2]) >= 864 > (int(whole[1]) - 1) * int(whole[2])
+    assert counts == f"tiles: done {len(tiles)}, missing {int(whole[1]) - len(tiles)}"
+    assert 0 < left < 864
+    assert last.startswith(f"{left} points left, no process is at work; ")
+    assert main(["run", "s.toml", "-o", "s.nc", "--quiet"]) == 0
+    assert status("s.nc") == "small: finished atlas, sigma 18 x theta0 48"
+
+
+def test_commands_say_what_they_made(here, capsys):
+    assert main(["trajectory", "small.toml", "--at", "sigma=0.5", "theta0=0.7", "-o", "t.nc"]) == 0
+    said = capsys.readouterr().out
+    with xr.open_dataset("t.nc") as tr:
+        low, high, end = float(tr.theta.min()), float(tr.theta.max()), float(tr.time[-1])
+    assert said == f"theta from {low:.9g} to {high:.9g} rad in {end:.9g} time units; wrote t.nc\n"
+    assert end == 30
+    assert main(["check", "small.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "system satellite: sigma 9 x theta0 7 = 63 points, duration 30\n" in said

@@ -65,10 +65,20 @@ def hatched(ax: Axes, x: float, y: float) -> str:
     return "".join(inside)
 
 
-def look(line: Line2D) -> tuple[str, str, str]:
-    """Colour, dashes and marker of a line, by which a legend names it."""
-    dashes = line._unscaled_dash_pattern[1]
-    return to_hex(line.get_color()), str(dashes and [round(x, 3) for x in dashes]), str(line.get_marker())
+def look(line: Line2D) -> tuple[object, ...]:
+    """Colour, width, dashes and marker of a line, by which a legend names it."""
+    dashes, marker = line._unscaled_dash_pattern[1], str(line.get_marker())
+    drawn = (
+        ()
+        if line.get_linestyle() == "None"
+        else (line.get_linewidth(), dashes and [round(x, 3) for x in dashes])
+    )
+    return (
+        to_hex(line.get_color()),
+        *drawn,
+        marker,
+        to_hex(line.get_markerfacecolor()) if marker != "None" else "",
+    )
 
 
 def lines_of(figure: Figure, ax: Axes, text: str) -> list[np.ndarray]:

@@ -121,6 +121,84 @@ def test_the_legend_has_every_source_as_it_is_drawn(number):
         assert entries[1].get_marker() == second
 
 
+# Heading of a column of panels -> entry of its legend -> solution by the equations alone, None where it starts elsewhere.
+SOLUTIONS = {
+    "exact": ["(1) from (18)", "periodic"],
+    "first order, corrected": {False: ["from (18)", "(33)"], True: ["(15)"]},
+    "as printed": {False: ["(20)", "(33)"], True: ["(15)"]},
+}
+
+
+def rotor_of(line, figure):
+    """The rotor that the legend of a figure gives to the colour of a curve, which may be mixed with white."""
+    legend, colour = figure.legends[0], np.array(to_rgb(line.get_color()))
+    for text, sample in zip(legend.get_texts(), legend.get_lines(), strict=True):
+        away = np.array(to_rgb(sample.get_color())) - 1
+        share = (colour - 1) @ away / (away @ away)
+        if np.abs(colour - 1 - share * away).max() < 1e-6:
+            number = re.search(r"= ([\d.]+)", text.get_text())[1]
+            return float(number)
+    raise AssertionError("no entry of this colour")
+
+
+@pytest.mark.parametrize("number", [2, 3, 6, 13])
+def test_every_curve_is_that_of_its_rotor_column_and_axis(number):
+    """Over tau: the exact motion by DOP853, the corrected one near it and the printed one not."""
+    figure, drawn = amer2013.paper_figure(number), amer2013.draw(number)
+    row = {"p2": 0, "gamma2": 2}[figure.quantity]
+    top = drawn.axes[:3]
+    assert top[0].get_ylabel().startswith({"p2": "$p_2$ (units", "gamma2": r"$\gamma_2$"}[figure.quantity])
+    assert drawn.axes[-3].get_xlabel() == r"$\tau = r_0 t$"
+    labels = drawn.axes[-3].get_xticklabels()
+    ticks = dict(zip(drawn.axes[-3].get_xticks() / np.pi, [t.get_text() for t in labels], strict=True))
+    assert ticks == {0: "0", 1: r"$\pi$", 2: r"$2\pi$", 3: r"$3\pi$", 4: r"$4\pi$"}
+    assert drawn.get_suptitle() == f"Fig. {number}: $A = B {figure.body[2:]}$"
+    far, seen = {}, set()
+    for ax in top:
+        legend = ax.get_legend()
+        title, names = legend.get_title().get_text(), [text.get_text() for text in legend.get_texts()]
+        expected = SOLUTIONS[title]
+        assert names == (expected if isinstance(expected, list) else expected[figure.numerical])
+        widths = {line.get_linewidth(): name for line, name in zip(legend.get_lines(), names, strict=True)}
+        for line in ax.lines:
+            rotor, name = rotor_of(line, drawn), widths[line.get_linewidth()]
+            seen.add((title, name, rotor))
+            if name == "periodic" or (name == "(33)" and title != "as printed"):
+                continue  # these have other starts
+            spin = fast_spin.paper_body(figure.body, rotor)
+            tau, value = line.get_xydata()[::100].T
+            path = fast_spin.integrate(spin, fast_spin.paper_start(spin), tau)
+            path = fast_spin.to_quasilinear(spin, path)[row]
+            size = np.ptp(path) if rotor else 1.0  # without a rotor p2 rests at 0
+            far.setdefault(title, []).append(np.abs(value - path).max() / size)
+    assert max(far["exact"]) < 1e-6
+    assert max(far["first order, corrected"]) < (1e-3 if figure.quantity == "p2" else 2e-3)
+    if figure.quantity == "p2":
+        assert min(value for value in far["as printed"] if value > 1e-9) > 1e-2
+    count = sum(
+        len(each if isinstance(each, list) else each[figure.numerical]) for each in SOLUTIONS.values()
+    )
+    assert len(seen) == count * len(figure.rotors)
+    if figure.quantity == "gamma2":
+        assert drawn.axes[3].get_ylabel() == r"$\gamma_2 - M_3 \cos\tau$"
+        for above, below in zip(top[2].lines, drawn.axes[5].lines, strict=True):
+            harmonic = figure.M3 * np.cos(above.get_xdata())
+            np.testing.assert_allclose(below.get_ydata(), above.get_ydata() - harmonic, atol=1e-12)
+
+
+def test_the_axes_of_a_phase_plane_are_value_and_derivative():
+    figure, drawn = amer2013.paper_figure(4), amer2013.draw(4)
+    ax = drawn.axes[2]
+    assert ax.get_xlabel().startswith("$p_2$ (units")
+    assert drawn.axes[0].get_ylabel().startswith(r"$\dot p_2$ (units")
+    (rotor,) = figure.rotors
+    spin = fast_spin.paper_body(figure.body, rotor)
+    tau = np.linspace(0, amer2013.END, amer2013.TIMES)
+    path = fast_spin.integrate(spin, fast_spin.paper_start(spin), tau)
+    expected = fast_spin.to_quasilinear(spin, path)[:2].T
+    np.testing.assert_allclose(ax.lines[0].get_xydata(), expected, atol=1e-6 * np.ptp(expected))
+
+
 def test_derivatives_of_the_printed_solution():
     """Of (33) as printed: against a spline through it."""
     figure, tau = amer2013.paper_figure(3), np.linspace(0, amer2013.END, 4001)
@@ -222,6 +300,24 @@ def test_the_table_has_six_digits():
     assert moving[heading.index("max |p2|")] == "10700.0"
     assert moving[heading.index("amplitude")] == "4250.97"
     assert still[heading.index("max |gamma2 - M3 cos tau|")] == "< 1e-10"
+
+
+def test_the_columns_of_the_table_are_those_of_their_names():
+    rows = claims.figure_table((30.0,))
+    heading, *lines = amer2013.amplitude_table(rows)
+    names = {
+        "p2(0), (18)": "start", "centre": "centre", "amplitude": "amplitude", "period": "period", "waves in 4 pi": "waves",
+        "max |p2|": "largest", "mu1/Omega": "centre_theory", "2 pi/Omega": "period_theory",
+        "centre, (15) printed": "centre_printed", "amplitude, (15) printed": "amplitude_printed",
+        "period, (15) printed": "period_printed", "amplitude of gamma2": "gamma2_amplitude", "period of gamma2": "gamma2_period",
+        "max |gamma2 - M3 cos tau|": "gamma2_change", "unit of p2, rad/s": "unit",
+    }  # fmt: skip
+    for row, line in zip(rows, lines, strict=True):
+        texts = dict(zip(heading, line, strict=True))
+        assert (texts.pop("body"), float(texts.pop("l1 = l2 = l3"))) == (row.body, row.rotor)
+        assert texts.keys() == names.keys()
+        for name, text in texts.items():
+            assert float(text) == pytest.approx(getattr(row, names[name]), rel=5e-3), name
 
 
 def test_the_table_of_periodic_solutions_has_three_readings():

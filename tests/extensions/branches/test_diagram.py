@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from readers import entries, lines_of, look
 
 import atlas
+from atlas.analysis.metadata import flag_names
 from atlas.cli import main
 from atlas.errors import BadInput
 from atlas.extensions.branches.diagram import LINES, MARKERS, SUBDIVISION, branch_lines, smooth
+from atlas.extensions.branches.singular import BorderKind
 from atlas.flags import BifurcationKind, StabilityKind
 
 SCENE = """
@@ -120,3 +124,97 @@ def test_diagrams_in_degrees(ds):
     (plain,), (same,) = (ds.atlas.diagram("potential", degrees=each).axes for each in (False, True))
     assert plain.get_ylabel() == same.get_ylabel()
     np.testing.assert_array_equal(plain.lines[0].get_xydata(), same.lines[0].get_xydata())
+
+
+@pytest.mark.parametrize("degrees", [False, True])
+def test_every_branch_looks_like_the_entry_of_its_stability(ds, degrees):
+    """And every point at which branches meet like that of its kind; unstable ones alone are dashed."""
+    figure = ds.atlas.diagram("theta0", degrees=degrees)
+    (ax,), samples, size = figure.axes, entries(figure), 180 / np.pi if degrees else 1.0
+    kinds = {i: name.replace("_", " ") for i, name in enumerate(flag_names(ds.stability_kind))}
+    for branch, i in np.argwhere(np.isfinite(ds.theta0.values)):
+        text = kinds[int(ds.stability_kind[branch, i])]
+        point = [float(ds.k3[i]), float(ds.theta0[branch, i]) * size]
+        assert np.abs(np.concatenate(lines_of(figure, ax, text)) - point).max(1).min() < 1e-9, (text, point)
+        is_dashed = look(samples[text])[2] is not None
+        assert is_dashed == (text in ("unstable", "unknown")), text
+    kinds = {i: name.replace("_", " ") for i, name in enumerate(flag_names(ds.fold_kind))}
+    for k3, theta0, kind in zip(ds.fold_k3.values, ds.fold_theta0.values, ds.fold_kind.values, strict=True):
+        (marks,) = lines_of(figure, ax, kinds[kind])
+        assert np.abs(marks - [k3, theta0 * size]).max(1).min() < 1e-9
+    assert set(samples) == {kinds[i] for i in ds.fold_kind.values} | {
+        name.replace("_", " ")
+        for i, name in enumerate(flag_names(ds.stability_kind))
+        if (ds.stability_kind.where(ds.theta0.notnull()) == i).any()
+    }
+    assert ax.get_xlim() == (ds.k3.min(), ds.k3.max())
+
+
+@pytest.mark.parametrize(
+    ("variable", "label"),
+    [
+        ("potential", "potential (J)"), ("frequency_1", "frequency 1 (rad s$^{-1}$)"), ("psi0", r"$\psi$ (rad)"),
+        ("growth_rate", "growth rate (rad s$^{-1}$)"),
+    ],
+)  # fmt: skip
+def test_the_vertical_axis_of_a_diagram_names_its_variable(ds, variable, label):
+    (ax,) = ds.atlas.diagram(variable).axes
+    assert (ax.get_ylabel(), ax.get_xlabel()) == (label, "$k_3$ (N m s)")
+    drawn = np.concatenate([line.get_xydata() for line in ax.lines if line.get_marker() == "None"])
+    for branch, i in np.argwhere(np.isfinite(ds[variable].values))[::7]:
+        point = [float(ds.k3[i]), float(ds[variable][branch, i])]
+        assert np.abs(drawn - point).max(1).min() < 1e-9
+
+
+def borders():
+    """Five curves, one of each look, and a special point of each kind, at places of their own."""
+    kinds = [
+        BorderKind.FOLD,
+        BorderKind.FOLD,
+        BorderKind.PITCHFORK,
+        BorderKind.LIMIT_OF_STABILITY,
+        BorderKind.EXTREMAL_MOMENTUM,
+    ]
+    curve, vertex = np.repeat(np.arange(5), 3), np.tile(np.arange(3.0), 5)
+    below = np.repeat([0, 1, 1, 0, 0], 3)  # of the first one the minimum meets a saddle
+    above = np.repeat([1, 2, 2, 0, 0], 3)
+    columns = {
+        "k1": 0.1 * vertex, "k2": curve + 0.01 * vertex, "tangent_k1": np.full(15, 0.1), "tangent_k2": np.full(15, 0.01),
+        "arc": vertex, "curve": curve, "kind": np.repeat([int(kind) for kind in kinds], 3), "index_below": below, "index_above": above,
+        "count_change": 0 * curve,
+    }  # fmt: skip
+    special = {"special_k1": [0.05, 0.15, 0.18], "special_k2": [7.0, 8.0, 9.0], "special_kind": [1, 2, 3]}
+    ds = xr.Dataset(
+        {name: ("vertex", values) for name, values in columns.items()}
+        | {name: ("special", values) for name, values in special.items()}
+        | {"cells": (("cell_k1", "cell_k2"), np.zeros((2, 2), np.int8))},
+        attrs={"atlas_system": "satellite"},
+    )
+    for name in ("k1", "k2"):
+        ds[name].attrs = {
+            "units": "N m s",
+            "long_name": atlas.systems.get("satellite").parameters[name].meaning,
+        }
+    return ds
+
+
+def test_every_border_looks_like_the_entry_of_its_kind():
+    figure = borders().atlas.diagram()
+    (ax,), samples = figure.axes, entries(figure)
+    names = ["a minimum ends", "fold", "pitchfork", "limit of stability", "extremal momentum"]
+    for number, patch in enumerate(ax.patches):
+        vertices = patch.get_path().vertices
+        sample = samples[names[round(vertices[0, 1])]]
+        np.testing.assert_allclose(
+            vertices[[0, -1]], [[0, round(vertices[0, 1])], [0.2, round(vertices[0, 1]) + 0.02]]
+        )
+        assert patch.get_linewidth() == sample.get_linewidth(), number
+        assert patch._unscaled_dash_pattern == sample._unscaled_dash_pattern
+        np.testing.assert_array_equal(patch.get_edgecolor()[:3], to_rgb(sample.get_color()))
+    assert len(ax.patches) == 5
+    places = {"cusp": [0.05, 7.0], "meeting of borders": [0.15, 8.0], "exponents meet at 0": [0.18, 9.0]}
+    for text, place in places.items():
+        (marks,) = lines_of(figure, ax, text)
+        np.testing.assert_array_equal(marks, [place])
+    assert list(samples) == [*names, *places]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("$k_1$ (N m s)", "$k_2$ (N m s)")

@@ -281,6 +281,21 @@ def test_a_figure_has_a_dot_for_each_crossing():
         ]
 
 
+def test_dots_are_the_crossings_in_the_colours_of_the_bar():
+    ds = atlas.section("satellite", {**BODY, "theta0": [0.4, 0.9], "A": 1.1}, at="psi_dot = 0", duration=60.0)
+    figure = ds.atlas.section_map("theta_dot", "theta", colour="theta0", degrees=True)
+    ax, bar = figure.axes
+    assert [ax.get_xlabel(), ax.get_ylabel(), bar.get_ylabel()] == [
+        r"$\dot{\theta}$ (rad s$^{-1}$)", r"$\theta$ (deg)", "theta0 (deg)",
+    ]  # fmt: skip
+    (dots,) = ax.collections
+    crossings = np.isfinite(ds.theta.values)
+    start = np.degrees(ds.theta0.values)[:, None] + 0 * ds.theta.values
+    expected = np.stack([ds.theta_dot.values, np.degrees(ds.theta.values), start], -1)[crossings]
+    drawn = np.concatenate([dots.get_offsets(), np.asarray(dots.get_array())[:, None]], 1)
+    np.testing.assert_allclose(drawn, expected)
+
+
 def test_regularity_is_measured_after_the_transient():
     points = {**BODY, "theta0": [0.4, 0.9]}
     ds = atlas.section("satellite", points, at="psi_dot = 0", duration=60.0, transient="20 / natural_rate")

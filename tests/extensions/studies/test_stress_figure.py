@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.patches import Patch
 
 from atlas.extensions.studies import figures as stress_figure
 from atlas.extensions.studies import stress
@@ -50,6 +51,39 @@ def test_every_mark_is_in_the_legend(study):
     assert [text.split(":")[0] for text in texts[:4]] == ["right", "unresolved", "wrong", "left out"]
     marks = [line.get_marker() for line in legend.get_lines()]
     assert marks == [line.get_marker() for line in figure.axes[0].lines]
+
+
+def test_the_legend_names_the_verdict_of_every_cell(study):
+    """Rows are the points of the case whose name is beside them, columns the levels below."""
+    figure = stress_figure.stress_figure(study)
+    (legend,) = figure.legends
+    texts = {
+        to_hex(patch.get_facecolor()): text.get_text()
+        for text, patch in zip(legend.get_texts(), legend.legend_handles, strict=True)
+        if isinstance(patch, Patch)
+    }
+    cases = {
+        tick.get_text(): place
+        for tick, place in zip(figure.axes[0].get_yticklabels(), figure.axes[0].get_yticks(), strict=True)
+    }
+    names = [name.replace("_", " ") for name in Verdict.meanings()]
+    beyond = stress.beyond_estimate(study)
+    for i, ax in enumerate(figure.axes):
+        mesh, first = ax.collections[0], 0 if i % 2 == 0 else len(stress.RATIOS)
+        edges = mesh.get_coordinates()[:, 0, 1]
+        for row, column in np.ndindex(np.shape(mesh.get_array())):
+            verdict = int(study.verdict[i // 2, first + column, row])
+            colour = to_hex(mesh.cmap(mesh.norm(np.asarray(mesh.get_array())[row, column])))
+            assert texts[colour].partition(":")[0] == names[verdict]
+            rows = np.flatnonzero(study.case.values == study.case.values[row])
+            place = cases[str(study.case.values[row])]
+            assert place == pytest.approx(0.5 * (edges[rows[0]] + edges[rows[-1] + 1]))
+        crosses = np.argwhere(beyond[i // 2, first : first + np.shape(mesh.get_array())[1]].T)
+        drawn = ax.lines[1].get_xydata()
+        assert sorted(drawn[:, 0].tolist()) == sorted((crosses[:, 1] + 0.5).tolist())
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert "within 1 %" in texts[-2]
+    assert texts[-1] == "a statistic off by more than ten times error_estimate"
 
 
 def test_verdicts_differ_in_luminance():

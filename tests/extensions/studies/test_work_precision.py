@@ -8,16 +8,19 @@ import pytest
 import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from readers import entries, look
 
 from atlas.cli import main
 from atlas.errors import BadInput
 from atlas.extensions.studies import reference
+from atlas.extensions.studies.figures import work_precision_figure
 from atlas.extensions.studies.work_precision import (
     advice,
     levels,
     report,
     scene_level,
     summary,
+    table,
     work_precision,
 )
 from atlas.kernel.tableaux import METHODS
@@ -66,6 +69,56 @@ def test_the_report_ends_with_the_cheapest_setting(study):
         key=lambda r: r["seconds_per_point"],
     )
     assert f"{cheapest['method']} with tolerance = {cheapest['tolerance']:.3g}" in last
+
+
+def test_the_figure_has_errors_over_time(study):
+    """Medians over the points of each level, in microseconds, by the entries of the legend."""
+    figure = work_precision_figure(study)
+    (ax,) = figure.axes
+    assert ax.get_xlabel() == "time per point and processor (\N{MICRO SIGN}s)"
+    assert (ax.get_ylabel(), ax.get_xscale(), ax.get_yscale()) == ("median error", "log", "log")
+    samples = entries(figure)
+    for method in METHODS:
+        at = study.sel({"method": method})
+        time = 1e6 * at.seconds_per_point.values
+        for text, error in (
+            (f"{method}, final state", at.error_state),
+            (f"{method}, {study.measured}", at.error_rates),
+        ):
+            median, seen = error.median("sample").values, at.error_state.median("sample").values < 3
+            (drawn,) = (line.get_xydata() for line in ax.lines if look(line) == look(samples[text]))
+            seen &= np.isfinite(time)
+            np.testing.assert_allclose(drawn, np.stack([time, median], -1)[seen])
+    (own,) = (row for row in summary(study) if row["own_setting"])
+    (ring,) = (line.get_xydata() for line in ax.lines if look(line) == look(samples["the scene's setting"]))
+    np.testing.assert_allclose(ring, [[1e6 * own["seconds_per_point"], own["error_state"]]])
+    band = samples["uncertainty of reference"]
+    assert ax.patches[0].get_y() + ax.patches[0].get_height() == pytest.approx(
+        float(study.reference_error.median())
+    )
+    assert band.get_facecolor() == ax.patches[0].get_facecolor()
+
+
+def test_the_table_has_medians_and_largest_values(study):
+    """Each column under its name; microseconds in the report, seconds in the file."""
+    names, *rows = (line.split(",") for line in table(study).splitlines())
+    shown = [line.split() for line in report(study).splitlines() if line.lstrip().startswith("rk")]
+    for row, line in zip(rows, shown, strict=True):
+        each = dict(zip(names, row, strict=True))
+        level = int(np.argmin(abs(study.tolerance.values - float(each["tolerance"]))))
+        at = study.sel({"method": each["method"]}).isel(level=level)
+        assert float(each["seconds_per_point"]) == float(at.seconds_per_point)
+        assert float(each["error_state"]) == pytest.approx(float(np.nanmedian(at.error_state)))
+        assert float(each["error_state_largest"]) == pytest.approx(float(np.nanmax(at.error_state)))
+        assert float(each["error_rates"]) == pytest.approx(float(np.nanmedian(at.error_rates)))
+        assert float(each["steps"]) == pytest.approx(float(at.steps.mean()))
+        line = [part for part in line if part not in ("*", "<=")]
+        assert (line[0], float(line[1])) == (
+            each["method"],
+            pytest.approx(float(each["tolerance"]), rel=5e-3),
+        )
+        assert float(line[2]) == pytest.approx(float(at.steps.mean()), abs=0.5)
+        assert float(line[3]) == pytest.approx(1e6 * float(at.seconds_per_point), rel=5e-3)
 
 
 def test_wrong_labels_are_counted_and_bounded(study):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from extensions.page.test_in_browser import DONE, pixel
 from extensions.page.test_page import table_of, unpacked
+from readers import lines_of
 
 from atlas.analysis.metadata import flag_names, system_of
 from atlas.extensions.page.page import atlas_page
@@ -178,7 +179,9 @@ def test_the_values_of_a_point_stand_beside_their_names(browser, small_atlas, tm
         is_angle = array.attrs.get("units") == "rad"
         size = 180 / np.pi if degrees and is_angle else 1.0
         nudge = 1e-4 if name in ("theta0", "psi0") else 0.0
-        assert value(shown) == pytest.approx(size * (float(array) + nudge), rel=1e-5, nan_ok=True), name
+        assert value(shown) == pytest.approx(size * (float(array) + nudge), rel=1e-5, abs=0, nan_ok=True), (
+            name
+        )
         if is_angle:
             assert text.endswith("(deg)" if degrees else "(rad)")
     theta0 = re.fullmatch(r"C/A = 1\.35, θ0 = (\S+)", head)[1]
@@ -247,6 +250,52 @@ def test_a_cell_has_the_colour_that_the_bar_has_at_its_value(browser, address, s
         ), (i, j)
 
 
+def test_lines_of_theory_are_where_the_map_of_the_atlas_has_them(browser, address, small_atlas):
+    """And on maps of the kinds of motion in space those of the labels there."""
+    figure = small_atlas.atlas.map("stable")
+    (line,) = lines_of(figure, figure.axes[0], "stability limit (theory)")
+    expected = line[np.isfinite(line).all(1)]
+    browser.open(address)
+    for name in ("stable", "growth_rate", "label"):
+        marks = drawn(browser, "map", of_menu(name))
+        across, up = axis(marks, 0, "center"), axis(marks, 1, "right")
+        inked = [
+            m["path"] for m in marks if m["kind"] == "line" and m["ink"] == "#000000" and len(m["path"]) > 5
+        ]
+        x, y = np.array([point[:2] for path in inked for point in path]).T
+        places = np.stack([np.polyval(across, x), np.polyval(up, y)], -1)
+        assert np.abs(places[:, None] - expected).max(-1).min(1).max() < 0.02
+        assert np.abs(expected[:, None] - places).max(-1).min(1).max() < 0.02
+    lines = browser.evaluate("data.theory.slices[0].map(line => [line.kind, line.on, line.source])")
+    assert ["stability limit", ["frame", "limits"], "theory"] in lines
+    assert all(
+        set(on) <= {"frame", "limits"} or set(on) == {"inertial"} or source == "exact"
+        for _, on, source in lines
+    )
+    variables = browser.evaluate("data.variables.map(each => [each.name, each.lines])")
+    shown = dict(variables)
+    names = ("label", "label_inertial", "predicted_inertial", "theta_max", "stable")
+    assert [shown[name] for name in names] == ["frame", "inertial", "inertial", "limits", "limits"]
+
+
+def test_white_cells_have_their_reason_and_share(browser, small_atlas, tmp_path, quick_page):
+    ds = small_atlas.copy(deep=True)
+    ds["label"][:3] = ds["status"][:3] = 0
+    ds["status"][0] = flag_names(ds.status).index("impossible_body")
+    ds["label_inertial"][:3] = 0
+    path = tmp_path / "white.html"
+    atlas_page(ds).save(path)
+    browser.open(path.as_uri())
+    items = texts_of(browser, "#legend li")
+    assert "no such body11 %" in items
+    assert "no such motion22 %" in items
+    browser.evaluate("showPoint([0, 0])")
+    verdict = browser.evaluate("(() => { showPoint([0, 0]); return byId('verdict').textContent; })()")
+    assert "Status: impossible body: " in verdict
+    fine = browser.evaluate("(() => { showPoint([8, 0]); return byId('verdict').textContent; })()")
+    assert "Status: integrated and resolved." in fine
+
+
 def curve_of(marks: list[dict]) -> np.ndarray:
     """The longest line on a canvas, in the values of the ticks: across from the top and from the left."""
     line = max((m for m in marks if m["kind"] == "line"), key=lambda m: len(m["path"]))
@@ -275,6 +324,10 @@ def test_the_plots_of_a_motion_are_those_of_the_trajectory(browser, address, sma
     browser.wait(DONE)
     place = {"sigma": float(small_atlas.sigma[5]), "theta0": float(small_atlas.theta0[5])}
     tr = small_atlas.atlas.trajectory(**place, samples=1001)
+    said = browser.evaluate("document.getElementById('motion-state').textContent")
+    count, step = re.fullmatch(r"30 time units, rk4, (\d+) steps of (\S+)", said).groups()
+    assert float(count) * value(step) == pytest.approx(30, rel=1e-3)
+    assert value(step) == pytest.approx(float(tr.step), rel=1e-3)
     captions = texts_of(browser, "#plots figcaption")
     assert captions[0].startswith("θ (rad) from ")
     assert captions[1].startswith("ψ̇ (rad s\N{MINUS SIGN}1) from ")

@@ -8,6 +8,7 @@ import xarray as xr
 
 import atlas
 from atlas import BadInput, cli, load_scene
+from atlas.analysis.metadata import flag_names
 from atlas.extensions.studies import convergence
 from atlas.extensions.studies.convergence import CHANGE, FACTORS, VARIED
 
@@ -57,6 +58,16 @@ def test_points_that_change_are_flagged_and_counted(study):
     for row in rows:
         varied = ds.label_of_duration.sel(duration_factor=float(row["factor"]))
         assert int(row["changed"]) == int((varied != ds.label).sum())
+        pairs = {f"{a} to {b}": 0 for a in flag_names(ds.label) for b in flag_names(ds.label)}
+        for a, b in zip(ds.label.values.ravel(), varied.values.ravel(), strict=True):
+            pairs[f"{flag_names(ds.label)[a]} to {flag_names(ds.label)[b]}"] += int(a != b)
+        shown = dict(each.rsplit(" ", 1) for each in row["changes"].split("; ") if each)
+        assert all(pairs[change] == int(count) > 0 for change, count in shown.items())
+        assert float(row["percent"]) == pytest.approx(100 * float((varied != ds.label).mean()), rel=5e-3)
+    share = 100 * float((ds[CHANGE] != 0).mean())
+    assert f"{int((ds[CHANGE] != 0).sum())} of 63 points ({share:.3g} %) change with" in convergence.report(
+        ds
+    )
     (changes,) = [row["changes"] for row in rows if row["factor"] == "4"]
     assert changes.startswith("permanent_rotation to drifting ")
     assert "2 or 4 times the duration, 0.25 or 0.5 or 2 or 4 times the rate_tolerance" in convergence.report(

@@ -108,9 +108,9 @@ def test_the_table_has_medians_and_largest_values(study):
         level = int(np.argmin(abs(study.tolerance.values - float(each["tolerance"]))))
         at = study.sel({"method": each["method"]}).isel(level=level)
         assert float(each["seconds_per_point"]) == float(at.seconds_per_point)
-        assert float(each["error_state"]) == pytest.approx(float(np.nanmedian(at.error_state)))
-        assert float(each["error_state_largest"]) == pytest.approx(float(np.nanmax(at.error_state)))
-        assert float(each["error_rates"]) == pytest.approx(float(np.nanmedian(at.error_rates)))
+        assert float(each["error_state"]) == pytest.approx(float(np.nanmedian(at.error_state)), abs=0)
+        assert float(each["error_state_largest"]) == pytest.approx(float(np.nanmax(at.error_state)), abs=0)
+        assert float(each["error_rates"]) == pytest.approx(float(np.nanmedian(at.error_rates)), abs=0)
         assert float(each["steps"]) == pytest.approx(float(at.steps.mean()))
         line = [part for part in line if part not in ("*", "<=")]
         assert (line[0], float(line[1])) == (
@@ -118,7 +118,7 @@ def test_the_table_has_medians_and_largest_values(study):
             pytest.approx(float(each["tolerance"]), rel=5e-3),
         )
         assert float(line[2]) == pytest.approx(float(at.steps.mean()), abs=0.5)
-        assert float(line[3]) == pytest.approx(1e6 * float(at.seconds_per_point), rel=5e-3)
+        assert float(line[3]) == pytest.approx(1e6 * float(at.seconds_per_point), rel=5e-3, abs=0)
 
 
 def test_wrong_labels_are_counted_and_bounded(study):

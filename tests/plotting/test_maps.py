@@ -593,7 +593,11 @@ def regions(shape, **marked):
 
 def test_what_is_too_small_to_be_seen_is_in_the_caption(caplog):
     ds = regions((60, 50), drifting=(slice(0, 5), 0), regular_precession=(9, 9))
-    ds.attrs |= {"atlas_step": 0.1, "atlas_rate_tolerance": 1e-3, "atlas_cylinder_tolerance": 1e-3}  # for captions
+    ds.attrs |= {
+        "atlas_step": 0.1,
+        "atlas_rate_tolerance": 1e-3,
+        "atlas_cylinder_tolerance": 1e-3,
+    }  # for captions
     rare = "regular precession, 1 of 3000 points"
     with caplog.at_level("INFO", "atlas"):
         figure = maps.atlas_map(ds)

@@ -150,7 +150,7 @@ def test_the_legend_has_the_share_of_every_flag(browser, address, small_atlas, n
     for item in texts_of(browser, "#legend li"):
         if match := re.fullmatch(r"(.*?)([\d.]+|< 0\.1) %", item):
             found[match[1]] = float(match[2])
-    slow = "unstable, too slow to show in this run"
+    slow = "too slow to show"
     assert (slow in found) == (name != "stable")
     for text, share in shares.items():
         assert found.pop(text) == pytest.approx(share, abs=0.5), text
@@ -253,7 +253,7 @@ def test_a_cell_has_the_colour_that_the_bar_has_at_its_value(browser, address, s
 def test_lines_of_theory_are_where_the_map_of_the_atlas_has_them(browser, address, small_atlas):
     """And on maps of the kinds of motion in space those of the labels there."""
     figure = small_atlas.atlas.map("stable")
-    (line,) = lines_of(figure, figure.axes[0], "stability limit (theory)")
+    (line,) = lines_of(figure, figure.axes[0], "stability limit")
     expected = line[np.isfinite(line).all(1)]
     browser.open(address)
     for name in ("stable", "growth_rate", "label"):

@@ -2,9 +2,9 @@
 
 import itertools
 import tomllib
+from collections import Counter
 from unittest.mock import patch
 
-import numpy as np
 import pytest
 from installed import example_scenes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -54,9 +54,10 @@ def faults(figure: Figure) -> list[str]:
 
 
 def legend_rows(figure: Figure) -> int:
-    """Rows of a legend above the panels, counted by the places of its texts."""
-    heights = [text.get_window_extent().y0 for legend in figure.legends for text in legend.get_texts()]
-    return len(np.unique(np.round(heights, 0)))
+    """Rows of a legend above the panels: the most texts that begin below each other."""
+    texts = [text for legend in figure.legends for text in legend.get_texts()]
+    lefts = Counter(round(text.get_transform().transform(text.get_position())[0]) for text in texts)
+    return max(lefts.values(), default=0)
 
 
 @pytest.fixture(scope="module")

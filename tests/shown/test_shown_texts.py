@@ -99,11 +99,11 @@ def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
     )
     text = estimate.dry_run(scene, "scene.nc", threads=1)
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    folder = tmp_path / "run"
+    atlas.run(scene, f"{folder}/", progress=False, threads=1).close()  # also what is done once in a process
     began = time.process_time()
     ds = atlas.run(scene, progress=False, threads=1)
     seconds = time.process_time() - began
-    folder = tmp_path / "run"
-    atlas.run(scene, f"{folder}/", progress=False, threads=1).close()
     stored = sum(file.stat().st_size for file in (folder / "tiles").iterdir())  # compressed, as the file is
     numbers = 2000 * sum(
         array.dtype.itemsize for array in [*ds.data_vars.values(), ds.k3]
@@ -112,7 +112,7 @@ def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
     assert text.startswith("2000 points, about 2000 to integrate, ")
     assert number(rf"\({NUMBER} steps a point", text) == pytest.approx(steps, rel=2e-3)
     hours = number(rf"processor time: {NUMBER} h by rk4", text)
-    assert 1 / 5 < 3600 * hours / seconds < 3
+    assert 1 / 5 < 3600 * hours / seconds < 5
     nanoseconds = number(rf"{NUMBER} ns a step and processor", text)
     assert 3600 * hours == pytest.approx(2000 * steps * nanoseconds * 1e-9, rel=0.35)
     assert 1e6 * number(rf"file: about {NUMBER} MB", text) == pytest.approx(stored, rel=0.2)
@@ -127,17 +127,21 @@ def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
 
 @pytest.mark.usefixtures("few_steps")
 def test_processes_share_the_time_and_add_their_memory(scene_text):
-    """A thousand times as many steps take a thousand times as long."""
+    """By rk4 the phase error of a run is as T h^4: at the same tolerance a hundred times the duration takes 100^(5/4) times the steps."""
     one = estimate.dry_run(
         load_scene(scene_text({"axes.sigma.count": 90, "axes.theta0.count": 70})), workers=1
     )
     more = {"axes.sigma.count": 900, "axes.theta0.count": 70, "integration.duration": 3000.0}
     three = estimate.dry_run(load_scene(scene_text(more)), workers=3)
     assert three.startswith("63000 points, about 63000 to integrate, ")
-    before, hours = (number(rf"processor time: {NUMBER} h by rk4", text) for text in (one, three))
-    assert 1000 / 3 < hours / before < 3000
-    minutes, seconds = map(int, re.search(r"time: about (\d+):(\d+) on 3 processes", three).groups())
-    assert 60 * minutes + seconds == pytest.approx(3600 * hours / 3, rel=0.02, abs=1)
+    few, many = (number(rf"\({NUMBER} steps a point", text) for text in (one, three))
+    assert many / few == pytest.approx(100**1.25, rel=0.02)
+    hours = number(rf"processor time: {NUMBER} h by rk4", three)
+    nanoseconds = number(rf"{NUMBER} ns a step and processor", three)
+    assert 3600 * hours == pytest.approx(63000 * many * nanoseconds * 1e-9, rel=0.35)
+    parts = re.search(r"time: about ([\d:]+) on 3 processes", three)[1].split(":")
+    elapsed = sum(60**k * int(part) for k, part in enumerate(reversed(parts)))
+    assert elapsed == pytest.approx(3600 * hours / 3, rel=0.02, abs=1)
     memory = [number(rf"memory: about {NUMBER} MB", text) for text in (one, three)]
     assert 2 < memory[1] / memory[0] < 5
 

@@ -51,6 +51,8 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
         lines.append(
             f"in doubt: {counts_text('status', 'ok', 'not_computed', 'impossible_body') or 'no point'}"
         )
+        if "atlas_half_step_points" in ds.attrs:
+            lines.append(half_step.half_step_text(ds.attrs, verbose=False))
     if (proved := without_run(ds)) is not None:
         lines.append(
             f"proved, not integrated: {int(proved.sum())} points, whose labels are those of the proof"

@@ -89,14 +89,16 @@ def half_step_sample(
     return attributes
 
 
-def half_step_text(attributes: Mapping[str, Any]) -> str:
+def half_step_text(attributes: Mapping[str, Any], *, verbose: bool = True) -> str:
     """One line of text about the attributes from `half_step_sample`."""
     a = attributes
     text = (
-        f"labels that may be wrong: at most {a['atlas_labels_may_change']} of {a['atlas_points']} points"
-        f" ({100 * CONFIDENCE:g} % confidence); of {a['atlas_half_step_points']} points integrated again at half"
-        f" the step, {a['atlas_half_step_changed']} changed their label"
+        f"{a['atlas_half_step_changed']} of {a['atlas_half_step_points']} points checked at half the step changed"
+        f" their label; with {100 * CONFIDENCE:g} % confidence at most {a['atlas_labels_may_change']} of all"
+        f" {a['atlas_points']} would"
     )
+    if not verbose:
+        return text
     if "atlas_half_step_median" in a:
         text += f"; largest change of a mean, rms or standard deviation of the rates: {a['atlas_half_step_median']:.2g} (median of all points)"
     if "atlas_half_step_difference" in a:

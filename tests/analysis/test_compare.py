@@ -265,6 +265,8 @@ def test_a_run_ends_with_labels_agreement_and_points_in_doubt(small_scene):
     assert lines[2:] == [
         f"theory: {100 * agree / compared:.2f} % of {compared} compared points agree",
         "in doubt: no point",
+        f"0 of {ds.attrs['atlas_half_step_points']} points checked at half the step changed their label; with 95 %"
+        f" confidence at most {ds.attrs['atlas_labels_may_change']} of all {ds.label.size} would",
     ]
     assert lines[:2] == summary(ds).splitlines()[:2]
     ds["status"][0, 0] = 5

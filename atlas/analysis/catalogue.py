@@ -6,16 +6,54 @@ import inspect
 import re
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import systems
 from ..errors import BadInput, allowed_text
+from ..scene.checks import typed
 from ..systems.base import PublishedEquation, System, families_of
 from ..systems.wording import unknown_family
 from .published import Measure, published_equations
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+TRUE = "true"  # verdict on an equation without erratum
 N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
+
+
+@typed
+def conditions(system: str, family: str | None = None, errata: bool = False) -> pd.DataFrame:
+    """Families of exact steady motions with their conditions, or errata of the papers on them, as a table.
+
+    Parameters
+    ----------
+    system : str
+        Name of the system.
+    family : str, optional
+        One family alone.
+    errata : bool, optional
+        The equations that papers have printed wrong, instead of the families.
+
+    Returns
+    -------
+    pandas.DataFrame
+        By `family`: the columns of ``atlas conditions SYSTEM --csv``; cells of several texts are lists. `errata` lists the
+        numbers of its equations that are wrong, by which the table of errata is indexed. `residual_printed` and `residual_true`
+        are the largest residuals of equations as printed and as true in the equations of motion, at random parameters.
+
+    Raises
+    ------
+    BadInput
+        For a system or a family that is not known.
+    """
+    import pandas as pd  # slow to import
+
+    described, key = systems.get(system), "equation" if errata else "family"
+    rows = published(described, family, True) if errata else families(described, family)
+    return pd.DataFrame(rows or {key: []}).set_index(key)
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
@@ -48,7 +86,8 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
             "stability": stability,
         }
         equations = [row for row in published_equations(system) if row.family == family.name]
-        rows.append(description | _max_residuals(equations))
+        wrong = [row.number for row in equations if row.verdict != TRUE]
+        rows.append(description | _max_residuals(equations) | {"errata": wrong})
     return rows
 
 
@@ -74,7 +113,7 @@ def published(
             "effect": row.effect,
         }
         for row in every
-        if family in (None, row.family) and not (errata and row.verdict == "true")
+        if family in (None, row.family) and not (errata and row.verdict == TRUE)
     ]
 
 

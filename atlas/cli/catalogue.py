@@ -10,12 +10,20 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
-from typing import Any
+from typing import Any, TextIO
 
 from .. import systems
 from ..errors import BadInput, say, text_table
-from .options import argument, command
+from ..files import atomic_write, writable
+from .options import argument, command, out_options
 
+OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
+# Columns of the table for a paper by the first column of all.
+PAPER = {
+    "family": {"family": "family", "motion": "motion", "conditions": "conditions", "errata": "errata"},
+    "equation": {"equation": "equation", "family": "family", "printed": "as printed", "true": "as true"},
+    "source": {"source": "source", "quantity": "number", "printed": "printed", "ours": "ours"},
+}
 RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> its head
 
 
@@ -36,7 +44,9 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # co
     [
         argument("--csv", action="store_true", help="comma-separated values, one row for each"),
         argument("--json", action="store_true", help="JSON, with every printed equation"),
+        OUT,
     ],
+    FORCE,
 )
 def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
@@ -47,6 +57,7 @@ def print_conditions(options: argparse.Namespace) -> None:
         raise BadInput("--published: numbers of others belong to no family; leave out --family")
     if options.errata in systems.names():  # conditions --errata SYSTEM
         options.system, options.errata = options.errata, True
+    out = options.out and writable(options.out, (".csv", ".tex"), force=options.force)
     system, number = systems.get(options.system), None
     if isinstance(options.errata, str):
         number, options.errata = options.errata, True
@@ -62,13 +73,18 @@ def print_conditions(options: argparse.Namespace) -> None:
         say(*json.dumps(content, indent=1).split("\n"))
         return
     rows = published_numbers(system) if options.published else published() if options.errata else families
-    if options.csv:
-        writer = csv.DictWriter(sys.stdout, rows[0] if rows else ["equation"], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
-            {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
-            for row in rows
-        )
+    if out:
+        from ..analysis.latex import latex_table
+
+        columns = PAPER[next(iter(rows[0]))] if rows else {"family": "family"}
+        with atomic_write(out) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+            if out.suffix.lower() == ".tex":
+                file.write(latex_table(rows, columns))
+            else:
+                _write_csv(rows, file)
+        say(f"wrote {out}")
+    elif options.csv:
+        _write_csv(rows, sys.stdout)
     elif options.published:
         for source, numbers in groupby(rows, lambda row: f"{row['source']}: {row['place']}"):
             say(source)
@@ -105,6 +121,16 @@ def print_conditions(options: argparse.Namespace) -> None:
             " equations);",
             "--errata lists what differs, --family NAME gives conditions and formulas",
         )
+
+
+def _write_csv(rows: Sequence[Mapping[str, Any]], file: TextIO) -> None:
+    """Write rows as comma-separated values."""
+    writer = csv.DictWriter(file, rows[0] if rows else ["equation"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(
+        {key: "; ".join(value) if isinstance(value, list) else value for key, value in row.items()}
+        for row in rows
+    )
 
 
 def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from matplotlib.mathtext import MathTextParser
 from matplotlib.textpath import text_to_path
 
 from ..analysis.degrees import DEGREE
+from ..analysis.latex import GREEK
 from ..analysis.metadata import (
     axes_of,
     common_values,
@@ -278,11 +279,6 @@ def math_text(text: str, symbols: Mapping[str, str]) -> str:
 
 _WORD = r"[A-Za-z_]\w*"
 _PRODUCT, _THIN = r"(?<=[\w}]) (?=[\w\\])", r"\\,"
-GREEK = (
-    "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu",
-    "xi", "pi", "rho", "sigma", "tau", "upsilon", "phi", "chi", "psi", "omega", "Gamma", "Delta", "Theta", "Lambda",
-    "Xi", "Pi", "Sigma", "Upsilon", "Phi", "Psi", "Omega",
-)  # fmt: skip
 _LETTERS = {name: rf"\{name}" for name in GREEK} | {"eps": r"\epsilon", "phi": r"\varphi"}
 
 

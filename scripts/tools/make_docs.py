@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from atlas.analysis import catalogue
+from atlas.analysis.latex import FUNCTIONS, NAME, NAMES, SIGNS, TOKEN, in_latex
 from atlas.analysis.published import published_numbers
 from atlas.flags import Agreement, Flag, Label, Stability, Status
-from atlas.plotting.style import GREEK
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System, families_of
 from atlas.variables import variables
@@ -34,80 +34,6 @@ def table(rows: list[tuple[str, ...]]) -> str:
     """Rows, the first one the heading, as a Markdown table."""
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
     return "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]])
-
-
-FUNCTIONS = ("sin", "cos", "tan", "log", "exp", "ln")
-NAMES = {name: rf"\{name}" for name in GREEK} | {
-    "w": r"\omega",
-    "eps": r"\epsilon",
-    "mt": "m t",
-    "nt": "n t",
-    "Mg": "Mg",
-}
-SIGNS = {
-    "+-": r"\pm",
-    "-+": r"\mp",
-    ">=": r"\ge",
-    "<=": r"\le",
-    "!=": r"\ne",
-    "->": r"\to",
-    "x": r"\times",
-    "*": r"\,",
-}
-SIGNS |= {".": r"\cdot", "..": r"\ldots", "...": r"\ldots", "{": r"\{", "}": r"\}"}
-NAME = re.compile(r"([A-Za-z]+?)(_dot)?(\d+(?:,\d)?)?(_[a-z0*])?('*)")
-TOKEN = re.compile(
-    r"[a-z]+-[a-z]{2,}|[A-Za-z]{2,}'s\b|√\w+|[A-Za-z]+(?:_dot)?\d*(?:,\d)?(?:_[a-z0*])?'*|\^-?\w+|\d+(?:\.\d+)?|\.{2,}|\+-|-\+|->|[<>!]=|\S"
-)
-
-
-def in_latex(text: str) -> str:
-    """A text with formulas, such as "k1 = 0, or C m = k3 cos(theta0)", with the formulas as LaTeX between dollars.
-
-    Names of one letter, Greek letters and functions are formulas, other words are words.
-    """
-    text = re.sub(r"sqrt\((\w+)\)", r"√\1", re.sub(r"\b([A-Za-z]+)(\d)-dot", r"\1_dot\2", text))
-    text = re.sub(r"sqrt\(([^()]+)\)", r"(\1)^½", text)
-    pieces: list[tuple[bool, str]] = []  # whether in a formula, and the text
-    bars = 0
-    tokens = TOKEN.findall(text)
-
-    def is_word(token: str) -> bool:
-        """Whether a token is a word of the language."""
-        name = NAME.fullmatch(token)
-        return bool(re.search("[a-z][-'][a-z]", token)) or (
-            name is not None and name[1] not in (*NAMES, *FUNCTIONS) and len(name[1]) > 1
-        )
-
-    for token, following in zip(tokens, [*tokens[1:], ""], strict=True):
-        name = NAME.fullmatch(token)
-        article = token in ("a", "(") and is_word(following) and following[-1].isalpha()
-        closing = token == ")" and bool(pieces) and not pieces[-1][0]
-        if (is_word(token) and token not in SIGNS) or article or closing or token in ",:;":
-            pieces.append((False, token))
-        elif token in SIGNS:
-            pieces.append((True, SIGNS[token]))
-        elif token == "|":
-            bars += 1
-            pieces.append((True, r"\lvert" if bars % 2 else r"\rvert"))
-        elif token[0] in "^√":
-            pieces.append((True, rf"^{{{token[1:]}}}" if token[0] == "^" else rf"\sqrt{{{token[1:]}}}"))
-        elif name is None:
-            pieces.append((True, token))
-        elif name[1] in FUNCTIONS:
-            pieces.append((True, rf"\{name[1]}"))
-        else:
-            letter = NAMES.get(name[1], name[1])
-            letter = rf"\dot{{{letter}}}" if name[2] else letter
-            index = (name[3] or "") + (name[4] or "")[1:]
-            pieces.append((True, letter + (f"_{{{index}}}" if index else "") + name[5]))
-    runs: list[str] = []
-    for is_formula, group in groupby(pieces, key=lambda piece: piece[0]):
-        joined = re.sub(r" (?=[\^)\]/])|(?<=[(\[/]) ", "", " ".join(piece for _, piece in group))
-        # TeX takes primes and a power together alone.
-        joined = re.sub(r"('+)\^\{", lambda match: "^{" + r"\prime " * len(match[1]), joined)
-        runs.append(f"${joined}$" if is_formula else joined)
-    return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
 
 
 PROTECTED = re.compile(

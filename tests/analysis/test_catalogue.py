@@ -1,12 +1,16 @@
 """The catalogue: tables, limits of families as errors, Lagrange's form."""
 
+import csv
+import io
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.mathtext import MathTextParser
 from strategies import (
     fixed_points_on_family,
     random_fixed_points,
@@ -14,8 +18,10 @@ from strategies import (
     symmetric_fixed_points,
 )
 
-from atlas import BadInput, load_scene, systems
+from atlas import BadInput, conditions, load_scene, systems
 from atlas.analysis import catalogue
+from atlas.analysis.latex import latex_table
+from atlas.cli import main
 from atlas.flags import Stability
 from atlas.scene import grid
 from atlas.systems.base import families_of, on_family
@@ -38,6 +44,83 @@ def test_rows_of_families_are_complete():
         assert row["exists"]
     with pytest.raises(BadInput, match="banana"):
         catalogue.families(SATELLITE, "banana")
+
+
+# Tables of pandas, and for papers.
+
+
+def test_the_table_of_conditions_has_the_keys_of_its_errata(capsys):
+    """Of the papers on both systems; the shell prints the same rows."""
+    for system in ("satellite", "fixed_point"):
+        table, errata = conditions(system), conditions(system, errata=True)
+        assert list(table.index) == list(families_of(systems.get(system)))
+        assert errata.index.is_unique
+        for family, numbers in table.errata.items():
+            assert (errata.family[numbers] == family).all()
+        assert sum(map(len, table.errata)) == (errata.family != "").sum()
+        assert not (errata.verdict == "true").any()
+        assert main(["conditions", system, "--csv"]) == 0
+        rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+        assert [row.pop("family") for row in rows] == list(table.index)
+        assert [list(row) for row in rows] == len(rows) * [list(table.columns)]
+        assert [row["conditions"].split("; ") for row in rows] == list(table.conditions)
+        assert [row["errata"] for row in rows] == ["; ".join(numbers) for numbers in table.errata]
+    one = conditions("satellite", "asymmetric_tilt", errata=True)
+    assert list(one.index) == ["(19)1", "after (20), mu3 = 0", "beyond (19)"]
+    with pytest.raises(BadInput, match="family banana: unknown"):
+        conditions("satellite", "banana")
+    with pytest.raises(BadInput, match="system = 'moon': there is no such system"):
+        conditions("moon")
+
+
+def check_latex(text, columns):
+    """Syntax of a longtable, without a TeX: columns, environments, signs outside of formulas; formulas by another parser."""
+    assert text.startswith("% needs \\usepackage{amsmath, longtable}\n\\begin{longtable}{")
+    assert text.endswith("\\hline\n\\end{longtable}\n")
+    assert text.isascii()
+    assert text.count("\\linewidth") == columns
+    body = text.split("\\endhead\n")[1].split("\\hline")[0].splitlines()
+    for line in body:
+        assert line.endswith(r" \\")
+        assert line[0] not in "[*"  # an argument of the end of the line before
+        words, formulas = re.split(r"\$[^$]*\$", line[:-3]), re.findall(r"\$[^$]*\$", line)
+        assert len(re.findall(r"(?<!\\)&", "".join(words))) == columns - 1
+        assert not any("&" in formula for formula in formulas)
+        left = re.sub(r"\\(newline |[_&%#$]|text[a-z]+\{\})", "", "".join(words))
+        assert not re.search(r"[\\{}_^#%~$<>|]", left), left
+        for formula in formulas:
+            known = re.sub(r"\\(ge|le|ne)\b", r"\\\1q", re.sub(r"\\[lr]vert", "|", formula))  # to Matplotlib
+            assert MathTextParser("path").parse(known)
+    return body
+
+
+def test_tables_for_papers_are_latex(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for system in ("satellite", "fixed_point"):
+        for option in ([], ["--errata"]):
+            assert main(["conditions", system, *option, "-o", f"{system}{len(option)}.tex"]) == 0
+            table = conditions(system, errata=bool(option))
+            lines = check_latex(Path(f"{system}{len(option)}.tex").read_text(), 4)
+            names = [line.split(" & ")[0].replace("\\_", "_") for line in lines]
+            if not option:
+                assert names == list(table.index)
+            assert len(lines) == len(table)
+    assert r"$h_{1} \mu_{3} = 0$ \newline" in Path("satellite0.tex").read_text()
+    assert main(["conditions", "--family", "oblique", "-o", "one.csv"]) == 0
+    (row,) = csv.DictReader(io.StringIO(Path("one.csv").read_text()))
+    assert (row["family"], row["errata"]) == ("oblique", "beyond (17), (24)")
+    capsys.readouterr()
+    assert main(["conditions", "-o", "one.csv"]) == 2
+    assert main(["conditions", "-o", "one.txt"]) == 2
+    assert "one.txt: the name must end in .csv or .tex" in capsys.readouterr().err
+
+
+def test_signs_of_latex_in_words_are_printed():
+    texts = ["100 % of a_b & #1 {c} ~ \\ ^", "m < 0 | 1"]
+    lines = check_latex(latex_table([{"family": text} for text in texts], {"family": "family"}), 1)
+    signs = r"\textasciitilde{} \textbackslash{} \textasciicircum{}"
+    assert lines[0] == rf"100 \% of a\_b \& \#1 \textbraceleft{{}}c\textbraceright{{}} {signs} \\"
+    assert lines[1] == r"m \textless{} 0 \textbar{} 1 \\"
 
 
 # Free parameters and limits of existence of the families.

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from typing import Any
 
-from ...plotting.style import GREEK
+from ...analysis.latex import GREEK
 
 Run = dict[str, Any]
 

@@ -530,14 +530,19 @@ class Atlas(Questions):
 
         return trust(self._ds, variable)
 
-    def cite(self) -> str:
+    def cite(self, *, bibtex: bool = False) -> str:
         """Text that names the program, the equations and the computation behind a result from this atlas.
+
+        Parameters
+        ----------
+        bibtex : bool, optional
+            Return BibTeX in place of the text: entries of the program, of the paper of the system, and of this atlas.
 
         Returns
         -------
         str
-            Three lines.
+            Three lines, or three entries. That of the atlas names it by its hash, `atlas_result`, of points the kernel's.
         """
-        from .analysis.trust import cite
+        from .analysis.citation import cite
 
-        return cite(self._ds)
+        return cite(self._ds, bibtex)

@@ -1,10 +1,12 @@
 """ds.atlas: results equal those of brute force, on files, in memory, and chunk by chunk."""
 
 import itertools
+import re
 import subprocess
 import sys
 import tracemalloc
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -417,6 +419,49 @@ def test_compare_and_cite(small):
         "numba",
     ):
         assert words in text
+
+
+def entries_of(text):
+    """Fields of BibTeX entries by their keys, read by counting braces."""
+    entries = {}
+    for head, body in re.findall(r"^@\w+\{(\w+),\n(.*?)^\}$", text, re.M | re.S):
+        fields = entries[head] = {}
+        while body.strip():
+            name, _, body = body.partition(" = {")
+            depth, i = 1, 0
+            while depth:
+                depth, i = depth + {"{": 1, "}": -1}.get(body[i], 0), i + 1
+            fields[name.strip()] = body[: i - 1]
+            assert body[i] == ","
+            body = body[i + 1 :]
+    return entries
+
+
+def test_bibtex_of_program_paper_and_atlas(small, tmp_path):
+    """With the hash of the result of a run, of points with that of their kernel; the papers are those of the bibliography."""
+    finished = atlas.run(small.attrs["atlas_scene"], tmp_path / "a.nc", progress=False)
+    points = atlas.label_points("fixed_point", {"theta0": [0.4]}, duration=1.0)
+    bibliography = (Path(__file__).parents[1] / "docs" / "paper" / "paper.bib").read_text()
+    for ds, paper, named in (
+        (finished, "yehia2021", finished.attrs["atlas_result"]),
+        (small, "yehia2021", small.attrs.get("atlas_result", small.attrs["atlas_kernel_hash"])),
+        (points, "amer2013", points.attrs["atlas_kernel_hash"]),
+    ):
+        text = ds.atlas.cite(bibtex=True)
+        program, own, last = entries_of(text).items()
+        assert program[0] == "precession_atlas"
+        assert f"version {atlas.__version__}" in program[1]["title"]
+        assert own[0] == paper
+        assert f"\n@article{{{paper}," in text
+        assert text.split("\n\n")[1] in bibliography
+        assert named in last[1]["note"].replace("\\_", "_")
+        assert last[1]["year"].strip("{}") == ds.attrs["date_created"][:4]
+    hostile = small.assign_attrs(title=r"50 % of {A_1 \ & $B#", creator_name="A {B")
+    _, _, (_, fields) = entries_of(hostile.atlas.cite(bibtex=True)).items()
+    title = r"50 \% of \textbraceleft{}A\_1 \textbackslash{} \& \$B\#"
+    assert fields["title"] == f"{{{title}}}"
+    citation = (Path(__file__).parents[1] / "CITATION.cff").read_text()
+    assert program[1]["author"].strip("{}") in citation
 
 
 def test_the_accessor_lists_its_questions(small):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from ..errors import MAX_MESSAGE, BadInput, attribute_text, shown
+from ..errors import BadInput, shown
 from ..flags import Steadiness
 from ..label.half_step import upper_bound
 from ..systems.base import Array
@@ -20,8 +20,6 @@ from .metadata import (
     flag_variable,
     in_order,
     neighbour_axes,
-    scene_of,
-    system_of,
     without_run,
 )
 
@@ -187,20 +185,4 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
     ]
     return xr.DataArray(
         counts[..., listed], {**coords, variable: [names[i] for i in listed]}, (*dims_along, variable)
-    )
-
-
-def cite(ds: xr.Dataset) -> str:
-    """Text that names the program, the equations and the computation; see `Atlas.cite`."""
-    system, attributes = system_of(ds), ds.attrs
-    scene_of(ds)  # BadInput of joined atlases
-
-    def text(name: str) -> str:
-        return attribute_text(attributes, name, "unknown", MAX_MESSAGE)
-
-    return (
-        f"Precession Atlas {text('atlas_version')}, kernel {text('atlas_kernel_hash')}"
-        f" ({text('atlas_versions')}; {text('atlas_cpu')}, {text('atlas_platform')}).\n"
-        f"Equations of the {system.title}: {text('references')}.\n"
-        f"Atlas {text('title')!r}: {text('history')}."
     )

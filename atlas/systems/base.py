@@ -270,6 +270,8 @@ class System(ABC):
     """Citation of the paper that the system comes from."""
     doi: str = ""
     """DOI of that paper."""
+    bibtex: str = ""
+    """BibTeX entry of that paper; without one `cite` makes it from the citation."""
 
     # Equations.
 

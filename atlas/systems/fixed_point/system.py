@@ -24,6 +24,17 @@ class FixedPoint(Gyrostat):
         "T. S. Amer, Y. M. Abo Essa, I. A. Ibrahim, W. S. Amer, Int. J. Engineering Research and Applications"
         " 3(5) (2013) 655-671"
     )
+    bibtex = """@article{amer2013,
+  author = {Amer, T. S. and Abo Essa, Y. M. and Ibrahim, I. A. and Amer, W. S.},
+  title = {The Spinning Motion of a Gyrostat under the Influence of {Newtonian} Force Field and a Gyrostatic Moment
+           Vector},
+  journal = {International Journal of Engineering Research and Applications},
+  volume = {3},
+  number = {5},
+  pages = {655--671},
+  year = {2013},
+}
+"""
 
     equations = equations
     parameters = initial.PARAMETERS

@@ -30,6 +30,18 @@ class Satellite(Gyrostat):
     )
     reference = "H. M. Yehia, H. N. El-kenani, J. Appl. Comput. Mech. 7(4) (2021) 2120-2128"
     doi = "10.22055/JACM.2021.37913.3113"
+    bibtex = """@article{yehia2021,
+  author = {Yehia, H. M. and El-kenani, H. N.},
+  title = {Effect of the Gravity and Magnetic Field to Find Regular Precessions of a Satellite-gyrostat with Principal
+           Axes on a Circular Orbit},
+  journal = {Journal of Applied and Computational Mechanics},
+  volume = {7},
+  number = {4},
+  pages = {2120--2128},
+  year = {2021},
+  doi = {10.22055/JACM.2021.37913.3113},
+}
+"""
 
     equations = equations
     parameters = initial.PARAMETERS

@@ -218,6 +218,38 @@ class Atlas(Questions):
 
         return boundary(self._ds, label, variable, x, y, select or {}, degrees)
 
+    def margin(
+        self, axis: str, variable: str = "label", *, degrees: bool = False, **coords: float
+    ) -> xr.Dataset:
+        """Least change of one axis at which a flag changes, at each point or at given values of the axes.
+
+        Parameters
+        ----------
+        axis : str
+            The axis that changes; the others stay.
+        variable : str, optional
+            A flag variable; default label. Every other flag counts as a change, also unresolved and not_computed.
+        degrees : bool, optional
+            Take and return angles in degrees.
+        **coords : float
+            Axis -> value, as in `nearest`; the distance is that from the value of `axis` itself.
+
+        Returns
+        -------
+        Dataset
+            `margin`, the lesser of `down` and `up`, inf where nothing changes within the atlas, nan where there is no label; and
+            flags `source_margin`, `source_down` and `source_up`. Places are known from cells, halfway between neighbours (on a
+            logarithmic axis in the logarithm), or, where a limit of stability or precession or an edge of existence of theory runs
+            between them, from this curve. ``ds.atlas.margin("k3").atlas.map("margin")`` draws it.
+
+        Notes
+        -----
+        A margin of one known point; the probability of a label under uncertainty is that of random draws, see `probability`.
+        """
+        from .analysis.margin import margin
+
+        return margin(self._ds, axis, variable, coords, degrees)
+
     def trajectory(self, *, samples: int = 1001, degrees: bool = False, **coords: float) -> xr.Dataset:
         """Motion of the point nearest to values of the axes, integrated again as the atlas was.
 

@@ -109,6 +109,7 @@ QUESTIONS = {
     "compare": lambda a: a.compare(),
     "families": lambda a: a.families(),
     "trust": lambda a: a.trust(),
+    "margin": lambda a: a.margin("sigma"),
     "cite": lambda a: a.cite(),
     "map": lambda a: a.map(),
     "map of numbers": lambda a: a.map("theta_dot_rms"),

@@ -218,6 +218,41 @@ class Atlas(Questions):
 
         return boundary(self._ds, label, variable, x, y, select or {}, degrees)
 
+    def border_error(
+        self,
+        variable: str = "label",
+        *,
+        x: str | None = None,
+        y: str | None = None,
+        select: Mapping[str, float] | None = None,
+        degrees: bool = False,
+    ) -> xr.Dataset:
+        """How sure the borders of a map are: half a cell, the distance from theory, and what half the step changed.
+
+        Parameters
+        ----------
+        variable : str, optional
+            A flag variable, or one of whole numbers such as equilibrium_count; default label.
+        x, y : str, optional
+            Axes, as in `map`.
+        select : mapping of str to float, optional
+            Axis -> value, for the other axes.
+        degrees : bool, optional
+            Take and return angles in degrees.
+
+        Returns
+        -------
+        Dataset
+            Its `str` is a sentence to cite; so is that of a part, such as ``.isel(border=0)``. Over "border", the longest first:
+            `first` and `second`, the flags on its sides, and `curve`, the kind of the nearest line of `boundary()` on the row or
+            column of a pair of neighbours; of each axis `pairs`, `half_cell`, and `distance_median` and `distance_largest`
+            between the middle of a pair and this curve. `points_changed` of `points_checked` are those of the whole run; with
+            check_half_step = "all" also the `checked` points of these pairs, and those `sensitive` to the step.
+        """
+        from .analysis.border_error import border_error
+
+        return border_error(self._ds, variable, x, y, select or {}, degrees)
+
     def margin(
         self, axis: str, variable: str = "label", *, degrees: bool = False, **coords: float
     ) -> xr.Dataset:

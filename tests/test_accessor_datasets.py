@@ -109,6 +109,7 @@ QUESTIONS = {
     "compare": lambda a: a.compare(),
     "families": lambda a: a.families(),
     "trust": lambda a: a.trust(),
+    "border error": lambda a: str(a.border_error()),
     "margin": lambda a: a.margin("sigma"),
     "cite": lambda a: a.cite(),
     "map": lambda a: a.map(),
@@ -131,7 +132,7 @@ ANSWERED = {
     "label alone": set(QUESTIONS)
     - {"select two", "nearest x", "trajectory theta0", "trajectory here", "compare", "map of numbers"},
     "row": {"select", "select number", "select two", "nearest theta0", "nearest", "fractions", "trajectory theta0",
-            "compare", "families", "trust", "cite", "map", "map of numbers"},
+            "compare", "families", "trust", "border error", "cite", "map", "map of numbers"},
     "scalar": {"select", "select number", "select two", "nearest", "fractions", "trajectory here", "compare", "cite"},
     "selection": {"select", "select number", "select two", "nearest sigma", "nearest theta0", "nearest", "fractions",
                   "trajectory", "trajectory theta0", "compare", "cite"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,6 +43,9 @@ class Source(Flag):
     CURVE = 2, "a curve of theory between two neighbouring points"
 
 
+SOURCE = Variable("source", "int8", "1", "what the place of a change is known from", Source.meanings())
+
+
 def margin(
     ds: xr.Dataset, axis: str, variable: str, coords: Mapping[str, float], degrees: bool
 ) -> xr.Dataset:
@@ -79,24 +83,13 @@ def margin(
     is_down = distances[0] <= distances[1]
     distances.append(np.where(is_down, *distances))
     sources.append(np.where(is_down, *sources))
-    columns = {}
+    number = {"long_name": f"distance along {axis} from a change of {variable}"}
+    number["units"] = attribute_text(part[axis].attrs, "units", "1")
+    columns: dict[str, Any] = {}
     for name, distance, source in zip(("down", "up", "margin"), distances, sources, strict=True):
-        way = {"down": "decrease", "up": "increase"}.get(name, "change")
-        unit = attribute_text(part[axis].attrs, "units", "1")
-        number = {"long_name": f"least {way} of {axis} at which {variable} changes", "units": unit}
-        flag = Variable(
-            f"source_{name}",
-            "int8",
-            "1",
-            f"what the place of the least {way} is known from",
-            Source.meanings(),
-        )
-        columns[name] = (line.dims, np.where(missing, np.nan, distance), number)
-        columns[flag.name] = (
-            line.dims,
-            np.where(missing, Source.NOTHING, source).astype(np.int8),
-            flag.attributes(),
-        )
+        columns[name] = line.dims, np.where(missing, np.nan, distance), number
+        known_from = np.where(missing, Source.NOTHING, source).astype(np.int8)
+        columns[f"source_{name}"] = line.dims, known_from, SOURCE.attributes()
     result = xr.Dataset(columns, line.coords, ds.attrs)
     if axis in result.dims:
         result = result.sel({axis: part[axis].values})

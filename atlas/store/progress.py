@@ -55,7 +55,9 @@ class Progress:
     def advance(self, points: float) -> None:
         """Add finished points, maybe a fraction: a tile reports after each block of its points."""
         with self._lock:
-            self._done = min(self._done + points, self.points)
+            self._done = min(
+                self._done + float(points), self.points
+            )  # of NumPy, from the reference of a study
             now = time.perf_counter()
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now

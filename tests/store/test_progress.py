@@ -3,6 +3,8 @@
 import re
 from contextlib import closing
 
+import numpy as np
+
 from atlas.store import progress
 
 
@@ -22,3 +24,10 @@ def test_the_time_left_is_said_once_it_is_known(monkeypatch, capsys):
     assert [line.endswith(" left") for line in lines] == [False, True, False, True]
     assert lines[0] == "4.9 %  49 of 1000 points  49 points/s"
     assert lines[1] == "5.0 %  50 of 1000 points  50 points/s  0:19 left"
+
+
+def test_points_may_be_numbers_of_numpy(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "PLAIN_INTERVAL", 0.0)
+    with closing(progress.Progress(1000)) as bar:
+        bar.advance(np.float64(500.5))
+    assert capsys.readouterr().err.rstrip().endswith(" left")

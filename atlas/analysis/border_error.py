@@ -26,19 +26,14 @@ from .metadata import (
 )
 from .select import plane_of
 
-# Variables of borders and what they are; of each axis also the column of its pairs of neighbours and a statistic of it.
-BORDER = {
-    "first": "flag on one side",
-    "second": "flag on the other side",
-    "curve": "nearest curve of theory",
-}
+BORDER = ["first", "second", "curve"]  # the flags on both sides, and the kind of the nearest curve of theory
+# Variables along each axis: column of the pairs of neighbours, and a statistic of it.
 OF_AXES = {
-    "pairs": ("half", "count", "pairs of neighbours on both sides of the border"),
-    "half_cell": ("half", "max", "largest half of a cell across the border"),
-    "distance_median": ("distance", "median", "median distance of the border from the curve"),
-    "distance_largest": ("distance", "max", "largest distance of the border from the curve"),
+    "pairs": ("half", "count"),
+    "half_cell": ("half", "max"),
+    "distance_median": ("distance", "median"),
+    "distance_largest": ("distance", "max"),
 }
-WHOLE = {"checked": "points", "changed": "changed"}
 
 
 class BorderError(xr.Dataset):
@@ -48,9 +43,8 @@ class BorderError(xr.Dataset):
 
     def __str__(self) -> str:
         borders = self if "border" in self.dims else self.expand_dims("border")
-        texts = [_about(borders.isel(border=i)) for i in range(borders.sizes["border"])] or [
-            "there is no border"
-        ]
+        texts = [_about(borders.isel(border=i)) for i in range(borders.sizes["border"])]
+        texts = texts or ["there is no border"]
         if "points_checked" in self:
             changed = f"{int(self['points_changed'])} of {int(self['points_checked'])}"
             texts.append(f"{changed} points of the whole run checked at half the step changed their label")
@@ -62,25 +56,20 @@ def _about(border: xr.Dataset) -> str:
     """Words about one border."""
 
     def lengths(name: str) -> str:
-        units = ("" if unit == "1" else f" {unit}" for unit in border["unit"].values)
-        of_axes = zip(border[name].values, units, border["axis"].values, strict=True)
-        return " and ".join(
-            f"{size:.2g}{unit} in {axis}" for size, unit, axis in of_axes if np.isfinite(size)
-        )
+        of_axes = zip(border[name].values, border["unit"].values, border["axis"].values, strict=True)
+        texts = (f"{size:.2g} {unit} in {axis}" for size, unit, axis in of_axes if np.isfinite(size))
+        return " and ".join(texts).replace(" 1 in ", " in ")
 
-    text = f"the border between {border['first'].item()} and {border['second'].item()}"
-    text = f"{text.replace('_', ' ')} is known to half a cell, {lengths('half_cell')}"
+    text = f"the border between {border['first'].item()} and {border['second'].item()}".replace("_", " ")
+    text += f" is known to half a cell, {lengths('half_cell')}"
     if curve := border["curve"].item():
-        text += (
-            f", and differs from theory's {curve} by {lengths('distance_median')} in the median and at most"
-        )
-        text += f" {lengths('distance_largest')}"
+        median, largest = lengths("distance_median"), lengths("distance_largest")
+        text += f", and differs from theory's {curve} by {median} in the median and at most {largest}"
     else:
         text += ", with no curve of theory beside it"
     if "sensitive" in border:
-        text += (
-            f", where {int(border['sensitive'])} of {int(border['checked'])} points are sensitive to the step"
-        )
+        counts = f"{int(border['sensitive'])} of {int(border['checked'])}"
+        text += f", where {counts} points are sensitive to the step"
     return text
 
 
@@ -101,9 +90,13 @@ def border_error(
     lines = None
     if scene is not None and families_of(scene.system):
         lines = boundary(plane, None, variable, dims[0], dims[1] if len(dims) > 1 else None, {})
-    rows, numbers = [], np.arange(array.size).reshape(array.shape)
+    rows, titles, units = [], [], []
+    numbers = np.arange(array.size).reshape(array.shape)
     for i, dim in enumerate(dims):
-        at = plane[dim].values.astype(float)
+        at, unit = plane[dim].values.astype(float), factor(plane[dim].attrs, degrees)
+        is_own = dim not in system_of(ds).parameters
+        titles.append(attribute_text(plane[dim].attrs, "long_name", dim) if is_own else dim)
+        units.append(DEGREE if unit != 1 else attribute_text(plane[dim].attrs, "units", "1"))
         middle = np.sqrt(at[1:] * at[:-1]) if dim in logs else 0.5 * (at[1:] + at[:-1])
         half = np.maximum(middle - at[:-1], at[1:] - middle)
         flags, index = (np.moveaxis(each, i, 0).reshape(at.size, -1) for each in (array.values, numbers))
@@ -111,50 +104,31 @@ def border_error(
             across = [(other, float(plane[other][row])) for other in dims if other != dim]
             places, kinds = _crossings(lines, dim, across, logs)
             for j in np.flatnonzero(flags[1:, row] != flags[:-1, row]):
-                distance = np.abs(places - middle[j])
-                k = int(np.argmin(distance)) if distance.size else None
-                nearest = ("", np.nan) if k is None else (str(kinds[k]), distance[k])
+                distance = np.append(np.abs(places - middle[j]), np.inf)
+                k = int(distance.argmin())
                 sides = sorted(flags[j : j + 2, row].tolist())
                 pair = [names[side] if names else f"{side:g}" if side >= 0 else "no value" for side in sides]
-                rows.append((*pair, *nearest, dim, half[j], index[j, row], index[j + 1, row]))
-    frame = pd.DataFrame(rows, columns=[*BORDER, "distance", "axis", "half", "low", "high"])
-    groups = sorted(frame.groupby(list(BORDER)), key=lambda group: -len(group[1]))
-    factors = [factor(plane[dim].attrs, degrees) for dim in dims]
+                border = *pair, str(kinds[k]) if k < len(kinds) else ""
+                rows.append((*border, dim, unit * half[j], unit * distance[k], *index[j : j + 2, row]))
+    frame = pd.DataFrame(rows, columns=[*BORDER, "axis", "half", "distance", "low", "high"])
+    frame = frame.replace({"distance": np.inf}, np.nan)
+    groups = sorted(frame.groupby(BORDER), key=lambda group: -len(group[1]))
     columns: dict[str, Any] = {
-        name: ("border", np.array([group[0][i] for group in groups], str), {"long_name": text})
-        for i, (name, text) in enumerate(BORDER.items())
+        name: ("border", [group[0][i] for group in groups]) for i, name in enumerate(BORDER)
     }
-    for name, (column, statistic, text) in OF_AXES.items():
+    for name, (column, statistic) in OF_AXES.items():
         own = [
             [getattr(part[column][part["axis"] == dim], statistic)() for dim in dims] for _, part in groups
         ]
-        values = np.reshape(own, (-1, len(dims))) * ([1] * len(dims) if name == "pairs" else factors)
-        columns[name] = ("border", "axis"), values, {"long_name": text}
+        columns[name] = ("border", "axis"), np.reshape(own, (-1, len(dims)))
     if scene is not None and scene.settings.check_half_step == "all" and "status" in plane:
         sensitive = plane["status"].transpose(*dims).values.ravel() == Status.STEP_SENSITIVE
         beside = [np.unique(part[["low", "high"]]) for _, part in groups]
-        columns["checked"] = (
-            "border",
-            [each.size for each in beside],
-            {"long_name": "points beside the border"},
-        )
-        text = "those of them whose label changes, or could change, at half the step"
-        columns["sensitive"] = "border", [int(sensitive[each].sum()) for each in beside], {"long_name": text}
+        columns["checked"] = "border", [each.size for each in beside]
+        columns["sensitive"] = "border", [int(sensitive[each].sum()) for each in beside]
     if "atlas_half_step_points" in ds.attrs:
-        columns |= {
-            f"points_{what}": ((), number_attribute(ds, f"atlas_half_step_{name}"))
-            for what, name in WHOLE.items()
-        }
-    attributes = [plane[dim].attrs for dim in dims]
-    units = [
-        DEGREE if f != 1 else attribute_text(a, "units", "1")
-        for f, a in zip(factors, attributes, strict=True)
-    ]
-    known = system_of(ds).parameters
-    titles = [
-        dim if dim in known else attribute_text(a, "long_name", dim)
-        for dim, a in zip(dims, attributes, strict=True)
-    ]
+        columns["points_checked"] = (), number_attribute(ds, "atlas_half_step_points")
+        columns["points_changed"] = (), number_attribute(ds, "atlas_half_step_changed")
     title = f"borders of {variable} in {attribute_text(plane.attrs, 'title', 'an atlas')!r}"
     return BorderError(columns, {"axis": titles, "unit": ("axis", units)}, {"title": title})
 

@@ -89,6 +89,18 @@ def test_no_label_where_rounding_decides(system):
     assert not stress.mislabelled(ds).any(), stress.report(ds)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("system", ["satellite", "fixed_point"])
+def test_the_label_of_the_fastest_rotor_is_known_from_a_part_of_its_run(system):
+    """In its own natural rate nothing that it does in so short a time would be a motion."""
+    (case,) = selected(SYSTEMS[system], {"stiff rotor"})
+    fastest = {name: value[-1] if np.ndim(value) else value for name, value in case.columns.items()}
+    ds = stress.stress(system, [replace(case, columns=fastest, duration=np.asarray(case.duration)[-1])])
+    assert (ds["truth"] == Label.DRIFTING).all()
+    assert not stress.mislabelled(ds).any()
+    assert (ds["verdict"][:, -1] == stress.Verdict.RIGHT).all()
+
+
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_statistics_are_as_accurate_as_the_estimate(studies, share, system):
     ds = studies[system]

@@ -4,6 +4,7 @@ import ast
 import contextlib
 import importlib
 import io
+import json
 import re
 import sys
 import textwrap
@@ -17,6 +18,7 @@ from PIL import Image
 import atlas
 from atlas import cli, systems
 from atlas.accessor import Atlas
+from atlas.analysis.published import published_numbers
 from atlas.extension import extensions
 from atlas.flags import Status
 
@@ -313,3 +315,24 @@ def test_conditions_are_set_as_formulas(text, latex, monkeypatch):
 def test_formulas_in_prose_are_set(text, latex, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
     assert importlib.import_module("make_docs").with_formulas(text) == latex
+
+
+def test_the_evidence_is_what_the_commands_of_its_script_count(monkeypatch):
+    """The numbers of others are counted again; the other commands take minutes."""
+    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))
+    checks, kept = (
+        importlib.import_module("evidence").CHECKS,
+        json.loads((ROOT / "docs" / "evidence.json").read_text()),
+    )
+    assert list(kept) == [name for name in checks if name in kept]
+    for name, row in kept.items():
+        assert row["command"] == checks[name].command
+        assert row["version"] == atlas.__version__
+        for path in re.findall(r"(?:tests|scripts|configs)/[\w/.]+", row["command"]):
+            assert (ROOT / path).exists()
+    if "published" not in extensions():
+        pytest.skip("needs published")
+    for system in ("satellite", "fixed_point"):
+        rows = published_numbers(systems.get(system))
+        differ = sum(row["verdict"] != "agrees" for row in rows)
+        assert (kept[system]["compared"], kept[system]["differ"]) == (len(rows), differ)

@@ -40,6 +40,7 @@ SCRIPTS = {
     "bench_elastic": ("1000 --kills 0 --jobs 1 --places store", r"store: 1000 points, .* 0 kills, .* equal"),
     "bench_start": (str(SMALL), r"first steps, .*small.toml: 0?\d+\.\d+ s"),
     "draw": ("--out FOLDER", r""),
+    "evidence": ("--out FOLDER/evidence.json --only fixed_point", r"fixed_point: \d of \d differ"),
     "fuzz_scenes": ("--count 5 --runs 1 --points 1", r"check: ok"),
     "gallery": ("--out FOLDER --docs FOLDER --only first_order_error --count 3", r"wrote FOLDER"),
     "how_to": ("--out FOLDER --only dictionary", r"dictionary.png: \d+ kB"),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import json
 import re
 import sys
 from collections.abc import Iterable
@@ -306,6 +307,15 @@ def _rounded(residual: float | None) -> str:
     return "" if residual is None else "< 1e-9" if residual < 1e-9 else f"{residual:.0e}"
 
 
+def evidence(folder: Path) -> str:
+    """Table of the counts that evidence.py has kept."""
+    rows = [("what", "against", "compared", "differ", "command")]
+    for each in json.loads((DOCS / "evidence.json").read_text()).values():
+        counts = (f"{each[name]:,}".replace(",", "\N{NO-BREAK SPACE}") for name in ("compared", "differ"))
+        rows.append((each["what"], each["against"], *counts, f"`{each['command']}`"))
+    return table(rows)
+
+
 def rooms(folder: Path) -> str:
     """Table of the packages in a folder: their sentence and the number of their lines, and in one row the modules beside them."""
     rows, beside = [("room", "contents", "lines")], []
@@ -329,6 +339,7 @@ def _lines(paths: Iterable[Path]) -> int:
 
 TABLES = {
     "rooms": rooms,
+    "evidence": evidence,
     "parameters": parameters,
     "variables": dataset,
     "families": families,

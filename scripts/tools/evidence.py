@@ -1,0 +1,180 @@
+"""Run comparisons with independent computations and keep their counts, of which make_docs.py makes the table of docs/evidence.md.
+
+python scripts/tools/evidence.py [--out docs/evidence.json] [--only NAME ...]
+
+Each is a command as the page prints it; what it prints or writes is counted, nothing is typed. All take about half an hour of one processor; with
+--only the others stay as they are in the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import atlas
+
+ROOT = Path(__file__).parents[2]
+FILE = ROOT / "docs" / "evidence.json"
+LAST = -300  # characters of what a command that fails has printed
+
+Counts = tuple[int, int]  # how many were compared, how many of them differ
+
+
+class Check(NamedTuple):
+    """A comparison."""
+
+    what: str
+    against: str
+    command: str  # in a folder in which ROOT's files have their names
+    counts: Callable[[str, Path], Counts]  # of what it prints, and of the folder
+
+
+def sums(compared: str, wrong: str) -> Callable[[str, Path], Counts]:
+    """Counts that are sums of the numbers that two patterns find in what is printed."""
+
+    def counts(text: str, folder: Path) -> Counts:
+        found = [[int(number) for number in re.findall(pattern, text)] for pattern in (compared, wrong)]
+        return sum(found[0]), sum(found[1])
+
+    return counts
+
+
+def passed(text: str, folder: Path) -> Counts:
+    """Tests that ran and that failed."""
+    good, bad = sums(r"(\d+) passed", r"(\d+) failed")(text, folder)
+    return good + bad, bad
+
+
+def accuracy(text: str, folder: Path) -> Counts:
+    """Labels of the scene's own setting."""
+    with (folder / "accuracy.csv").open(newline="") as file:
+        (row,) = (row for row in csv.DictReader(file) if row["own_setting"] == "True")
+    return int(row["labels_compared"]), int(row["labels_wrong"])
+
+
+def published(text: str, folder: Path) -> Counts:
+    """Numbers, and those that differ."""
+    ((agreeing, count),) = re.findall(r"(\d+) of (\d+) numbers of others", text)
+    return int(count), int(count) - int(agreeing)
+
+
+STRESS = sums(r"\b(?:right|wrong) (\d+)", r"\bwrong (\d+)")
+PYTEST = "python -m pytest -q -p no:cacheprovider"
+CHECKS = {
+    "accuracy_top": Check(
+        "labels of a map of tops",
+        "SciPy's DOP853 at 3e-14",
+        "atlas accuracy configs/quickstart.toml --points 300 -o accuracy.csv",
+        accuracy,
+    ),
+    "accuracy_satellite": Check(
+        "labels of a map of satellites",
+        "SciPy's DOP853 at 3e-14",
+        "atlas accuracy configs/stability_perp_velocity.toml --points 300 -o accuracy.csv",
+        accuracy,
+    ),
+    "no_orbit": Check(
+        "labels of random satellites",
+        "runs that end early; the same bodies about a fixed point",
+        "python scripts/benchmarks/bench_label_checks.py --points 5000",
+        sums(r"(?:permanent_rotation|regular_precession|drifting) (\d+)", r"differ at (\d+)"),
+    ),
+    "proofs": Check(
+        "labels of random bodies",
+        "proofs for every duration",
+        "python scripts/benchmarks/bench_proofs.py --points 500 --duration 1e3",
+        sums(r"(\d+) proved and measured", r"(\d+) contradictions"),
+    ),
+    "stress_satellite": Check(
+        "labels of stiff and extreme satellites, by two methods at twelve levels",
+        "theory, references and exact motions",
+        "atlas stress satellite",
+        STRESS,
+    ),
+    "stress_fixed_point": Check(
+        "labels of stiff and extreme bodies about a fixed point, by two methods at twelve levels",
+        "theory, references and exact motions",
+        "atlas stress fixed_point",
+        STRESS,
+    ),
+    "equilibria": Check(
+        "all equilibria of random satellites",
+        "the roots of a resultant",
+        f"{PYTEST} tests/extensions/equilibria/test_one_satellite.py -k all_equilibria",
+        passed,
+    ),
+    "folds": Check(
+        "folds and borders of equilibria",
+        "values and curves of other methods",
+        f"{PYTEST} tests/extensions/branches -k verified",
+        passed,
+    ),
+    "satellite": Check(
+        "numbers of others on satellites",
+        "what they printed",
+        "atlas conditions satellite --published",
+        published,
+    ),
+    "fixed_point": Check(
+        "numbers of others on bodies about a fixed point",
+        "what they printed",
+        "atlas conditions fixed_point --published",
+        published,
+    ),
+}
+
+
+def row(check: Check) -> dict[str, str | int]:
+    """Run a comparison in a folder of its own, and count."""
+    words = shlex.split(check.command)
+    command = [sys.executable, *(["-m", "atlas", *words[1:]] if words[0] == "atlas" else words[1:])]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for each in ("configs", "scripts", "tests", "docs", "pyproject.toml"):
+            (folder / each).symlink_to(ROOT / each)
+        path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=os.environ | {"PYTHONPATH": path},
+        )
+        try:
+            compared, wrong = check.counts(done.stdout, folder)
+        except (OSError, ValueError):
+            compared = 0
+        if not compared:
+            raise SystemExit(f"{check.command}: {(done.stdout + done.stderr)[LAST:]}")
+    counts = {"compared": compared, "differ": wrong, "version": atlas.__version__}
+    return {"what": check.what, "against": check.against, "command": check.command} | counts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--out", type=Path, default=FILE, help="file of the counts (default: docs/evidence.json)"
+    )
+    parser.add_argument("--only", nargs="+", choices=CHECKS, default=list(CHECKS), help="some comparisons")
+    options = parser.parse_args()
+    kept = json.loads(options.out.read_text()) if options.out.exists() else {}
+    for name in options.only:
+        kept[name] = row(CHECKS[name])
+        print(f"{name}: {kept[name]['differ']} of {kept[name]['compared']} differ", flush=True)
+        rows = {each: kept[each] for each in CHECKS if each in kept}
+        options.out.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -29,6 +29,7 @@ from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
 from atlas.theory.motions import find_motions
 
 Points = dict[str, np.ndarray]
+DRAG = ("drag1", "drag2", "drag3")
 
 seeds = st.integers(0, 10**6)
 
@@ -48,7 +49,7 @@ def default_points(system: str, count: int | None = None, **given) -> Points:
 def in_units(points: Points, time: float, mass: float = 1.0) -> Points:
     """The points in units of time and mass that are smaller by these factors; powers of 4 keep the bits."""
     powers = dict.fromkeys(("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), (-1, 0)) | {"N": (-2, 0)}
-    powers |= dict.fromkeys("ABC", (0, 1)) | dict.fromkeys(("mu1", "mu2", "mu3", "Mg"), (-2, 1))
+    powers |= dict.fromkeys("ABC", (0, 1)) | dict.fromkeys((*DRAG, "mu1", "mu2", "mu3", "Mg"), (-2, 1))
     powers |= dict.fromkeys(("k1", "k2", "k3", "l1", "l2", "l3", "damping"), (-1, 1))
     factors = {name: time**of_time * mass**of_mass for name, (of_time, of_mass) in powers.items()}
     return {name: values * factors.get(name, 1.0) for name, values in points.items()}
@@ -66,7 +67,9 @@ def select(points: Points, index) -> Points:
 
 def random_satellites(rng: np.random.Generator, count: int, **given) -> Points:
     """Random satellites, starts and fields without any symmetry and damping; theta0 away from 0 and pi."""
-    points = {name: rng.normal(size=count) for name in SYSTEMS["satellite"].parameters if name != "damping"}
+    others = ("damping", *DRAG)
+    points = {name: rng.normal(size=count) for name in SYSTEMS["satellite"].parameters if name not in others}
+    points |= dict(zip(DRAG, rng.spawn(1)[0].normal(size=(3, count)), strict=True))
     points |= {name: rng.uniform(0.8, 1.5, count) for name in ("A", "B", "C")}
     points |= {"Omega": rng.uniform(0.3, 1.5, count), "theta0": rng.uniform(0.3, 2.8, count)}
     return default_points("satellite", count, **points | given)
@@ -133,8 +136,8 @@ def fixed_points_on_family(family: str, points: Points, *names: str) -> Points:
 
 
 def nonzero_satellite(rng: np.random.Generator, **given) -> Points:
-    """A random satellite whose parameters are of order 1 and not near 0; theta_dot0 = 0, arrays of shape (1,)."""
-    names = [name for name in SYSTEMS["satellite"].parameters if name != "damping"]
+    """A random satellite without drag whose parameters are of order 1 and not near 0; theta_dot0 = 0, arrays of shape (1,)."""
+    names = [name for name in SYSTEMS["satellite"].parameters if name not in ("damping", *DRAG)]
     point = {name: rng.uniform(0.3, 1.3, 1) * rng.choice([-1.0, 1.0], 1) for name in names}
     point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C", "Omega")}
     point |= {"theta0": rng.uniform(-4, 4, 1), "theta_dot0": np.zeros(1)}
@@ -158,6 +161,9 @@ def satellite_for_family(name: str, rng: np.random.Generator) -> Points:
         point["n"] = zero
     if name == "oblique":
         point["h1"] = point["h1"] * 0.1
+    dragged = {"equilibrium": DRAG, "perp_radius": DRAG[2:], "oblique": DRAG[2:]}.get(name, ())
+    tilted = np.abs(np.sin(point["theta0"])) > 0.1  # nearer to the normal axial drag needs a large rotor
+    point |= {each: 0.2 * tilted * rng.spawn(1)[0].normal(size=1) for each in dragged}
     if name == "spherical":
         point |= {"B": point["A"], "C": point["A"]} | dict.fromkeys(("k1", "k2", "mu1", "mu2", "h1"), zero)
     if name == "other_axis":

@@ -24,7 +24,23 @@ REFERENCE = Path(__file__).parent / "reference"
 
 # The satellite, from the Lagrangian (2) with (3) of the paper.
 
-BODY_NAMES = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3")
+BODY_NAMES = (
+    "A",
+    "B",
+    "C",
+    "Omega",
+    "k1",
+    "k2",
+    "k3",
+    "mu1",
+    "mu2",
+    "mu3",
+    "h1",
+    "h3",
+    "drag1",
+    "drag2",
+    "drag3",
+)
 
 
 @cache
@@ -59,20 +75,21 @@ def paper_vectors():
 
 @cache
 def lagrangian_functions():
-    """Functions of (angles, rates, accelerations, body), all from the Lagrangian (2) with (3).
+    """Functions of (angles, rates, accelerations, body), all from the Lagrangian (2) with (3) and drag.beta.
 
     Left sides of Lagrange's equations, mass matrix, Jacobi integral, derivative of the absolute rates.
     """
     import sympy as sp
 
     angles, rates, accelerations, body = satellite_symbols()
-    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3 = body
-    alpha, _, gamma, relative_rate = paper_vectors()
+    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, *drag = body
+    alpha, beta, gamma, relative_rate = paper_vectors()
     inertia, rotor, moment = sp.diag(A, B, C), sp.Matrix([k1, k2, k3]), sp.Matrix([mu1, mu2, mu3])
     w = relative_rate + Omega * gamma
     potential = sp.Rational(3, 2) * Omega**2 * alpha.dot(inertia * alpha) + moment.dot(
         h1 * alpha + h3 * gamma
     )
+    potential += beta.dot(sp.Matrix(drag))
     lagrangian = w.dot(inertia * w) / 2 + w.dot(rotor) - potential
     momenta = sp.Matrix([lagrangian]).jacobian(rates).T
     mass = momenta.jacobian(rates)

@@ -294,9 +294,13 @@ def _sample(run: Run) -> Mask:
     if run.settings.check_half_step != "sample":
         return np.zeros(run.ensemble.size, bool)
     mixed = np.zeros(run.ensemble.size, np.uint64)
-    for bits in np.concatenate([run.ensemble.state, run.ensemble.constants]).view(np.uint64):
-        mixed = (mixed ^ bits) * np.uint64(0x9E3779B97F4A7C15)
+    equations, rows = run.system.equations, np.concatenate([run.ensemble.state, run.ensemble.constants])
+    optional = getattr(equations, "OPTIONAL", ())
+    for name, row in zip((*equations.STATE, *equations.CONSTANTS), rows, strict=True):
+        before, mixed = mixed, (mixed ^ row.view(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)
         mixed ^= mixed >> np.uint64(29)
+        if name in optional:
+            mixed = np.where(row == 0, before, mixed)
     return np.asarray(mixed % np.uint64(POINTS_PER_HALF_STEP) == 0)
 
 

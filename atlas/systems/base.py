@@ -290,6 +290,7 @@ class System(ABC):
       it loses per time, a number; the integral and the sum of its losses are then constant together;
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
       ``unscaled``, with the same arguments: back from a scaled state; ``ONES``: constants that are 1 in these units;
+    - ``OPTIONAL`` (optional): constants that count among those of a point only where they are not 0, so that they may be added;
     - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
       angular velocity u of ``frame_motion``; tangent vectors then have fewer components; the last is the vertical and, with
       ``axis_in_frame``, the first of two the frame's first axis;

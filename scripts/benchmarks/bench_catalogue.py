@@ -27,8 +27,9 @@ SATELLITE = get("satellite")
 def random_points(size: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random bodies and starts of order 1; a third on perp_velocity, a third on cylindrical without magnet."""
     rng = np.random.default_rng(seed)
-    names = [name for name in SATELLITE.parameters if name != "damping"]
-    points = {name: rng.uniform(0.3, 1.3, size) for name in names} | {"damping": np.zeros(size)}
+    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    names = [name for name in SATELLITE.parameters if name not in absent]
+    points = {name: rng.uniform(0.3, 1.3, size) for name in names} | dict.fromkeys(absent, np.zeros(size))
     points |= {name: rng.uniform(0.7, 1.3, size) for name in "ABC"}
     tilted, upright = np.arange(size) % 3 == 1, np.arange(size) % 3 == 2
     steady = tilted | upright

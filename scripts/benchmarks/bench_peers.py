@@ -67,8 +67,9 @@ Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 def satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random satellites with every term of the paper present."""
     rng = np.random.default_rng(seed)
-    names = [name for name in SATELLITE.parameters if name != "damping"]
-    points = {name: rng.normal(size=count) * 0.3 for name in names} | {"damping": np.zeros(count)}
+    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    names = [name for name in SATELLITE.parameters if name not in absent]
+    points = {name: rng.normal(size=count) * 0.3 for name in names} | dict.fromkeys(absent, np.zeros(count))
     points |= {
         "A": rng.uniform(1, 1.4, count),
         "B": rng.uniform(1, 1.4, count),

@@ -108,8 +108,9 @@ def reference(points: Points, duration: float) -> Array:
 def random_points(size: int, seed: int, **given: float | Array) -> dict[str, Array]:
     """Random bodies, rotors, magnets and starts of order 1, tilted by 0.5 to 2.6 rad."""
     rng = np.random.default_rng(seed)
-    names = [name for name in PARAMETERS if name != "damping"]  # not of the paper
-    points = {name: rng.uniform(-1, 1, size) for name in names} | {"damping": np.zeros(size)}
+    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    names = [name for name in PARAMETERS if name not in absent]
+    points = {name: rng.uniform(-1, 1, size) for name in names} | dict.fromkeys(absent, np.zeros(size))
     points |= {name: rng.uniform(0.7, 1.3, size) for name in ("A", "B", "C")}
     points |= {"Omega": np.ones(size), "theta0": rng.uniform(0.5, 2.6, size)}
     return points | {name: np.broadcast_to(np.asarray(value, float), size) for name, value in given.items()}

@@ -84,7 +84,7 @@ def test_planar_libration_is_a_jacobi_function():
     """Theta = 0 stays, the body librates about the radius: chi'' + 3 (B - A)/C Omega^2 sin chi cos chi = 0."""
     A, B, C, Omega, rate = 1.0, 1.3, 1.1, 0.9, 0.4
     points = satellites(1, A=A, B=B, C=C, Omega=Omega, m=rate, n=0, theta0=0, psi0=0, phi0=0, theta_dot0=0, k1=0, k2=0,
-                        mu1=0, mu2=0, mu3=0, h1=0, h3=0)  # fmt: skip
+                        mu1=0, mu2=0, mu3=0, h1=0, h3=0, drag1=0, drag2=0, drag3=0)  # fmt: skip
     q, duration = Omega * np.sqrt(3 * (B - A) / C), 12.0
     k = rate / q
     assert k < 1

@@ -144,7 +144,7 @@ def test_damping_that_is_wrong_by_a_millionth_is_noticed(name):
 
 
 def test_a_wrong_loss_of_the_axial_momentum_is_noticed():
-    given = {"A": 1.1, "B": 1.1} | dict.fromkeys(("k1", "k2", "mu1", "mu2"), 0.0)
+    given = {"A": 1.1, "B": 1.1} | dict.fromkeys(("k1", "k2", "mu1", "mu2", "drag1", "drag2"), 0.0)
     points = damped_satellites(6, seed=3, **given)
     assert integrated(points, 300, 3.0, integral="axial_momentum")[1].max() < 1e-13
     change = {"damping_C": 1 + 1e-6}

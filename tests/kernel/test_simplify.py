@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from installed import example_scenes
-from strategies import BySystem, evaluate, specialization_of
+from strategies import DRAG, BySystem, evaluate, specialization_of
 
 import atlas
 from atlas.flags import Label, Status
@@ -36,14 +36,16 @@ def random_points(system, count, rng, zero=(), symmetric=False):
     return points | ({"B": points["A"]} if symmetric else {})
 
 
+AXIAL = ("k1", "k2", "drag1", "drag2")
 CASES = BySystem({
     "satellite": [
         (("mu1", "mu2", "mu3"), False), (("h1", "h3"), False), (("h1", "h3", "k1", "k2"), False),
-        (("mu1", "mu2", "k1", "k2"), True), (("h1", "h3", "k1", "k2"), True),
-        (("mu1", "mu2", "mu3", "k1", "k2", "k3"), False), (("h1", "h3", "k1", "k2", "k3"), True),
-        (("Omega",), False), (("Omega", "mu1", "mu2", "k1", "k2"), True),
-        (("damping",), False), (("damping", "mu1", "mu2", "k1", "k2"), True),
-        (("damping", "mu1", "mu2", "mu3", "h1", "h3", "k1", "k2"), True),
+        ((*AXIAL, "mu1", "mu2"), True), ((*AXIAL, "h1", "h3"), True), (DRAG, False), ((*DRAG, "damping"), False),
+        ((*DRAG, "mu1", "mu2", "k1", "k2"), True),
+        (("mu1", "mu2", "mu3", "k1", "k2", "k3"), False), ((*AXIAL, "h1", "h3", "k3"), True),
+        (("Omega",), False), ((*AXIAL, "Omega", "mu1", "mu2"), True),
+        (("damping",), False), ((*AXIAL, "damping", "mu1", "mu2"), True),
+        ((*AXIAL, "damping", "mu1", "mu2", "mu3", "h1", "h3"), True),
     ],
     "fixed_point": [(("damping",), False)],
 })  # fmt: skip

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plain_kernel import plain_module
 from scipy.integrate import solve_ivp
-from strategies import RANDOM, random_satellites, select, specialization_of
+from strategies import DRAG, RANDOM, random_satellites, select, specialization_of
 
 from atlas.kernel import augmented, blocks, tangent
 from atlas.kernel.blocks import Threads
@@ -35,17 +35,17 @@ def satellite_variation(points, i):
     """Slope of w, alpha, gamma, dw, eta in vectors, written without the package's equations."""
     value = {name: column[i] for name, column in points.items()}
     inertia = np.array([value[name] for name in "ABC"])
-    rotor, magnet = (np.array([value[f"{name}{k}"] for k in (1, 2, 3)]) for name in ("k", "mu"))
+    rotor, magnet, drag = (np.array([value[f"{name}{k}"] for k in (1, 2, 3)]) for name in ("k", "mu", "drag"))
     Omega, h1, h3 = value["Omega"], value["h1"], value["h3"]
 
     def slope(_, y):
         w, a, g, dw, eta = y.reshape(5, 3)
         da, dg = cross(a, eta), cross(g, eta)
         torque = cross(inertia * w + rotor, w) + 3 * Omega**2 * cross(a, inertia * a)
-        torque += cross(h1 * a + h3 * g, magnet)
+        torque += cross(h1 * a + h3 * g, magnet) + cross(cross(g, a), drag)
         change = cross(inertia * dw, w) + cross(inertia * w + rotor, dw)
         change += 3 * Omega**2 * (cross(da, inertia * a) + cross(a, inertia * da))
-        change += cross(h1 * da + h3 * dg, magnet)
+        change += cross(h1 * da + h3 * dg, magnet) + cross(cross(dg, a) + cross(g, da), drag)
         u = w - Omega * g
         return np.concatenate(
             [torque / inertia, cross(a, u), cross(g, u), change / inertia, dw + cross(eta, w)]
@@ -210,6 +210,7 @@ def test_the_unit_of_time_does_not_matter():
         slow[name] = points[name] / 10
     for name in ("h1", "h3"):
         slow[name] = points[name] / 10
+    slow |= {name: points[name] / 100 for name in DRAG}
     megno, lyapunov = indicators("satellite", points, 12.0)
     slow_megno, slow_lyapunov = indicators("satellite", slow, 120.0)
     np.testing.assert_allclose(slow_megno, megno, rtol=1e-9, atol=1e-9)

@@ -12,23 +12,26 @@ from atlas.systems.satellite.initial import body_vectors
 
 
 def tilted(p):
-    """P and Q of a symmetric satellite with rotor and magnet along its axis, which rests in the orbital frame.
+    """P and Q of a symmetric satellite with rotor, magnet and drag along its axis, which rests in the orbital frame.
 
     With the axial momentum p = (C w3 + k3) / A constant the axis moves like a charge on the sphere:
-    U = -Omega^2 s^2/2 - Omega p c + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / A, D = C/A - 1,
+    U = -Omega^2 s^2/2 - Omega p c + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / A - drag3 s cos psi / A,
+    D = C/A - 1,
     P = U_tt + U_pp / s^2 + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.
     """
     s, c, sp, cp = (f(p[name]) for name in ("theta0", "psi0") for f in (np.sin, np.cos))
     square, momentum = p["Omega"] ** 2, (p["C"] * (p["Omega"] * c + p["m"]) + p["k3"]) / p["A"]
     D, radial, normal = p["C"] / p["A"] - 1, p["mu3"] * p["h1"] / p["A"], p["mu3"] * p["h3"] / p["A"]
+    drag = p["drag3"] / p["A"]
     tt = (
         (c**2 - s**2) * square * (3 * D * sp**2 - 1)
         + p["Omega"] * momentum * c
         - radial * s * sp
         - normal * c
+        + drag * s * cp
     )
-    tp = (6 * D * square * s * c * sp * cp + radial * c * cp) / s
-    pp = 3 * D * square * (cp**2 - sp**2) - radial * sp / s
+    tp = (6 * D * square * s * c * sp * cp + radial * c * cp + drag * c * sp) / s
+    pp = 3 * D * square * (cp**2 - sp**2) - radial * sp / s + drag * cp / s
     return tt + pp + (2 * p["Omega"] * c - momentum) ** 2, tt * pp - tp**2
 
 

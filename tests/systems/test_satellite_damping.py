@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import simpson
-from strategies import default_points, random_satellites, satellite_on_family, steady_motions
+from strategies import DRAG, default_points, random_satellites, satellite_on_family, steady_motions
 from truth import (
     exponents_along_runs,
     jacobian_matrices,
@@ -47,14 +47,15 @@ def test_the_torque_is_minus_damping_times_the_relative_rate():
     points = damped_satellites(np.random.default_rng(1), 30)
     state = initial_state(points)
     w, alpha, gamma = np.split(state.T, 3, axis=1)
-    inertia, k, mu = (
+    inertia, k, mu, drag = (
         np.stack([points[name] for name in names], 1)
-        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"))
+        for names in (("A", "B", "C"), ("k1", "k2", "k3"), ("mu1", "mu2", "mu3"), DRAG)
     )
     Omega, h1, h3, damping = (points[name][:, None] for name in ("Omega", "h1", "h3", "damping"))
     relative = w - Omega * gamma
     torque = np.cross(inertia * w + k, w) + 3 * Omega**2 * np.cross(alpha, inertia * alpha)
-    torque += np.cross(h1 * alpha + h3 * gamma, mu) - damping * relative
+    torque += np.cross(h1 * alpha + h3 * gamma, mu) + np.cross(np.cross(gamma, alpha), drag)
+    torque -= damping * relative
     expected = np.concatenate([torque / inertia, np.cross(alpha, relative), np.cross(gamma, relative)], 1)
     np.testing.assert_allclose(np.array(rhs(state, constants(points))).T, expected, atol=1e-13)
 
@@ -81,7 +82,7 @@ def test_it_is_the_force_of_the_dissipation_function_in_lagrangian_coordinates()
 
 def test_what_damping_takes_of_the_integrals():
     """Identically; the lengths are conserved as without damping."""
-    names = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3", "damping")
+    names = ("A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3", *DRAG, "damping")
     body = dict(zip(names, sp.symbols(names), strict=True))
     state, values = sp.symbols(equations.STATE), tuple(constants(body))
     slopes = rhs(state, values)
@@ -94,7 +95,7 @@ def test_what_damping_takes_of_the_integrals():
     power, torque = body["damping"] * sum(u**2 for u in relative), body["damping"] * relative[2]
     assert sp.expand(rate("jacobi") + power) == 0
     assert sp.expand(equations.jacobi_loss(state, values) - power) == 0
-    symmetric = {"B": body["A"]} | dict.fromkeys(("k1", "k2", "mu1", "mu2"), 0)
+    symmetric = {"B": body["A"]} | dict.fromkeys(("k1", "k2", "mu1", "mu2", "drag1", "drag2"), 0)
     assert sp.expand(rate("axial_momentum").subs(symmetric) + torque) == 0
     assert sp.expand(equations.axial_momentum_loss(state, values) - torque) == 0
     for name in ("length_alpha", "length_gamma", "length_sum"):
@@ -139,7 +140,7 @@ def test_frequency_bound_holds_along_damped_motions(strength, symmetric):
     points = damped_satellites(np.random.default_rng(3), 8, damping=strength)
     if symmetric:
         points["B"] = points["A"]
-        points |= {name: np.zeros(8) for name in ("k1", "k2", "mu1", "mu2")}
+        points |= {name: np.zeros(8) for name in ("k1", "k2", "mu1", "mu2", "drag1", "drag2")}
     bound, state, values = frequency_bound(points), initial_state(points), constants(points)
     for i, (path, exponents) in enumerate(exponents_along_runs(rhs, state, values, 6)):
         relative = path[:3] - points["Omega"][i] * path[6:]

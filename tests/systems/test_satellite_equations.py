@@ -86,7 +86,7 @@ def test_integrals_are_conserved_identically():
     A, B = body[:2]
     values = tuple(constants(dict(zip(BODY_NAMES, body, strict=True)) | {"damping": 0}))
     rates = equations.rhs(state, values)
-    conditions = {"axial_momentum": {B: A, **dict.fromkeys(sp.symbols("k1 k2 mu1 mu2"), 0)}}
+    conditions = {"axial_momentum": {B: A, **dict.fromkeys(sp.symbols("k1 k2 mu1 mu2 drag1 drag2"), 0)}}
     for name in equations.INTEGRALS:
         total = sum(getattr(equations, name)(state, values))
         change = sum(sp.diff(total, x) * rate for x, rate in zip(state, rates, strict=True))
@@ -108,7 +108,7 @@ def test_frequency_bound_holds_along_trajectories(symmetric, rotor):
     points |= {name: rotor * points[name] for name in ("k1", "k2", "k3")}
     if symmetric:
         points["B"] = points["A"]
-        points |= {name: np.zeros(12) for name in ("k1", "k2", "mu1", "mu2")}
+        points |= {name: np.zeros(12) for name in ("k1", "k2", "mu1", "mu2", "drag1", "drag2")}
     bound, state, values = frequency_bound(points), initial_state(points), constants(points)
     for i in range(12):
         point_constants = values[:, i]

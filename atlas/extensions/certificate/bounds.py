@@ -41,6 +41,7 @@ class GyrostatBody(NamedTuple):
     rotor: Vector
     turn: float
     alpha: Direction
+    beta: Direction
     gamma: Direction
     damping: float
 

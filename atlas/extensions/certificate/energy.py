@@ -66,10 +66,10 @@ def symmetric(body, w, alpha, gamma):
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
     Q = body.alpha.gradient * (C - A), 0.0, turn**2 * A + body.gamma.gradient * (C - A)
-    c = body.alpha.field[2], 0.0, body.gamma.field[2] - turn * (C * w3 + k3)
+    c = body.alpha.field[2], body.beta.field[2], body.gamma.field[2] - turn * (C * w3 + k3)
     square = square_of(body.inertia, w, scaled(turn, gamma), 2)
     size = abs(turn) * (abs(C * w3) + abs(k3)) + turn**2 * A
-    size = size + (size_of(body.alpha, A + C) + size_of(body.gamma, A + C))
+    size = size + (size_of(body.alpha, A + C) + size_of(body.gamma, A + C)) + length(body.beta.field)
     theta, angle, square = on_sphere(Q, c, start, minimum(Q, c, start), square, size)
     if angle != angle:
         return unknown()
@@ -86,7 +86,7 @@ def symmetric(body, w, alpha, gamma):
 def upright(body, w, alpha, gamma):
     """With the third axis near the vertical, and rotor and fields along it: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
     radius, normal = amended(body)
-    across = length(radius.field) + np.hypot(normal.field[0], normal.field[1])
+    across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
         return unknown()
     first, second, third = body.inertia
@@ -109,7 +109,8 @@ def attitude(body, w, alpha, gamma):
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
     # A Hessian that can be inverted, also without torque.
-    regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread)) + TINY
+    drag = length(body.beta.field)
+    regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):
         (xx, yy, zz), mixed = hessian(body, a, g)
         step = solved3((xx + regular, yy + regular, zz + regular), mixed, scaled(-1.0, torque(body, a, g)))
@@ -124,7 +125,7 @@ def attitude(body, w, alpha, gamma):
         return unknown()
     slope = length(torque(body, a, g)) + GRADIENT * size
     third = (1 + 17**0.5 / 4) * spread  # derivative of v.I v / 2
-    M = size_of(radius, third) + size_of(normal, third) + GRADIENT * size
+    M = size_of(radius, third) + size_of(normal, third) + drag + GRADIENT * size
     limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
     offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)
     square = dot(offsets[0], offsets[0]) + dot(offsets[1], offsets[1]) + dot(offsets[2], offsets[2])
@@ -148,15 +149,18 @@ def torque(body, a, g):
     """Gradient of W under rotations."""
     radius, normal = amended(body)
     first = cross(plus(times(scaled(radius.gradient, body.inertia), a), radius.field), a)
+    first = plus(first, cross(body.beta.field, cross(g, a)))
     return plus(first, cross(plus(times(scaled(normal.gradient, body.inertia), g), normal.field), g))
 
 
 def hessian(body, a, g):
     """Symmetric part of the Hessian of W: the diagonal, then its other entries yz, zx, xy."""
     radius, normal = amended(body)
-    (x, y, z), (yz, zx, xy) = hessian_of(body.inertia, radius, a)
-    diagonal, mixed = hessian_of(body.inertia, normal, g)
-    return plus((x, y, z), diagonal), plus((yz, zx, xy), mixed)
+    diagonal, mixed = hessian_of(body.inertia, radius, a)
+    for direction, v in ((body.beta, cross(g, a)), (normal, g)):
+        more, others = hessian_of(body.inertia, direction, v)
+        diagonal, mixed = plus(diagonal, more), plus(mixed, others)
+    return diagonal, mixed
 
 
 def hessian_of(inertia, direction, v):
@@ -183,10 +187,11 @@ def excess(body, w, alpha, gamma, a, g):
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
+    energy = energy + difference(body, body.beta, cross(gamma, alpha), cross(g, a))
     size = abs(body.turn) * length(body.rotor)
     moment = greatest(body.inertia)
     size = size + abs(radius.gradient) * moment + length(radius.field)
-    size = size + abs(normal.gradient) * moment + length(normal.field)
+    size = size + abs(normal.gradient) * moment + length(normal.field) + length(body.beta.field)
     return energy + TERM_ROUNDING * size, size
 
 

@@ -84,6 +84,7 @@ class Bodies(NamedTuple):
     inertia: Array
     rotor: Array
     radial_field: Array
+    velocity_field: Array
     normal_field: Array
     turn: Array  # (points,), as what follows
     radial_gradient: Array
@@ -94,17 +95,18 @@ class Bodies(NamedTuple):
     def of(cls, system: Gyrostat, points: Points) -> Bodies:
         body, one = system.body(points), np.ones(shape_of(points))
         w, alpha, gamma = (vector.T * one for vector in system.start(points))
-        vectors = body.inertia, body.rotor, body.alpha.field, body.gamma.field
-        inertia, rotor, radial, normal = (np.array(vector.T * one) for vector in vectors)
+        vectors = body.inertia, body.rotor, body.alpha.field, body.beta.field, body.gamma.field
+        columns = (np.array(vector.T * one) for vector in vectors)
         numbers = body.turn, body.alpha.gradient, body.gamma.gradient, body.damping
-        return cls(w, alpha, gamma, inertia, rotor, radial, normal, *(number * one for number in numbers))
+        return cls(w, alpha, gamma, *columns, *(number * one for number in numbers))
 
 
 def body_at(bodies, i):
     radius = Direction(bodies.radial_gradient[i], load(bodies.radial_field, i))
+    velocity = Direction(0.0, load(bodies.velocity_field, i))
     normal = Direction(bodies.normal_gradient[i], load(bodies.normal_field, i))
     inertia, rotor = load(bodies.inertia, i), load(bodies.rotor, i)
-    return GyrostatBody(inertia, rotor, bodies.turn[i], radius, normal, bodies.damping[i])
+    return GyrostatBody(inertia, rotor, bodies.turn[i], radius, velocity, normal, bodies.damping[i])
 
 
 def load(block, i):

@@ -7,7 +7,7 @@ constant, m and e have the brackets of the Euclidean group, and
 
     H = m.J m / 2 + b.m + e.G e / 2 + c.e,
 
-the axis: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c by what acts along alpha and gamma;
+the axis: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c by what acts along alpha, beta and gamma;
 the vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
 
 With the equilibrium at u = v = 0 of latitude v and longitude u, e = (cos v cos u, cos v sin u, sin v), these are canonical,
@@ -184,7 +184,8 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
     linear = np.where(axial, -turn * gamma, -body.rotor / inertia)
     square = np.where(axial, 0.0, body.gamma.gradient[:, None] * inertia)[..., None] * np.eye(3)
     force = np.where(axial, 0.0, body.gamma.field)
-    for direction, vector in ((body.alpha, alpha), (body.gamma, gamma)):
+    beta = np.cross(gamma, alpha)
+    for direction, vector in ((body.alpha, alpha), (body.beta, beta), (body.gamma, gamma)):
         weight = np.where(axial, direction.gradient[:, None] * (along - side), 0.0)
         square = square + (weight * vector)[..., None] * vector[:, None]
         force = force + np.where(axial, (direction.field * e).sum(1, keepdims=True), 0.0) * vector

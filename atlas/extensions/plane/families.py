@@ -61,7 +61,7 @@ _family = partial(
     free=("C", "k3", "h3"),
 )
 CONDITIONS = (
-    the.STEADY_TILT, the.UPRIGHT, the.AXIAL_ROTOR, the.AXIAL_MAGNET, the.NO_RADIAL_TORQUE,
+    the.STEADY_TILT, the.UPRIGHT, the.AXIAL_ROTOR, the.AXIAL_MAGNET, the.NO_RADIAL_TORQUE, the.NO_DRAG,
     Equation("damping = 0", lambda p: p["damping"], the.momentum_scale),
     Condition("Omega > 0", lambda p: np.where(p["Omega"] > 0, 0.0, 1.0)),
     Condition("A != B", lambda p: np.where(p["A"] == p["B"], 1.0, 0.0)),

@@ -29,9 +29,10 @@ STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 def random_point(rng: np.random.Generator) -> Point:
     """A random point of order 1, with Omega = 1."""
-    names = [name for name in PARAMETERS if name != "damping"]
+    absent = ("drag1", "drag2", "drag3", "damping")  # not of the paper
+    names = [name for name in PARAMETERS if name not in absent]
     point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
-    point["damping"] = np.zeros(1)  # not of the paper
+    point |= {name: np.zeros(1) for name in absent}
     point |= {name: rng.uniform(0.7, 1.3, 1) for name in ("A", "B", "C")}
     point |= {"Omega": np.ones(1), "theta0": rng.uniform(0.4, 1.2, 1), "theta_dot0": np.zeros(1)}
     return point | {"phi0": np.zeros(1)}

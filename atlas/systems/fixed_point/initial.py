@@ -78,7 +78,7 @@ def body(points: Points) -> Body:
     zero = np.zeros_like(N)
     vertical = Direction(N, -np.moveaxis(weight, 0, -1))
     none = Direction(zero, np.zeros((*N.shape, 3)))
-    return Body(inertia.T, rotor.T, zero, none, vertical, points["damping"])
+    return Body(inertia.T, rotor.T, zero, none, none, vertical, points["damping"])
 
 
 def constants(points: Points) -> Array:

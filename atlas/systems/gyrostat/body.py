@@ -1,7 +1,7 @@
 """A gyrostat in a frame that turns uniformly: its amended potential and its linear equations.
 
-The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in it, normal to gamma. Along
-each direction d the body has the potential (gradient d.I d) / 2 + field.d, with the field given in body axes. Vectors are in
+The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in it, normal to gamma, and
+beta = gamma x alpha a third one, without a gradient. Along each direction d the body has the potential (gradient d.I d) / 2 + field.d, with the field given in body axes. Vectors are in
 body axes, of shape (..., 3).
 """
 
@@ -35,34 +35,40 @@ class Body(NamedTuple):
     rotor: Array  # (..., 3)
     turn: Array  # angular velocity Omega of the frame about gamma, (...,)
     alpha: Direction
+    beta: Direction
     gamma: Direction
     damping: Array  # torque over angular velocity relative to the frame, (...,)
 
     def subset(self, where: Any) -> Body:
         """Some of the bodies."""
-        alpha, gamma = (Direction(*(x[where] for x in each)) for each in (self.alpha, self.gamma))
+        each = (self.alpha, self.beta, self.gamma)
+        alpha, beta, gamma = (Direction(*(x[where] for x in d)) for d in each)
         inertia, rotor, turn, damping = (
             x[where] for x in (self.inertia, self.rotor, self.turn, self.damping)
         )
-        return Body(inertia, rotor, turn, alpha, gamma, damping)
+        return Body(inertia, rotor, turn, alpha, beta, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
         """The same in units of the largest moment of inertia and of a rate."""
         moment = self.inertia.max(-1)
         torque = (moment * rate**2)[..., None]
-        alpha, gamma = (Direction(d.gradient / rate**2, d.field / torque) for d in (self.alpha, self.gamma))
+        each = (self.alpha, self.beta, self.gamma)
+        alpha, beta, gamma = (Direction(d.gradient / rate**2, d.field / torque) for d in each)
         momentum = moment * rate
         return Body(
-            self.inertia / moment[..., None], self.rotor / momentum[..., None], self.turn / rate, alpha, gamma,
+            self.inertia / moment[..., None], self.rotor / momentum[..., None], self.turn / rate, alpha, beta, gamma,
             self.damping / momentum,
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
         """A rate of the motion with the angular velocity w, for units; 1 where nothing moves and nothing acts."""
         squares = [
-            np.abs(d.gradient) + length(d.field) / self.inertia.max(-1) for d in (self.alpha, self.gamma)
+            np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
+            for d in (self.alpha, self.gamma, self.beta)
         ]
-        rate = np.abs(self.turn) + length(w) + np.sqrt(squares[0]) + np.sqrt(squares[1])
+        rate = np.abs(self.turn) + length(w)
+        for square in squares:
+            rate = rate + np.sqrt(square)
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
@@ -70,7 +76,7 @@ class Body(NamedTuple):
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
-            for d in (self.alpha, self.gamma)
+            for d in (self.alpha, self.gamma, self.beta)
         )
         free = length(w) + length(self.rotor) / moment
         rates = [np.where(self.turn == 0, np.sqrt(squares), np.abs(self.turn)), free]
@@ -84,6 +90,10 @@ class Body(NamedTuple):
         """Where a direction exerts a torque on the body in some orientation."""
         return ((direction.gradient != 0) & ~self.spherical()) | (direction.field != 0).any(-1)
 
+    def acts_across(self) -> Mask:
+        """Where something acts along a direction across the vertical."""
+        return self.acts_along(self.alpha) | self.acts_along(self.beta)
+
     def symmetric_about(self, i: int, rate: Array | float = 0.0) -> Mask:
         """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it.
 
@@ -96,13 +106,14 @@ class Body(NamedTuple):
         for vector, bound in (
             (self.rotor, limit * rate),
             (self.alpha.field, torque),
+            (self.beta.field, torque),
             (self.gamma.field, torque),
         ):
             symmetric &= (np.abs(vector[..., j]) <= bound) & (np.abs(vector[..., k]) <= bound)
         return symmetric
 
     def amended(self) -> tuple[Direction, Direction]:
-        """alpha and gamma with the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
+        """alpha and gamma with the parts of the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
         field = self.gamma.field - self.turn[..., None] * self.rotor
         return self.alpha, Direction(self.gamma.gradient - self.turn**2, field)
 
@@ -110,7 +121,7 @@ class Body(NamedTuple):
         """Amended potential W."""
         parts = (
             0.5 * d.gradient[..., None] * self.inertia * v**2 + d.field * v
-            for d, v in zip(self.amended(), (alpha, gamma), strict=True)
+            for d, v in self._along(self.amended(), alpha, gamma)
         )
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
@@ -121,7 +132,7 @@ class Body(NamedTuple):
     def hessian(self, alpha: Array, gamma: Array) -> Array:
         """Symmetric part of the Hessian of W."""
         result = np.zeros((*np.broadcast_shapes(alpha.shape, self.inertia.shape), 3))
-        for d, v in zip(self.amended(), (alpha, gamma), strict=True):
+        for d, v in self._along(self.amended(), alpha, gamma):
             moments = np.moveaxis(d.gradient[..., None] * self.inertia, -1, 0)
             f, v = np.moveaxis(d.field, -1, 0), np.moveaxis(v, -1, 0)
             for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
@@ -135,15 +146,21 @@ class Body(NamedTuple):
     def steepness(self) -> Array:
         """Bound of the second derivatives of W under rotations, (...,)."""
         spread = np.ptp(self.inertia, axis=-1)
-        alpha, gamma = (np.abs(d.gradient) * spread + length(d.field) for d in self.amended())
-        return alpha + gamma
+        return sum(np.abs(d.gradient) * spread + length(d.field) for d in (*self.amended(), self.beta))
+
+    def _along(
+        self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
+    ) -> list[tuple[Direction, Array]]:
+        """Those of alpha and gamma, and beta where it acts, with their vectors."""
+        pairs = list(zip(directions, (alpha, gamma), strict=True))
+        return pairs + [(self.beta, np.cross(gamma, alpha))] * bool(self.beta.field.any())
 
     def _variations(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> tuple[Array, Array]:
-        """Gradient and Hessian of the potential of two directions under rotations of the body."""
+        """Gradient and Hessian of the potential of these directions and beta under rotations of the body."""
         gradient, hessian = np.zeros(1), np.zeros(1)
-        for d, v in zip(directions, (alpha, gamma), strict=True):
+        for d, v in self._along(directions, alpha, gamma):
             slope = d.gradient[..., None] * self.inertia * v + d.field
             hat = cross_matrix(v)
             gradient = gradient + np.cross(slope, v)
@@ -160,7 +177,7 @@ class Body(NamedTuple):
         """
         inertia, turn, least = self.inertia.T, np.abs(self.turn), self.inertia.min(-1)
         energy = (self.inertia * (w - self.turn[..., None] * gamma) ** 2).sum(-1)
-        for d, v in zip(self.amended(), (alpha, gamma), strict=True):
+        for d, v in self._along(self.amended(), alpha, gamma):
             square = (self.inertia * v**2).sum(-1)
             gain = np.where(d.gradient > 0, square - least, self.inertia.max(-1) - square)
             energy = energy + np.abs(d.gradient) * gain + 2 * (length(d.field) + (d.field * v).sum(-1))
@@ -169,7 +186,9 @@ class Body(NamedTuple):
         damping = self.damping / least
         size = np.sqrt((((np.roll(inertia, 1, 0) - np.roll(inertia, -1, 0)) ** 2) / inertia).sum(0) / least)
         forces = [np.abs(d.gradient) * size + length(d.field) / least for d in (self.alpha, self.gamma)]
-        stiffness = np.sqrt(2) * (np.hypot(*forces) + damping * turn)
+        # beta changes by at most the sum of the changes of alpha and gamma.
+        across = np.sqrt(2) * length(self.beta.field) / least
+        stiffness = np.sqrt(2) * (np.hypot(*forces) + across + damping * turn)
         return perron_root(
             gyration(inertia, self.rotor.T, rates) + damping, np.sqrt(energy / least) + turn, stiffness
         )

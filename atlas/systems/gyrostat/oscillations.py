@@ -67,7 +67,7 @@ class Equilibria(NamedTuple):
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
-        any_frame = ~body.acts_along(body.alpha)
+        any_frame = ~body.acts_across()
         turn, axis, exists = _turn_and_axis(body, w, gamma, rate, any_frame, from_space)
         free = any_frame & ~exists & ~body.acts_along(body.gamma)
         if free.any():
@@ -200,7 +200,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
     rate = body.rate(w)
     body, w = body.scaled(rate), w / rate[:, None]
     axes = np.stack([body.symmetric_about(i, np.ones_like(rate)) for i in range(3)], -1)[:, None]
-    any_frame = ~body.acts_along(body.alpha)
+    any_frame = ~body.acts_across()
     free = any_frame & ~body.acts_along(body.gamma)
     with np.errstate(all="ignore"):
         # On the level of the momentum about the vertical, in the frame of the rotation, where the vertical is the only direction.
@@ -254,7 +254,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
-    carried = np.stack([body.rotor, body.alpha.field, body.gamma.field])
+    carried = np.stack([body.rotor, body.alpha.field, body.beta.field, body.gamma.field])
     size, moving = length(carried), np.where((length(w) > 0)[:, None], w, gamma)
     bare = size.max(0) == 0
     axis = np.where(bare[:, None], transverse_axes(moving)[:, 0], carried[size.argmax(0), np.arange(len(w))])
@@ -265,9 +265,12 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
         turned[:, None, None], np.concatenate([axis[:, None], transverse_axes(axis)], 1), np.eye(3)
     )
     along = np.where(turned[:, None], (carried * axis).sum(-1)[..., None] * np.eye(3)[0], carried)
-    fields = body.alpha._replace(field=along[1]), body.gamma._replace(field=along[2])
+    alpha_, beta_, gamma_ = (
+        d._replace(field=field)
+        for d, field in zip((body.alpha, body.beta, body.gamma), along[1:], strict=True)
+    )
     w, alpha, gamma = ((rows @ v[..., None])[..., 0] for v in (w, alpha, gamma))
-    return body._replace(rotor=along[0], alpha=fields[0], gamma=fields[1]), w, alpha, gamma
+    return body._replace(rotor=along[0], alpha=alpha_, beta=beta_, gamma=gamma_), w, alpha, gamma
 
 
 def _turn_and_axis(

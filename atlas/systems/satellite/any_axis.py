@@ -1,6 +1,6 @@
 """Spherical satellites, which the gravity gradient does not turn: motions about any axis of the body and the normal.
 
-With the rotor and the magnet along an axis s of the body and without a field along the radius the body is a spherical
+With the rotor and the magnet along an axis s of the body and without drag or a field along the radius the body is a spherical
 top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s, in the orbital frame its rate about the normal g
 is N - Omega. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
 space. A rotor and any other start precess about the angular momentum, which is at rest in space but not in the orbital frame.
@@ -15,8 +15,8 @@ from ..gyrostat import motions
 from ..gyrostat.motions import NEUTRAL, about_axis, family_about_axes
 from ..vectors import cross, dot, length, ratio, unit
 from . import families
-from .conditions import magnetic_moment
-from .initial import body_vectors, directions, initial_state
+from .conditions import field_torque, magnetic_moment
+from .initial import body_vectors, directions, drag_vector, initial_state
 
 
 class Start(motions.Start):
@@ -27,7 +27,7 @@ class Start(motions.Start):
         self.points, self.w, self.gamma = points, state[:3], state[6:]
         self.inertia, self.rotor, magnetic = body_vectors(points)
         self.magnet, self.turn, self.moment = points["h3"] * magnetic, points["Omega"], points["C"]
-        self.field_torque = magnetic_moment(points) * np.hypot(points["h1"], points["h3"])
+        self.field_torque = field_torque(points)
 
     def axes(self) -> TwoAxes:
         """s is along the rotor, else the magnet, else the angular velocity."""
@@ -59,6 +59,7 @@ _SPHERICAL = family_about_axes(
     conditions=(
         ("A = B = C", lambda b: (b.inertia.max(0) - b.inertia.min(0)) / b.inertia.max(0)),
         ("h1 mu = 0", lambda b: b.residual(np.abs(b.points["h1"]) * magnetic_moment(b.points))),
+        ("drag = 0", lambda b: b.residual(drag_vector(b.points))),
         (
             "k and h3 mu along one axis s of the body, or both 0 and s along w",
             lambda b: b.residual(b.across_axis()),

@@ -12,7 +12,7 @@ import numpy as np
 from ..base import Array, Points, shared
 from ..gyrostat.motions import Equation, relative_to
 from ..vectors import cross, dot, length, ratio
-from .initial import body_vectors, directions
+from .initial import body_vectors, directions, drag_vector
 
 
 def sine_cosine(angle: Array) -> tuple[Array, Array]:
@@ -41,10 +41,10 @@ def largest_inertia(p: Points) -> Array:
 
 @shared
 def rate_scale(p: Points) -> Array:
-    """Sum of the magnitudes of all rates: of orbit and magnet, and of the body across and along its third axis."""
+    """Sum of the magnitudes of all rates: of orbit, magnet and drag, and of the body across and along its third axis."""
     across, along = p["n"] * np.sin(p["theta0"]), p["n"] * np.cos(p["theta0"]) + p["m"]
-    magnetic = np.sqrt(magnetic_moment(p) * np.hypot(p["h1"], p["h3"]) / largest_inertia(p))
-    return np.abs(p["Omega"]) + magnetic + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])
+    of_fields = np.sqrt(field_torque(p) / largest_inertia(p))
+    return np.abs(p["Omega"]) + of_fields + np.abs(across) + np.abs(along) + np.abs(p["theta_dot0"])
 
 
 @shared
@@ -60,9 +60,15 @@ def magnetic_moment(p: Points) -> Array:
 
 
 @shared
+def field_torque(p: Points) -> Array:
+    """The largest torques of magnet and drag."""
+    return magnetic_moment(p) * np.hypot(p["h1"], p["h3"]) + length(drag_vector(p))
+
+
+@shared
 def torque_scale(p: Points) -> Array:
-    """Rate times momentum, and the largest torque of the magnet."""
-    return rate_scale(p) * momentum_scale(p) + magnetic_moment(p) * np.hypot(p["h1"], p["h3"])
+    """Rate times momentum, and the largest torques of magnet and drag."""
+    return rate_scale(p) * momentum_scale(p) + field_torque(p)
 
 
 @shared
@@ -84,7 +90,8 @@ def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array
     square = p["Omega"] ** 2
     momentum = square * inertia * gamma + (p["Omega"] * k if with_rotor else 0.0)
     H = p["h1"] * alpha + p["h3"] * gamma
-    return cross(momentum, gamma) + 3 * square * cross(alpha, inertia * alpha) + cross(H, mu), alpha, gamma
+    torque = cross(momentum, gamma) + 3 * square * cross(alpha, inertia * alpha) + cross(H, mu)
+    return torque + cross(cross(gamma, alpha), drag_vector(p)), alpha, gamma
 
 
 def flatness(p: Points) -> Array:
@@ -103,24 +110,35 @@ def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Ar
 
 
 def tilt_balance(p: Points) -> Array:
-    (s, c), (sp, _) = tilt(p), node(p)
+    (s, c), (sp, cp) = tilt(p), node(p)
     torque = p["Omega"] ** 2 * s * c * flatness(p) * (1 + 3 * sp**2) + p["mu3"] * node_field(p)[1]
+    torque = torque + p["drag3"] * c * cp
     return p["Omega"] * s * (p["k3"] + p["C"] * p["m"]) - torque
 
 
 def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
-    """The balance of the tilt over s, or over Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = 0."""
-    (s, c), (sp, _) = tilt(p), node(p)
-    radial = p["mu3"] * p["h1"] * c * sp
+    """The balance of the tilt over s, or over Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = drag3 cos psi0."""
+    (s, c), (sp, cp) = tilt(p), node(p)
+    radial = p["mu3"] * p["h1"] * c * sp - p["drag3"] * c * cp
     field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, ratio(radial, s, np.nan))
     momentum = p["k3"] + p["C"] * p["m"] - p["Omega"] * c * flatness(p) * (1 + 3 * sp**2)
     return momentum - relative_to(field, p["Omega"]) if by_rate else p["Omega"] * momentum - field
 
 
+def oblique_balance(p: Points, without_pole: bool = False) -> Array:
+    """The balance of an oblique axis; without_pole: times cos psi0."""
+    sp, cp = node(p)
+    balance, drag = 3 * p["Omega"] ** 2 * tilt(p)[0] * sp * flatness(p) - p["h1"] * p["mu3"], p["drag3"] * sp
+    return (
+        cp * balance - drag if without_pole else balance - np.where(drag == 0, 0.0, ratio(drag, cp, np.inf))
+    )
+
+
 def _normal_torque(p: Points) -> Array:
     inertia, _, mu = body_vectors(p)
     alpha, gamma = directions(p)
-    return dot(cross(gamma, alpha), 3 * p["Omega"] ** 2 * inertia * alpha + p["h1"] * mu)
+    radial = dot(cross(gamma, alpha), 3 * p["Omega"] ** 2 * inertia * alpha + p["h1"] * mu)
+    return radial - dot(alpha, drag_vector(p))
 
 
 def _plane_torque(p: Points) -> Array:
@@ -154,6 +172,8 @@ AXIAL_MAGNET = Equation(
     lambda p: np.hypot(p["mu1"], p["mu2"]) * np.hypot(p["h1"], p["h3"]),
     torque_scale,
 )
+AXIAL_DRAG = Equation("drag1 = drag2 = 0", lambda p: np.array([p["drag1"], p["drag2"]]), torque_scale)
+NO_DRAG = Equation("drag = 0", drag_vector, torque_scale)
 NO_RADIAL_TORQUE = Equation("h1 mu = 0", lambda p: p["h1"] * magnetic_moment(p), torque_scale)
 NO_AXIAL_RADIAL_TORQUE = Equation("h1 mu3 = 0", lambda p: p["h1"] * p["mu3"], torque_scale)
 NO_ROTATION = Equation(
@@ -175,20 +195,23 @@ NODE_PAIR = Equation(
     torque_scale,
 )
 TILT_BALANCE = Equation(
-    "Omega s (k3 + C m) = Omega^2 s c ((A + B)/2 - C) (1 + 3 sin^2 psi0) + mu3 (h3 s - h1 c sin psi0)",
+    "Omega s (k3 + C m) = Omega^2 s c ((A + B)/2 - C) (1 + 3 sin^2 psi0) + mu3 (h3 s - h1 c sin psi0)"
+    " + drag3 c cos psi0",
     tilt_balance,
     torque_scale,
     partial(tilt_over_sine, by_rate=True),
 )
 OBLIQUE_BALANCE = Equation(
-    "3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3",
-    lambda p: 3 * p["Omega"] ** 2 * tilt(p)[0] * node(p)[0] * flatness(p) - p["h1"] * p["mu3"],
+    "3 Omega^2 s sin psi0 ((A + B)/2 - C) = h1 mu3 + drag3 tan psi0",
+    oblique_balance,
     torque_scale,
 )
-NO_TORQUE_ABOUT_NORMAL = Equation("beta.(3 Omega^2 I alpha + h1 mu) = 0", _normal_torque, torque_scale)
+NO_TORQUE_ABOUT_NORMAL = Equation(
+    "beta.(3 Omega^2 I alpha + h1 mu) = alpha.drag", _normal_torque, torque_scale
+)
 NO_TORQUE_ACROSS_NORMAL = Equation(
     "Omega gamma x k = Omega^2 I gamma x gamma + 3 Omega^2 alpha x I alpha + (h1 alpha + h3 gamma) x mu"
-    " across gamma",
+    " + beta x drag across gamma",
     _plane_torque,
     torque_scale,
 )
@@ -201,7 +224,7 @@ FIELD_ACROSS = Equation(
 )
 DESPUN_BALANCE = Equation(
     "cos psi0 (3 Omega^2 s sin psi0 ((A + B)/2 - C) - h1 mu3) = 0",
-    lambda p: node(p)[1] * OBLIQUE_BALANCE.function(p),
+    partial(oblique_balance, without_pole=True),
     torque_scale,
 )
 ASYMMETRIC_TILT_ANGLE = Equation("cos theta0 = +-1/2", lambda p: 4 * tilt(p)[1] ** 2 - 1)

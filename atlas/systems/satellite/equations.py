@@ -1,14 +1,15 @@
-"""Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit.
+"""Euler-Poisson equations of the magnetised satellite-gyrostat on a circular orbit, with a torque of drag.
 
 Derived from the kinematics (1), Lagrangian (2) and potential (3) of Yehia & El-kenani 2021
 (doi 10.22055/JACM.2021.37913.3113); `tests/systems/test_satellite_equations.py` repeats the derivation.
 All vectors are given in the body's principal axes: w is the absolute angular velocity, a (alpha) the
 unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gamma x alpha.
 
-    I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu - damping u,     H = h1 a + h3 g
-    a' = a x u,   g' = g x u,                                             u = w - Omega g
+    I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu + beta x drag - damping u,     H = h1 a + h3 g
+    a' = a x u,   g' = g x u,                                                           u = w - Omega g
 
-The damping is not of the paper; with it the Jacobi integral falls at the rate damping u.u.
+Drag, of the potential drag.beta, and damping are not of the paper; with damping the Jacobi integral falls at the rate
+damping u.u.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
@@ -23,13 +24,17 @@ STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 # Unit vectors at rest in the orbital frame.
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
 # Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
-# an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths), and
-# components of rotor and magnet and the damping over a moment of inertia.
+# an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths, drag by
+# both), and components of rotor, magnet and drag and the damping over a moment of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
-    "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C", "damping_A", "damping_B", "damping_C",
+    "mu3_A", "mu2_A", "mu1_B", "mu3_B", "mu2_C", "mu1_C",
+    "drag3_A", "drag2_A", "drag1_B", "drag3_B", "drag2_C", "drag1_C", "drag1", "drag2", "drag3",
+    "damping_A", "damping_B", "damping_C",
 )  # fmt: skip
+# Constants that belong to the identity of a point only where they are not 0.
+OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")
 # First integrals: name of the function below, and the power of a rate in its unit.
@@ -44,21 +49,25 @@ def rhs(state, constants):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
+        drag3_A, drag2_A, drag1_B, drag3_B, drag2_C, drag1_C, drag1, drag2, drag3, damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     H1, H2, H3 = h1 * a1 + h3 * g1, h1 * a2 + h3 * g2, h1 * a3 + h3 * g3
+    b1, b2, b3 = g2 * a3 - g3 * a2, g3 * a1 - g1 * a3, g1 * a2 - g2 * a1
     u1, u2, u3 = w1 - Omega * g1, w2 - Omega * g2, w3 - Omega * g3
     return (
-        (D1 * w2 + k2_A) * w3 - k3_A * w2 - N * D1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A - damping_A * u1,
-        (D2 * w3 + k3_B) * w1 - k1_B * w3 - N * D2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B - damping_B * u2,
-        (D3 * w1 + k1_C) * w2 - k2_C * w1 - N * D3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C - damping_C * u3,
+        (D1 * w2 + k2_A) * w3 - k3_A * w2 - N * D1 * a2 * a3 + H2 * mu3_A - H3 * mu2_A
+        + b2 * drag3_A - b3 * drag2_A - damping_A * u1,
+        (D2 * w3 + k3_B) * w1 - k1_B * w3 - N * D2 * a3 * a1 + H3 * mu1_B - H1 * mu3_B
+        + b3 * drag1_B - b1 * drag3_B - damping_B * u2,
+        (D3 * w1 + k1_C) * w2 - k2_C * w1 - N * D3 * a1 * a2 + H1 * mu2_C - H2 * mu1_C
+        + b1 * drag2_C - b2 * drag1_C - damping_C * u3,
         a2 * u3 - a3 * u2,
         a3 * u1 - a1 * u3,
         a1 * u2 - a2 * u1,
         g2 * u3 - g3 * u2,
         g3 * u1 - g1 * u3,
         g1 * u2 - g2 * u1,
-    )
+    )  # fmt: skip
 
 
 def scaled(state, constants, h):
@@ -71,15 +80,18 @@ def scaled(state, constants, h):
     (
         A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, a_inv, g_inv,
         k2_A, k3_A, k3_B, k1_B, k1_C, k2_C, mu3_A, mu2_A, mu1_B, mu3_B, mu2_C, mu1_C,
-        damping_A, damping_B, damping_C,
+        drag3_A, drag2_A, drag1_B, drag3_B, drag2_C, drag1_C, drag1, drag2, drag3, damping_A, damping_B, damping_C,
     ) = constants  # fmt: skip
     a = (N * h * h + 1e-200) ** 0.5
     g = Omega * h + 1e-100
+    square = h * h / (a * g)
     return (w1 * h, w2 * h, w3 * h, a * a1, a * a2, a * a3, g * g1, g * g2, g * g3), (
         A, B, C, Omega * h / g, k1 * h, k2 * h, k3 * h, mu1 * h * h, mu2 * h * h, mu3 * h * h, h1 / a, h3 / g,
         D1, D2, D3, N * h * h / (a * a), a_inv / a, g_inv / g,
         k2_A * h, k3_A * h, k3_B * h, k1_B * h, k1_C * h, k2_C * h,
         mu3_A * h * h, mu2_A * h * h, mu1_B * h * h, mu3_B * h * h, mu2_C * h * h, mu1_C * h * h,
+        drag3_A * square, drag2_A * square, drag1_B * square, drag3_B * square, drag2_C * square, drag1_C * square,
+        drag1 * square, drag2 * square, drag3 * square,
         damping_A * h, damping_B * h, damping_C * h,
     )  # fmt: skip
 
@@ -109,15 +121,19 @@ def axis_in_frame(state, constants):
 
 
 def jacobi(state, constants):
-    """Jacobi integral L2 - L0 + V of (2) and (3), written in absolute rates."""
+    """Jacobi integral L2 - L0 + V of (2) and (3) and drag, written in absolute rates."""
     w1, w2, w3, a1, a2, a3, g1, g2, g3 = state
-    A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_ = constants
+    (
+        A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, h1, h3, D1, D2, D3, N, *_,
+        drag1, drag2, drag3, damping_A, damping_B, damping_C,
+    ) = constants  # fmt: skip
     return (
         0.5 * (A * w1 * w1 + B * w2 * w2 + C * w3 * w3),
         -Omega * (g1 * (A * w1 + k1) + g2 * (B * w2 + k2) + g3 * (C * w3 + k3)),
         0.5 * N * (A * a1 * a1 + B * a2 * a2 + C * a3 * a3),
-        h1 * (mu1 * a1 + mu2 * a2 + mu3 * a3) + h3 * (mu1 * g1 + mu2 * g2 + mu3 * g3),
-    )
+        h1 * (mu1 * a1 + mu2 * a2 + mu3 * a3) + h3 * (mu1 * g1 + mu2 * g2 + mu3 * g3)
+        + drag1 * (g2 * a3 - g3 * a2) + drag2 * (g3 * a1 - g1 * a3) + drag3 * (g1 * a2 - g2 * a1),
+    )  # fmt: skip
 
 
 def length_alpha(state, constants):

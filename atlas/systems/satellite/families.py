@@ -1,6 +1,6 @@
 """The families of exact steady motions theta = theta0, psi' = n, phi' = m of the satellite.
 
-Together they are all of them for Omega > 0. They follow from the equations of motion of (1)-(3) of
+Together they are all of them for Omega > 0 without drag. They follow from the equations of motion of (1)-(3) of
 Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by asking that w' = n gamma + m e3 be a
 solution for all t; `tests/systems/test_satellite_families.py` proves each from those equations. Short names:
 c, s = cos, sin theta0; H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0) is the field in
@@ -10,8 +10,13 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
+Drag along the third axis adds drag3 sin psi0 to the right side of the third equation, read as its part in braces times cos psi0,
+and drag3 c cos psi0 to that of the last: perp_radius and oblique have it, equilibrium any drag, the others none. With drag across
+the axis there are more motions, which the equations alone find.
+
 Their equations are in `conditions` and give the parameters in which they are linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
-w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(|mu| |h| / J), momentum J w + |k|, torque w (J w + |k|) + |mu| |h|. With Omega = 0 every
+w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(|mu| |h| / J), momentum J w + |k|, torque w (J w + |k|) + |mu| |h|, to which |mu| |h|
+drag adds |drag|. With Omega = 0 every
 family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
 motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.
 """
@@ -29,7 +34,7 @@ from ..gyrostat import motions
 from ..gyrostat.motions import about_third_axis, each, linear, motion_of, nearest_root, relative_to
 from ..vectors import cross, ratio
 from . import conditions as the
-from .conditions import flatness, magnetic_moment, node, rest_torque, tilt
+from .conditions import field_torque, flatness, node, rest_torque, tilt
 from .initial import body_vectors, directions, initial_state
 
 # State of the steady motion theta = theta0, psi = n t + psi0, phi = m t + phi0, see Family.motion; theta_dot0 is taken as 0.
@@ -50,31 +55,35 @@ def nearest_pole(name: str, p: Points) -> Array:
 
 
 def _theta(p: Points) -> Array:
-    """Tilt in [0, pi] from k3 and m; if h1 mu3 sin psi0 is not 0, where there are several, only near a value, else nan."""
-    sp, _ = node(p)
+    """Tilt in [0, pi] from k3 and m; with h1 mu3 sin psi0 or drag3 cos psi0, where there are several, only near a value, else nan."""
+    sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
-    exists = (np.abs(cosine) <= 1) & (p["h1"] * p["mu3"] * sp == 0)
+    is_single = (p["h1"] * p["mu3"] * sp == 0) & (p["drag3"] * cp == 0)
+    exists = (np.abs(cosine) <= 1) & is_single
     single = np.where(exists, np.arccos(np.clip(cosine, -1, 1)), np.nan)
     if f"{NEAR}theta0" not in p:
         return single
-    return np.where(p["h1"] * p["mu3"] * sp == 0, single, _theta_near(p))
+    theta = _roots(the.tilt_balance, "theta0", p)
+    near = nearest_root(np.where((theta > 0) & (theta < np.pi), theta, np.nan), p["theta0"])
+    return np.where(is_single, single, near)
 
 
-def _theta_near(p: Points) -> Array:
-    """The tilt in (0, pi) nearest to theta0 at which the balance of the tilt, harmonics of theta0 up to the second, vanishes."""
-    angles = np.arange(8.0).reshape(8, *(1,) * p["theta0"].ndim) * np.pi / 4
-    balance = the.tilt_balance(
-        {name: value[None] + 0 * angles for name, value in p.items()} | {"theta0": angles + 0 * p["theta0"]}
+def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
+    """The angles in (-pi, pi] at which a function, harmonics of one angle up to the second, vanishes, nan for complex ones, (4, points)."""
+    angles = np.arange(8.0).reshape(8, *(1,) * p[name].ndim) * np.pi / 4
+    values = function(
+        {each: value[None] + 0 * angles for each, value in p.items()} | {name: angles + 0 * p[name]}
     )
-    harmonics = np.moveaxis(np.fft.fft(balance, axis=0)[[-2, -1, 0, 1, 2]], 0, -1)
-    companion = np.zeros((*p["theta0"].shape, 4, 4), complex)
+    harmonics = np.moveaxis(np.fft.fft(values, axis=0)[[-2, -1, 0, 1, 2]], 0, -1)
+    companion = np.zeros((*p[name].shape, 4, 4), complex)
     companion[..., [1, 2, 3], [0, 1, 2]] = 1.0
-    companion[..., 3] = -harmonics[..., :4] / harmonics[..., 4:]
+    with np.errstate(all="ignore"):  # a polynomial of lower degree
+        companion[..., 3] = -harmonics[..., :4] / harmonics[..., 4:]
     finite = np.asarray(np.isfinite(companion).all((-2, -1)))
     roots = np.linalg.eigvals(np.where(finite[..., None, None], companion, 0.0))
-    theta = np.moveaxis(np.where(np.abs(np.abs(roots) - 1) < 1e-6, np.angle(roots), np.nan), -1, 0)
-    return nearest_root(np.where((theta > 0) & (theta < np.pi) & finite, theta, np.nan), p["theta0"])
+    angle = np.where((np.abs(np.abs(roots) - 1) < 1e-6) & finite[..., None], np.angle(roots), np.nan)
+    return np.moveaxis(angle, -1, 0)
 
 
 def _k_along(line: Callable[[Points], tuple[Array, Array]], name: str, p: Points) -> Array:
@@ -101,10 +110,16 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0."""
+    """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0; with drag3 the nearest root off the plane of perp_radius."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
-    return np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
+    angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
+    if not p["drag3"].any():
+        return angle
+    roots = _roots(partial(the.oblique_balance, without_pole=True), "psi0", p)
+    near = p["psi0"] + (roots - p["psi0"] + np.pi) % (2 * np.pi) - np.pi
+    away = (p["h1"] * p["mu3"] != 0) | (np.abs(np.sin(near)) > 1e-6)
+    return np.where(p["drag3"] == 0, angle, nearest_root(np.where(away, near, np.nan), p["psi0"]))
 
 
 _SYMMETRIC_TILT = (the.NO_PRECESSION, the.SYMMETRIC, the.AXIAL_ROTOR, the.AXIAL_MAGNET)
@@ -117,7 +132,7 @@ _symmetric = partial(
     _tilted,
     stability_text="Symmetric body, k and mu along the axis, n = 0: lambda^4 + P lambda^2 + Q = 0. With the axial momentum"
     " p = (C w3 + k3) / a conserved, the axis moves like a charge on the sphere: U = -Omega^2 s^2/2 - Omega p c"
-    " + (3/2) D Omega^2 s^2 sin^2 psi + mu3 (h1 s sin psi + h3 c) / a, D = C/a - 1, P = U_tt + U_pp / s^2"
+    " + (3/2) D Omega^2 s^2 sin^2 psi + (mu3 (h1 s sin psi + h3 c) - drag3 s cos psi) / a, D = C/a - 1, P = U_tt + U_pp / s^2"
     " + (2 Omega c - p)^2 and Q = (U_tt U_pp - U_tp^2) / s^2.",
 )
 _ABOUT_NORMAL = (
@@ -164,7 +179,9 @@ _TABLE = (
         name="perp_radius",
         title="third axis at rest in the plane of normal and velocity, symmetric body spinning at m",
         equations="(17), (18)",
-        conditions=(*_SYMMETRIC_TILT, the.NODE_ON_RADIUS, the.NO_AXIAL_RADIAL_TORQUE, the.TILT_BALANCE),
+        conditions=(
+            *_SYMMETRIC_TILT, the.AXIAL_DRAG, the.NODE_ON_RADIUS, the.NO_AXIAL_RADIAL_TORQUE, the.TILT_BALANCE,
+        ),
         solve={
             **each(nearest_pole, "psi0"),
             "theta0": _theta,
@@ -172,10 +189,11 @@ _TABLE = (
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
-        several={"psi0": "0"},
+        several={"psi0": "0", "theta0": "none with drag3, where there are up to 4"},
         geometry="perp_radius",
         paper_wording="conical permanent rotation (orbital), conical regular precession (inertial)",
-        exists="every theta0; for given k3 and m: |k3 + C m - mu3 h3 / Omega| <= Omega |A - C|",
+        exists="every theta0, but sin theta0 = 0 only if drag3 = 0; for given k3 and m without drag3:"
+        " |k3 + C m - mu3 h3 / Omega| <= Omega |A - C|",
     ),
     _symmetric(
         name="perp_velocity",
@@ -198,19 +216,20 @@ _TABLE = (
     ),
     _symmetric(
         name="oblique",
-        title="third axis at rest in an oblique plane through the normal, symmetric body with axial magnet",
+        title="third axis at rest in an oblique plane through the normal, symmetric body with axial magnet or drag",
         equations="derived from (1)-(3); not in the paper",
-        conditions=(*_SYMMETRIC_TILT, the.OBLIQUE_BALANCE, the.TILT_BALANCE),
+        conditions=(*_SYMMETRIC_TILT, the.AXIAL_DRAG, the.OBLIQUE_BALANCE, the.TILT_BALANCE),
         solve={
             "psi0": _psi_oblique,
-            **the.OBLIQUE_BALANCE.solve("h1", "mu3"),
+            **the.OBLIQUE_BALANCE.solve("h1", "mu3", "drag3"),
             **the.TILT_BALANCE.solve("m"),
             **linear(the.tilt_over_sine, "h3"),
             **the.TILT_BALANCE.solve("k3"),
         },
         several={"psi0": "from -pi/2 to pi/2"},
         geometry="oblique",
-        exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality",
+        exists="|h1 mu3| <= 3 Omega^2 |sin theta0 (A - C)|: from perp_radius at h1 mu3 = 0 to perp_velocity at equality;"
+        " with drag3 in place of h1 mu3: |drag3| <= 3 Omega^2 |sin theta0 (A - C)|, perp_radius at equality",
     ),
     _tilted(
         name="transverse_magnet",
@@ -317,18 +336,22 @@ _TABLE = (
 
 # Damping leaves the motions at rest in the orbital frame, as the conditions of the family "equilibrium" require.
 _UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
+_UNDRAGGED = {
+    family.name: () if family.name in ("equilibrium", "perp_radius", "oblique") else (the.NO_DRAG,)
+    for family in _TABLE
+}
 FAMILIES = numbered(
     replace(
         family,
         motion=steady_motion,
-        conditions=(the.STEADY_TILT, *family.conditions, *_UNDAMPED[family.name]),
+        conditions=(the.STEADY_TILT, *family.conditions, *_UNDRAGGED[family.name], *_UNDAMPED[family.name]),
     )
     for family in _TABLE
 )
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: of orbit, body and magnet."""
+    """Largest squared rate of the start: of orbit, body, magnet and drag."""
     turn = np.maximum(points["Omega"] ** 2, (initial_state(points)[:3] ** 2).sum(0))
     min_inertia = np.minimum(np.minimum(points["A"], points["B"]), points["C"])
-    return np.maximum(turn, magnetic_moment(points) * np.hypot(points["h1"], points["h3"]) / min_inertia)
+    return np.maximum(turn, field_torque(points) / min_inertia)

@@ -11,10 +11,11 @@ from ..gyrostat import Body, Direction
 from ..gyrostat.body import gyration, perron_root
 from ..gyrostat.motions import angular_velocity
 from ..gyrostat.motions import directions as directions
-from ..vectors import length
+from ..vectors import cross, length
 from .equations import CONSTANTS, INTEGRALS
 
 SIGN = "minus the dipole moment as SI counts it (the potential is + mu.H, as in the paper)"
+DRAG = "arm of the centre of pressure times the force against the velocity (the potential is + drag.beta)"
 _TABLE = (
     # name, unit, symbol, default, low, open_low, start, meaning
     ("A", "kg m2", "$A$", 1.0, 0.0, True, False, "principal moment of inertia about the first body axis"),
@@ -29,6 +30,9 @@ _TABLE = (
     ("mu3", "A m2", r"$\mu_3$", 0.0, -np.inf, False, False, f"magnetic moment along the third body axis, {SIGN}"),
     ("h1", "T", "$h_1$", 0.0, -np.inf, False, False, f"magnetic field along the radius; mu is {SIGN}"),
     ("h3", "T", "$h_3$", 0.0, -np.inf, False, False, f"magnetic field along the orbit normal; mu is {SIGN}"),
+    ("drag1", "N m", "$d_1$", 0.0, -np.inf, False, False, f"torque of drag, component along the first body axis: {DRAG}"),
+    ("drag2", "N m", "$d_2$", 0.0, -np.inf, False, False, f"torque of drag, component along the second body axis: {DRAG}"),
+    ("drag3", "N m", "$d_3$", 0.0, -np.inf, False, False, f"torque of drag, component along the third body axis: {DRAG}"),
     ("damping", "N m s", "$D$", 0.0, 0.0, False, False, "viscous damping, a torque of -D times the angular velocity relative to the orbital frame"),
     ("theta0", "rad", r"$\theta_0$", 0.0, -np.inf, False, True, "angle from the orbit normal to the third body axis at the start"),
     ("psi0", "rad", r"$\psi_0$", 0.0, -np.inf, False, True, "precession angle at the start, about the orbit normal from the radius"),
@@ -49,12 +53,16 @@ def constants(points: Points) -> Array:
     p = points
     A, B, C, Omega = p["A"], p["B"], p["C"], p["Omega"]
     k1, k2, k3, mu1, mu2, mu3 = (p[name] for name in ("k1", "k2", "k3", "mu1", "mu2", "mu3"))
+    drag1, drag2, drag3 = p["drag1"], p["drag2"], p["drag3"]
     D = np.array([(B - C) / A, (C - A) / B, (A - B) / C])
     body = [A, B, C, Omega, k1, k2, k3, mu1, mu2, mu3, p["h1"], p["h3"]]
     rotor = [k2 / A, k3 / A, k3 / B, k1 / B, k1 / C, k2 / C]
     magnet = [mu3 / A, mu2 / A, mu1 / B, mu3 / B, mu2 / C, mu1 / C]
+    drag = [drag3 / A, drag2 / A, drag1 / B, drag3 / B, drag2 / C, drag1 / C, drag1, drag2, drag3]
     damping = [p["damping"] / A, p["damping"] / B, p["damping"] / C]
-    return np.array([*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *damping])
+    return np.array(
+        [*body, *D, 3 * Omega**2, np.ones_like(A), np.ones_like(A), *rotor, *magnet, *drag, *damping]
+    )
 
 
 @shared
@@ -66,13 +74,21 @@ def body_vectors(points: Points) -> tuple[Array, Array, Array]:
     )
 
 
+@shared
+def drag_vector(points: Points) -> Array:
+    """The torque of drag, arm times force, (3, points)."""
+    return np.array([points["drag1"], points["drag2"], points["drag3"]])
+
+
 def body(points: Points) -> Body:
-    """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, field h3 mu along the normal."""
-    inertia, rotor, magnet = (np.moveaxis(vector, 0, -1) for vector in body_vectors(points))
+    """The body on its orbit: gravity gradient 3 Omega^2 and field h1 mu along the radius, drag along the velocity, field h3 mu along the normal."""
+    vectors = *body_vectors(points), drag_vector(points)
+    inertia, rotor, magnet, drag = (np.moveaxis(vector, 0, -1) for vector in vectors)
     Omega = points["Omega"]
     radius = Direction(3 * Omega**2, points["h1"][..., None] * magnet)
+    velocity = Direction(np.zeros_like(Omega), drag)
     normal = Direction(np.zeros_like(Omega), points["h3"][..., None] * magnet)
-    return Body(inertia, rotor, Omega, radius, normal, points["damping"])
+    return Body(inertia, rotor, Omega, radius, velocity, normal, points["damping"])
 
 
 @shared
@@ -83,9 +99,9 @@ def initial_state(points: Points) -> Array:
 
 
 def symmetric_about_third_axis(points: Points) -> Mask:
-    """Where A = B and neither rotor nor magnet has a transverse part, bool of shape (points,)."""
+    """Where A = B and neither rotor, magnet nor drag has a transverse part, bool of shape (points,)."""
     symmetric = points["A"] == points["B"]
-    for name in ("k1", "k2", "mu1", "mu2"):
+    for name in ("k1", "k2", "mu1", "mu2", "drag1", "drag2"):
         symmetric = symmetric & (points[name] == 0)
     return symmetric
 
@@ -115,7 +131,7 @@ def frequency_bound(points: Points) -> Array:
     w, alpha, gamma = state[:3], state[3:6], state[6:]
     u = w - points["Omega"] * gamma
     field = np.hypot(points["h1"], points["h3"])
-    moment, rotor = length(mu), length(k)
+    moment, rotor, drag = length(mu), length(k), drag_vector(points)
 
     # U - min U <= each term at the start minus its own minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
@@ -124,7 +140,8 @@ def frequency_bound(points: Points) -> Array:
     gyroscopic = Omega * rotor - points["Omega"] * (k * gamma).sum(0)
     H = points["h1"] * alpha + points["h3"] * gamma
     magnetic = moment * field + (mu * H).sum(0)
-    energy = kinetic + gravity + centrifugal + gyroscopic + magnetic
+    dragging = length(drag) + (drag * cross(gamma, alpha)).sum(0)
+    energy = kinetic + gravity + centrifugal + gyroscopic + magnetic + dragging
     energy = np.maximum(energy, 0.0)
 
     # Symmetric body without transverse rotor or magnet: C w3 + k3 is conserved, so w3 is constant, its
@@ -140,28 +157,32 @@ def frequency_bound(points: Points) -> Array:
     damping = points["damping"] / min_inertia
     differences = np.array([C - B, A - C, B - A])
     gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
-    stiffness = np.sqrt(2) * (gradient + moment * field / min_inertia + damping * Omega)
+    # beta = gamma x alpha changes by at most the sum of the changes of both.
+    torque = moment * field + np.sqrt(2) * length(drag)
+    stiffness = np.sqrt(2) * (gradient + torque / min_inertia + damping * Omega)
     return perron_root(gyration(inertia, k, max_rates, symmetric) + damping, max_turn + Omega, stiffness)
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without magnet, transverse rotor, orbit or damping; those equal on an axially symmetric body.
+    """Constants that vanish without magnet, transverse rotor, orbit, drag or damping; those equal on an axially symmetric body.
 
     Each set is a kernel to compile. So the term with k3 stays, as does D3 with damping and without magnet: both cost 3 %. An
     asymmetric body keeps all of the rotor beside a magnet, for 10 %.
     """
-    magnet = {"mu1", "mu2", "mu3", "h1", "h3"}
+    magnet, drag = {"mu1", "mu2", "mu3", "h1", "h3"}, {"drag1", "drag2", "drag3"}
     rows = (
         ({"mu1", "mu2", "mu3"}, magnet), ({"h1", "h3"}, magnet),
-        ({"Omega"}, {"Omega", "N"}), ({"damping"}, {"damping_A", "damping_B", "damping_C"}),
+        ({"Omega"}, {"Omega", "N"}), (drag, drag), ({"damping"}, {"damping_A", "damping_B", "damping_C"}),
     )  # fmt: skip
     zero_constants = {name for parameters, names in rows if zero >= parameters for name in names}
     equal_constants: set[tuple[str, str]] = set()
     if zero >= {"k1", "k2"} and zero | zero_constants >= {"mu1", "mu2"}:
         has_magnet = not zero_constants >= magnet
-        if ("A", "B") in equal and (has_magnet or "damping" in zero):
-            zero_constants |= {"k1", "k2", "mu1", "mu2", "D3"}
-            equal_constants = {("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A"), ("damping_B", "damping_A")}
+        if ("A", "B") in equal and zero >= {"drag1", "drag2"} and (has_magnet or "damping" in zero):
+            zero_constants |= {"k1", "k2", "mu1", "mu2", "drag1", "drag2", "D3"}
+            equal_constants = {
+                ("B", "A"), ("k3_B", "k3_A"), ("mu3_B", "mu3_A"), ("drag3_B", "drag3_A"), ("damping_B", "damping_A")
+            }  # fmt: skip
         elif not has_magnet:
             zero_constants |= {"k1", "k2"}
     # k2 / A, whose name is k2_A, vanishes with k2

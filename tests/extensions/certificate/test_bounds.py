@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from strategies import DRAG
 
 from atlas.extensions.certificate import bounds, energy
 from atlas.extensions.certificate.bounds import Tolerances
@@ -106,11 +107,13 @@ def assert_sharp(used, *largest):
 
 
 def near_equilibria(rng):
-    """Satellites near minima of their potential, found by descent, half of them with a magnet."""
+    """Satellites near minima of their potential, found by descent, half of them with a magnet, half with drag."""
     k, mu, (h1, h3) = 0.3 * rng.normal(size=(3, COUNT)), 0.7 * rng.normal(size=(3, COUNT)), 0.3 * rng.normal(size=(2, COUNT))  # fmt: skip
     magnet = rng.random(COUNT) < 0.5
     points = filled(SATELLITE, **bodies(rng), k1=k[0], k2=k[1], k3=k[2], h1=h1 * magnet, h3=h3 * magnet,
                     mu1=mu[0], mu2=mu[1], mu3=mu[2], damping=0.1 * (rng.random(COUNT) < 0.3))  # fmt: skip
+    drag = 0.3 * rng.spawn(1)[0].normal(size=(3, COUNT)) * (np.arange(COUNT) % 2)
+    points |= dict(zip(DRAG, drag, strict=True))
     body, frames = SATELLITE.body(points), np.linalg.qr(rng.normal(size=(COUNT, 3, 3)))[0]
     frames[:, 1] = np.cross(frames[:, 2], frames[:, 0])
     for _ in range(800):
@@ -150,10 +153,15 @@ def test_bounds_of_a_symmetric_satellite():
     rng = np.random.default_rng(3)
     points = filled(SATELLITE, **bodies(rng, symmetric=True), k3=rng.normal(size=COUNT), h1=0.5 * rng.normal(size=COUNT),
                     h3=0.5 * rng.normal(size=COUNT), mu3=0.5 * (rng.random(COUNT) < 0.5))  # fmt: skip
+    points["drag3"] = 0.3 * rng.spawn(1)[0].normal(size=COUNT) * (np.arange(COUNT) % 2)
     A, C, spin = points["A"], points["C"], rng.normal(size=COUNT) * rng.choice([1.0, 3.0], COUNT)
     Q = np.array([3 * (C - A), 0 * A, A])
     c = np.array(
-        [points["h1"] * points["mu3"], 0 * A, points["h3"] * points["mu3"] - C * spin - points["k3"]]
+        [
+            points["h1"] * points["mu3"],
+            points["drag3"],
+            points["h3"] * points["mu3"] - C * spin - points["k3"],
+        ]
     )
     z = bottom(Q, c, rng.normal(size=(3, COUNT)))
     size = 10 ** rng.uniform(-5, -0.7, COUNT)

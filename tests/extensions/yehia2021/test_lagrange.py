@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from strategies import random_satellites
+from strategies import DRAG, random_satellites
 from truth import lagrangian_arguments, lagrangian_functions
 
 from atlas.extensions.yehia2021 import lagrange, published
 from atlas.systems.satellite import equations
 from atlas.systems.satellite.initial import constants, initial_state
+
+OF_THE_PAPER = dict.fromkeys(DRAG, 0.0)
 
 
 def states(points):
@@ -18,7 +20,7 @@ def states(points):
 
 
 def test_corrected_equations_are_those_of_the_lagrangian():
-    points = random_satellites(np.random.default_rng(1), 200)
+    points = random_satellites(np.random.default_rng(1), 200, **OF_THE_PAPER)
     accelerations = np.random.default_rng(2).normal(size=(3, 200))
     expected = np.array(lagrangian_functions()["left_sides"](*lagrangian_arguments(points, accelerations)))[
         :, 0
@@ -28,7 +30,7 @@ def test_corrected_equations_are_those_of_the_lagrangian():
 
 
 def test_same_accelerations_as_euler_poisson():
-    points = random_satellites(np.random.default_rng(3), 500)
+    points = random_satellites(np.random.default_rng(3), 500, **OF_THE_PAPER)
     rates = np.array(lagrange.rhs(states(points), constants(points)))
     np.testing.assert_array_equal(rates[:3], states(points)[3:])
     residuals = lagrange.equations(states(points), rates[3:], constants(points))
@@ -39,7 +41,7 @@ def test_same_accelerations_as_euler_poisson():
 
 
 def test_same_motion_as_euler_poisson():
-    points = random_satellites(np.random.default_rng(4), 2)
+    points = random_satellites(np.random.default_rng(4), 2, **OF_THE_PAPER)
     for i in range(2):
         point_constants = constants(points)[:, i]
         options = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
@@ -67,11 +69,11 @@ def test_printed_equations_are_not_those_of_the_motion(number):
 
 def test_accelerations_are_not_finite_where_the_tilt_is_zero():
     """The mass matrix has determinant A B C sin^2 theta."""
-    points = random_satellites(np.random.default_rng(6), 3, theta0=0.0)
+    points = random_satellites(np.random.default_rng(6), 3, **OF_THE_PAPER, theta0=0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         rates = np.array(lagrange.rhs(states(points), constants(points)))
     assert not np.isfinite(rates[3]).any()
-    point = random_satellites(np.random.default_rng(7), 1)
+    point = random_satellites(np.random.default_rng(7), 1, **OF_THE_PAPER)
     arguments = (float(value[0]) for value in lagrangian_arguments(point))
     determinant = np.linalg.det(np.array(lagrangian_functions()["mass"](*arguments), float))
     inertia_product = np.prod([point[name][0] for name in "ABC"])

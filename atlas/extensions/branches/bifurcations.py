@@ -82,7 +82,7 @@ class BodyFamily(NamedTuple):
         """The family on the range of some values, (bodies, parameters), with the symmetries that most of them have."""
         body = body_at_rest(system, points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
-        upright = 2 * body.acts_along(body.alpha).sum() < len(values)
+        upright = 2 * body.acts_across().sum() < len(values)
         limits, axis = np.array([values.min(0), values.max(0)]), symmetric[0] if len(symmetric) == 1 else -1
         return cls(system, points, limits, bool(upright), axis)
 

@@ -135,7 +135,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
 
     some = values[possible]
     body = body_at_rest(system, points(some[:, None]))
-    if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.gamma)):
+    if not any(np.ptp(each, axis=0).any() for each in (*body[:3], *body.alpha, *body.beta, *body.gamma)):
         raise BadInput(f"branches: {name} changes no equilibria; take a parameter of body or field")
     family = BodyFamily.of(system, points, some[:, None])
     result = follow(family, some, possible - np.arange(possible.size), stability=True)

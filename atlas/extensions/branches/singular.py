@@ -1,8 +1,8 @@
 """Degenerate critical points of quadratic functions on quadrics, over two parameters.
 
 Relative equilibria are critical points of the amended potential, x.Qx / 2 + c.x with Q diagonal, on the x with
-x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, and the axis of symmetry of
-one that has such an axis. With multipliers l and m they are degenerate, with the null vector v, where
+x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, (alpha, beta, gamma) for one
+with drag, and the axis of symmetry of one that has such an axis. With multipliers l and m they are degenerate, with the null vector v, where
 
     (Q + l.E) x + c = 0,    x.E x / 2 = e,    (Q + l.E) v + m.E x = 0,    x.E v = 0,    v.v = 1.
 
@@ -46,9 +46,13 @@ _DISCRIMINANT_ROUNDING = 1e-13
 # Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box
+# Of two and of three orthonormal vectors.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+TRIADS = np.array([np.kron(np.eye(3)[[i]].T @ np.eye(3)[[j]], np.eye(3)) for i, j in _PAIRS])
+TRIADS[3:] += TRIADS[3:].swapaxes(1, 2)
 
 
 def _solved(matrix: Array, right: Array) -> Array:
@@ -82,9 +86,9 @@ class Potential(NamedTuple):
     terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
     forms: Array  # E_k, (m, n, n)
     axis: int  # of symmetry of all bodies; -1: none
-    upright: bool  # nothing acts along alpha
+    upright: bool  # nothing acts along alpha and beta
     mirrored: bool  # alpha -> -alpha leaves all potentials the same
-    # Those of I, k, Omega (2 I - tr I), and Q and c along alpha and gamma, and of their derivatives, (a, b, 63).
+    # Those of I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma, and of their derivatives, (a, b, 81).
     bodies: Array
 
     @classmethod
@@ -95,11 +99,11 @@ class Potential(NamedTuple):
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
             body = body_at_rest(system, points(0.5 + 0.5 * grid))
             axes = [i for i in range(3) if body.symmetric_about(i).all()]
-            upright, axis = not body.acts_along(body.alpha).any(), axes[0] if len(axes) == 1 else -1
+            upright, axis = not body.acts_across().any(), axes[0] if len(axes) == 1 else -1
             inverse = np.linalg.inv(chebvander(nodes, count - 1))
             values = np.concatenate([_coefficients(body, upright, axis), _linear(body)], 1)
             every = np.einsum("ai,bj,ijk->abk", inverse, inverse, values.reshape(count, count, -1))
-            terms, bodies = every[..., :-21], every[..., -21:]
+            terms, bodies = every[..., :-27], every[..., -27:]
             size = np.abs(terms).max()
             if not np.isfinite(size):
                 raise BadInput("borders: a part of the range has no body")
@@ -116,7 +120,7 @@ class Potential(NamedTuple):
         used = [1 + np.flatnonzero(np.abs(terms).max(other))[-1] for other in ((1, 2), (0, 2))]
         terms = terms[: used[0], : used[1]]
         n = terms.shape[2] // 2
-        forms = FRAMES if n == 6 else np.eye(n)[None]
+        forms = {6: FRAMES, 9: TRIADS}.get(n, np.eye(n)[None])
         mirrored = n == 6 and not terms[..., n : n + 3].any()
         bodies = bodies[: used[0] + 2, : used[1] + 2]  # c contains products with the turn
         return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
@@ -132,6 +136,11 @@ class Potential(NamedTuple):
         return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
     @property
+    def has_beta(self) -> bool:
+        """Whether something acts along beta."""
+        return bool(self.bodies[..., 18:21].any())
+
+    @property
     def cyclic(self) -> bool:
         """Whether a turn changes nothing, so that two exponents are 0."""
         return self.upright or self.axis >= 0
@@ -143,8 +152,10 @@ class Potential(NamedTuple):
         symmetry is left out. (N, 4) and (N, 4, n + 2).
         """
         alpha, gamma = self.attitudes(x)
-        inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 7, 2)
-        fields = (alpha, *along[:2]), (gamma, *along[2:])
+        inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 9, 2)
+        vectors = (alpha, np.cross(gamma, alpha), gamma) if self.has_beta else (alpha, gamma)
+        along = along if self.has_beta else along[:2] + along[4:]
+        fields = list(zip(vectors, along[::2], along[1::2], strict=True))
         hessians = np.sum([_hessian(*field) for field in fields], 0)
         H, I, v = hessians[0], inertia[0, :, None] * np.eye(3), rotor + turning * gamma
         # Derivatives of the coefficients by H, v and I.
@@ -158,12 +169,12 @@ class Potential(NamedTuple):
         by_I = np.concatenate([nothing, np.einsum("njii->nji", K[:, :3])], 1)
         by_position = np.einsum("njik,pnik->njp", K, hessians[1:])
         by_position += np.einsum("nji,pni->njp", by_v, v[1:]) + np.einsum("nji,pni->njp", by_I, inertia[1:])
-        by_alpha, by_gamma = (_by_direction(K, d, q[0], c[0]) for d, q, c in fields)
-        by_gamma += turning[0, :, None] * by_v
+        by_vectors = [_by_direction(K, d, q[0], c[0]) for d, q, c in fields]
+        by_vectors[-1] += turning[0, :, None] * by_v
         if self.axis < 0:
-            by_x = by_gamma if self.upright else np.concatenate([by_alpha, by_gamma], 2)
+            by_x = by_vectors[-1] if self.upright else np.concatenate(by_vectors, 2)
         else:
-            torque = np.cross(by_alpha, alpha[:, None]) + np.cross(by_gamma, gamma[:, None])
+            torque = sum(np.cross(by, d[:, None]) for by, d in zip(by_vectors, vectors, strict=True))
             rows = [alpha, gamma] if self.size == 2 else [alpha, np.cross(gamma, alpha), gamma]
             by_x = np.cross(torque, np.eye(3)[self.axis]) @ np.stack(rows, 2)
         slopes = np.concatenate([by_x, by_position], 2)
@@ -205,9 +216,9 @@ class Potential(NamedTuple):
         return np.concatenate([signs, signs, np.ones(3)])
 
     def attitudes(self, x: Array) -> tuple[Array, Array]:
-        """alpha and gamma in body axes, (N, 3) each; alpha is any across gamma where nothing acts along it."""
-        if self.size == 6:
-            return x[:, :3], x[:, 3:]
+        """alpha and gamma in body axes, (N, 3) each; alpha is any across gamma where nothing acts across gamma."""
+        if self.size >= 6:
+            return x[:, :3], x[:, -3:]
         if self.size == 2:
             x = np.stack([x[:, 0], 0 * x[:, 0], x[:, 1]], -1)
         if self.axis < 0:
@@ -217,9 +228,10 @@ class Potential(NamedTuple):
         return frames[:, 0], frames[:, 2]
 
     def from_attitudes(self, alpha: Array, gamma: Array) -> Array:
-        """x of attitudes, (..., n); alpha has no meaning where nothing acts along it."""
+        """x of attitudes, (..., n); alpha has no meaning where nothing acts across gamma."""
         if self.axis < 0:
-            return gamma if self.upright else np.concatenate([alpha, gamma], -1)
+            vectors = [alpha, np.cross(gamma, alpha), gamma] if self.has_beta else [alpha, gamma]
+            return gamma if self.upright else np.concatenate(vectors, -1)
         if self.size == 2:
             return np.stack([length(np.delete(gamma, self.axis, -1)), gamma[..., self.axis]], -1)
         return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)[..., self.axis]
@@ -265,10 +277,11 @@ def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
 
 
 def _linear(body: Body) -> Array:
-    """I, k, Omega (2 I - tr I), and Q and c along alpha and gamma of bodies, in units of a moment and a rate, (bodies, 21)."""
+    """I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma of bodies, in units of a moment and a rate, (bodies, 27)."""
     square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
     I, rate = body.inertia, np.sqrt(square)
-    forces = [part for d in body.amended() for part in (d.gradient[:, None] * I, d.field)]
+    alpha, gamma = body.amended()
+    forces = [part for d in (alpha, body.beta, gamma) for part in (d.gradient[:, None] * I, d.field)]
     momenta = [body.rotor, body.gyroscopic(body.turn[:, None] * np.ones(3)) - body.rotor]
     return np.concatenate([I, *(m / rate for m in momenta), *(f / square for f in forces)], 1) / I.max()
 
@@ -277,12 +290,14 @@ def _coefficients(body: Body, upright: bool, axis: int) -> Array:
     """Q and c of bodies, (bodies, 2 n)."""
     alpha, gamma = body.amended()
     if axis < 0:
-        directions = [gamma] if upright else [alpha, gamma]
+        across = [alpha, body.beta] if body.beta.field.any() else [alpha]
+        directions = [gamma] if upright else [*across, gamma]
         parts = [d.gradient[:, None] * body.inertia for d in directions] + [d.field for d in directions]
         return np.concatenate(parts, 1)
     excess, none = body.inertia[:, axis] - body.inertia[:, (axis + 1) % 3], np.zeros(len(body.inertia))
     (p, r), (q, s) = zip(*((d.gradient * excess, d.field[:, axis]) for d in (alpha, gamma)), strict=True)
-    return np.stack([none, r, none, s] if upright else [p, none, r, q, none, s], -1)
+    t = body.beta.field[:, axis]
+    return np.stack([none, r, none, s] if upright else [p, none, r, q, t, s], -1)
 
 
 class Degenerate(NamedTuple):
@@ -351,7 +366,7 @@ class Degenerate(NamedTuple):
         x, l, v, m, position, s = self.parts
         first, second, (now, *by) = self.matrices()
         N, n, size = len(x), x.shape[1], first.shape[1]
-        levels = np.array([0.5, 0.5, 0.0])[: l.shape[1]]
+        levels = 0.5 * (np.einsum("kii->k", self.potential.forms) > 0)
         residual = np.zeros((N, 2 * size + 2))
         residual[:, :n] = np.einsum("nij,nj->ni", first[:, :n, :n], x) + now[1] + s * v
         residual[:, n:size] = 0.5 * np.einsum("nij,nj->ni", first[:, n:, :n], x) - levels

@@ -146,7 +146,7 @@ def all_curves(
     positions = nodes[np.stack([i, j], -1)]
     near, limits, numbers[:, i, j] = near_solutions(system, potential, points, positions, reach, stability)
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
-    seeds = near.settled(2 * reach) if potential.size == 6 else on_sphere(potential)
+    seeds = near.settled(2 * reach) if potential.size >= 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
     # The sides of curves with more solutions, or more stable ones, change where these vanish.
     tests: list[Callable[[Degenerate], Array]] = [

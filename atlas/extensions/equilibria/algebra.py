@@ -107,7 +107,9 @@ def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> 
 
 def _scale(body: Body) -> Array:
     """Size of the gradient of the potential, (bodies,)."""
-    vectors = np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field)
+    vectors = (
+        np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field) + np.abs(body.beta.field)
+    )
     return np.abs(body.alpha.gradient) + np.abs(body.gamma.gradient) + vectors.sum(-1)
 
 
@@ -236,15 +238,15 @@ def _at_once(
         alpha, gamma = bodies.amended()
         units = np.concatenate([given.inertia, given.turn[:, None]], 1)
         usable = ((units > 1 / _MAX_SCALE) & (units < _MAX_SCALE)).all(1)
-        vectors = np.concatenate([bodies.rotor, alpha.field, gamma.field], -1)
+        vectors = np.concatenate([bodies.rotor, alpha.field, bodies.beta.field, gamma.field], -1)
         size = np.abs(vectors)
         usable &= ((size == 0) | ((size > 1 / _MAX_SCALE) & (size < _MAX_SCALE))).all(-1)
         usable &= (np.abs(alpha.gradient - 3) < 1e-9) & (np.abs(gamma.gradient + 1) < 1e-9)
     axes = np.stack([given.symmetric_about(i) for i in range(3)], 1)
     symmetric = np.asarray(axes.any(1))
     general, single = np.flatnonzero(usable & ~symmetric), np.flatnonzero(usable & (axes.sum(1) == 1))
-    p, q = (direction.field[general].T for direction in (alpha, gamma))
-    a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, q, ordered)
+    p, r, q = (direction.field[general].T for direction in (alpha, bodies.beta, gamma))
+    a, g, real, nearly, complete = homotopy.solve(bodies.inertia[general].T, p, r, q, ordered)
     body, path = np.nonzero((real | nearly & ordered).T)
     a, g = a[:, path, body].T, g[:, path, body].T
     row, frames, known = _by_symmetry(bodies.subset(single), axes[single].argmax(1), ordered)
@@ -290,7 +292,7 @@ def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDA
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
     d = np.array([alpha.gradient * excess, none, gamma.gradient * excess])
-    b = np.array([alpha.field[own, i], none, gamma.field[own, i]])
+    b = np.array([alpha.field[own, i], bodies.beta.field[own, i], gamma.field[own, i]])
     components, dimension = critical_directions(d, b, nearly=ordered)
     column, body = np.nonzero(((dimension == 0) | (dimension == NEARLY)) & ~(dimension > 0).any(0))
     axis = components[:, column, body].T

@@ -1,15 +1,17 @@
-"""All relative equilibria of many bodies at once, by homotopy continuation from the rigid body without a magnet.
+"""All relative equilibria of many bodies at once, by homotopy continuation from the rigid body without magnet and drag.
 
 An equilibrium is a critical point on the rotation group of
 
-    W = 3/2 alpha.I alpha + p.alpha - 1/2 gamma.I gamma + q.gamma,    p = h1 mu / Omega^2, q = h3 mu / Omega^2 - k / Omega.
+    W = 3/2 alpha.I alpha + p.alpha + r.beta - 1/2 gamma.I gamma + q.gamma,
+    p = h1 mu / Omega^2, r = drag / Omega^2, q = h3 mu / Omega^2 - k / Omega.
 
-For p = q = 0 and distinct moments these are the 24 orientations with the principal axes along the axes of the frame,
-for complex moments too. The path of each is followed while (I, p, q) goes along a straight line from (I0, 0, 0), I0
+For p = r = q = 0 and distinct moments these are the 24 orientations with the principal axes along the axes of the frame,
+for complex moments too. The path of each is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
 complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
 complex equilibria that are isolated (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials,
-World Scientific 2005, chapters 7 and 8). Newton's method from thousands of complex orientations finds 24 for general p and q as
-well (`tests/systems/test_satellite_equilibria.py`). The real ones among them are the equilibria: if 24 different ends are
+World Scientific 2005, chapters 7 and 8). That there are 24 for general p, r and q as well follows from the 40 eigenvectors of a
+symmetric quartic form (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942), which W is in a quaternion
+(`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ones among them are the equilibria: if 24 different ends are
 reached, none is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
@@ -17,6 +19,7 @@ Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., wit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import permutations
 from typing import Any
 
@@ -49,7 +52,9 @@ _MERGED = 1e-4  # distance, or imaginary part, up to which solutions count as on
 _NEARLY_REAL = 1.0  # imaginary parts of solutions that may soon be real
 
 
-def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Array, Array, Mask, Mask, Mask]:
+def solve(
+    inertia: Array, p: Array, r: Array, q: Array, ordered: bool = False
+) -> tuple[Array, Array, Mask, Mask, Mask]:
     """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
 
     ordered: neighbours are similar, so that most are solved by Newton's method from the complex solutions of another.
@@ -59,9 +64,10 @@ def solve(inertia: Array, p: Array, q: Array, ordered: bool = False) -> tuple[Ar
     none is where a path is lost.
     """
     inertia = inertia - inertia.mean(0)
-    scale = np.max([np.abs(inertia).max(0), np.abs(p).max(0), 0.3 * np.abs(q).max(0)], axis=0)
+    sizes = [np.abs(vector).max(0) for vector in (inertia, p, r, q)]
+    scale = np.max([*sizes[:3], 0.3 * sizes[3]], axis=0)
     with np.errstate(all="ignore"):
-        target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, q)]
+        target = [np.where(scale > 0, values / scale, 0.0) for values in (inertia, p, r, q)]
         ends, arrived = (_ends_of_neighbours if ordered else _ends)(target, *_ATTEMPTS[0])
         complete = arrived & _all_different(ends)
         for attempt in _ATTEMPTS[0 if ordered else 1 :]:
@@ -89,8 +95,8 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
     alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
     starts = np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
-    # Without p the solutions come in pairs +-alpha, +-beta: one of each is followed.
-    mirrored = not target[1].any()
+    # Without p and r the solutions come in pairs +-alpha, +-beta: one of each is followed.
+    mirrored = not (target[1].any() or target[2].any())
     paths = PATHS // 2 if mirrored else PATHS
     repeated = [np.repeat(values[:, None], paths, 1).reshape(3, -1) for values in target]
     alpha, gamma = (np.repeat(vectors[:, :paths, None] + 0j, count, 2).reshape(3, -1) for vectors in starts)
@@ -132,25 +138,25 @@ def _follow(
 ) -> tuple[Complex, Complex, Mask]:
     """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
     start = _START_INERTIA[:, None]
-    change = (target[0] - start, target[1], target[2])  # of inertia, p and q along the line
+    change = (target[0] - start, *target[1:])  # of inertia, p, r and q along the line
     t, step = np.zeros(alpha.shape[1]), np.full(alpha.shape[1], _FIRST_STEP)
     active = np.arange(t.size)
     for _ in range(_MAX_STEPS):
         if not active.size:
             break
-        dI, dp, dq = (values[:, active] for values in change)
+        dI, *dv = (values[:, active] for values in change)
         now, length = t[active], np.minimum(step[active], 1 - t[active])
 
-        def rate(a: Complex, g: Complex, s: Array, dI=dI, dp=dp, dq=dq) -> Three:
+        def rate(a: Complex, g: Complex, s: Array, dI=dI, dv=dv) -> Three:
             """xi by which the solution turns per unit of t."""
-            return _newton(_gradient(dI, dp, dq, a, g), start + s * dI, s * dp, s * dq, a, g)
+            return _newton(_gradient((dI, *dv), a, g), (start + s * dI, *(s * v for v in dv)), a, g)
 
         a, g = alpha[:, active], gamma[:, active]
         middle = _turn(a, g, rate(a, g, now), 0.5 * length)
         a, g = _turn(a, g, rate(*middle, now + 0.5 * length), length)
         end = now + length
-        inertia, p, q = start + end * dI, end * dp, end * dq
-        xi = _newton(_gradient(inertia, p, q, a, g), inertia, p, q, a, g)
+        body = start + end * dI, *(end * v for v in dv)
+        xi = _newton(_gradient(body, a, g), body, a, g)
         a, g = _turn(a, g, xi, 1.0)
         correction = _size(xi)
         accepted = correction < tolerance
@@ -170,13 +176,12 @@ def _follow(
 
 def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> tuple[Complex, Complex, Mask]:
     """Solutions by Newton's method from near ones, and which are exact but for rounding."""
-    inertia, p, q = target
     for _ in range(iterations):
-        xi = _newton(_gradient(inertia, p, q, alpha, gamma), inertia, p, q, alpha, gamma)
+        xi = _newton(_gradient(target, alpha, gamma), target, alpha, gamma)
         small = _size(xi) < 0.3
         alpha, gamma = _turn(alpha, gamma, [np.where(small, x, 0) for x in xi], 1.0)
     magnitude = (np.abs(alpha).max(0) + np.abs(gamma).max(0)) ** 2
-    exact = _size(_gradient(inertia, p, q, alpha, gamma)) < _GRADIENT_ROUNDING * magnitude
+    exact = _size(_gradient(target, alpha, gamma)) < _GRADIENT_ROUNDING * magnitude
     return alpha, gamma, exact
 
 
@@ -185,18 +190,24 @@ def _size(xi: Three) -> Array:
     return np.abs(xi[0]) + np.abs(xi[1]) + np.abs(xi[2])
 
 
-def _gradient(inertia: Three, p: Three, q: Three, a: Three, g: Three) -> Three:
-    """Gradient of W under rotations: (3 I alpha + p) x alpha + (q - I gamma) x gamma."""
+def _gradient(body: Sequence[Three], a: Three, g: Three) -> Three:
+    """Gradient of W of I, p, r and q under rotations: (3 I alpha + p) x alpha + r x beta + (q - I gamma) x gamma."""
+    inertia, p, r, q = body
 
     def component(j: int, k: int) -> Complex:
         d = inertia[j] - inertia[k]
         return (3 * d * a[j] + p[j]) * a[k] - p[k] * a[j] + (q[j] - d * g[j]) * g[k] - q[k] * g[j]
 
-    return component(1, 2), component(2, 0), component(0, 1)
+    result = component(1, 2), component(2, 0), component(0, 1)
+    if not np.any(r):
+        return result
+    return [x + y for x, y in zip(result, _cross(r, _cross(g, a)), strict=True)]
 
 
-def _newton(gradient: Three, inertia: Three, p: Three, q: Three, a: Three, g: Three) -> Three:
+def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three:
     """-H^-1 gradient by Cramer's rule, H the derivatives of the gradient of W."""
+    inertia, p, r, q = body
+    b = _cross(g, a) if np.any(r) else None
     by = {}  # (j, k) -> the factors of a_i and g_i in H_ij, k the third axis
     for j, k in ((0, 1), (1, 2), (2, 0)):
         d = inertia[j] - inertia[k]
@@ -205,7 +216,8 @@ def _newton(gradient: Three, inertia: Three, p: Three, q: Three, a: Three, g: Th
 
     def entry(i: int, j: int, k: int) -> Complex:
         u, v = by[j, k]
-        return a[i] * u + g[i] * v
+        value = a[i] * u + g[i] * v
+        return value if b is None else value + b[i] * r[j]
 
     diagonal = [-entry(j, j, k) - entry(k, k, j) for j, k in ((1, 2), (2, 0), (0, 1))]
     rows = (

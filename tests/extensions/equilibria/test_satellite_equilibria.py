@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
+from strategies import DRAG
 from test_one_satellite import algebraic_count
 from truth import REFERENCE
 
@@ -25,32 +27,36 @@ def bodies(count, **columns):
 
 
 def random_bodies(count, seed=0):
-    """Bodies of three different moments, half of them with a magnet, on orbits of different rates."""
+    """Bodies of three different moments, half of them with a magnet, a third with drag, on orbits of different rates."""
     rng = np.random.default_rng(seed)
     parts = rng.uniform(0.05, 1.0, (3, count))
     columns = dict(zip("ABC", parts.sum(0) - parts, strict=True)) | {"Omega": rng.uniform(0.3, 3.0, count)}
     size = 10 ** rng.uniform(-2, 0.5, count)
     columns |= {f"k{i + 1}": size * rng.normal(size=count) for i in range(3)}
     columns |= {f"mu{i + 1}": rng.normal(size=count) * (np.arange(count) % 2) for i in range(3)}
+    drag = rng.spawn(1)[0].normal(size=(3, count)) * (np.arange(count) % 3 == 2)
+    columns |= dict(zip(DRAG, drag, strict=True))
     return bodies(count, **columns, h1=rng.normal(size=count), h3=rng.normal(size=count))
 
 
-def complex_solutions(inertia, p, q, starts, seed):
+def complex_solutions(inertia, p, r, q, starts, seed):
     """Critical points of W on the complex rotations, by Newton's method on the nine components with multipliers.
 
-    W = 3/2 a.I a + p.a - 1/2 g.I g + q.g with a.a = g.g = 1, a.g = 0; unknowns a, g and three multipliers.
+    W = 3/2 a.I a + p.a + r.(g x a) - 1/2 g.I g + q.g with a.a = g.g = 1, a.g = 0; unknowns a, g and three multipliers.
     """
+    hat = np.cross(r, np.eye(3)).T
     rng = np.random.default_rng(seed)
     unknown = rng.normal(size=(starts, 9)) + 1j * rng.normal(size=(starts, 9))
     eye, zero = np.eye(3), np.zeros((starts, 3, 3))
     for _ in range(80):
         a, g, (l1, l2, l3) = unknown[:, :3], unknown[:, 3:6], unknown[:, 6:].T[:, :, None]
         value = np.concatenate([
-            3 * inertia * a + p - l1 * a - l3 * g, -inertia * g + q - l2 * g - l3 * a,
+            3 * inertia * a + p + np.cross(r, g) - l1 * a - l3 * g,
+            -inertia * g + q - np.cross(r, a) - l2 * g - l3 * a,
             np.stack([(a * a).sum(1) - 1, (g * g).sum(1) - 1, (a * g).sum(1)], 1),
         ], 1)  # fmt: skip
-        upper = [np.diag(3 * inertia) - l1[..., None] * eye, -l3[..., None] * eye]
-        lower = [-l3[..., None] * eye, -np.diag(inertia) - l2[..., None] * eye]
+        upper = [np.diag(3 * inertia) - l1[..., None] * eye, hat - l3[..., None] * eye]
+        lower = [-hat - l3[..., None] * eye, -np.diag(inertia) - l2[..., None] * eye]
         by_multiplier = [-np.stack([a, 0 * a, g], 2), -np.stack([0 * a, g, a], 2)]
         constraints = [np.stack([2 * a, 0 * a, g], 1), np.stack([0 * a, 2 * g, a], 1), zero]
         jacobian = np.concatenate([
@@ -69,18 +75,111 @@ def complex_solutions(inertia, p, q, starts, seed):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_24_complex_equilibria_of_a_general_body(seed):
-    """The number on which the continuation rests, with magnet and rotor, from equations of another form."""
+@pytest.mark.parametrize("drag", [0.0, 1.0])
+def test_24_complex_equilibria_of_a_general_body(seed, drag):
+    """The number on which the continuation rests, with magnet, rotor and drag, from equations of another form."""
     rng = np.random.default_rng(seed)
     inertia, p, q = rng.normal(size=(3, 3)) + 1j * rng.normal(size=(3, 3))
-    assert len(complex_solutions(inertia, p, q, 2500, seed)) == homotopy.PATHS
+    r = drag * rng.normal(size=(2, 3)).T @ [1, 1j]
+    assert len(complex_solutions(inertia, p, r, q, 2500, seed)) == homotopy.PATHS
 
 
-def test_continuation_finds_the_solutions_of_newtons_method():
-    inertia, p, q = np.random.default_rng(3).normal(size=(3, 3))
-    real = complex_solutions(inertia + 0j, p, q, 2500, 0)
+# The rotation of a quaternion (w, x, y, z), rows alpha, beta, gamma: quadratic forms with the coefficients of these products.
+ROTATION = [
+    [{"ww": 1, "xx": 1, "yy": -1, "zz": -1}, {"xy": 2, "wz": -2}, {"xz": 2, "wy": 2}],
+    [{"xy": 2, "wz": 2}, {"ww": 1, "xx": -1, "yy": 1, "zz": -1}, {"yz": 2, "wx": -2}],
+    [{"xz": 2, "wy": -2}, {"yz": 2, "wx": 2}, {"ww": 1, "xx": -1, "yy": -1, "zz": 1}],
+]
+FORMS = np.zeros((3, 3, 4, 4))
+for (i, j), terms in np.ndenumerate(np.array(ROTATION, object)):
+    for factors, coefficient in terms.items():
+        u, v = map("wxyz".index, factors)
+        FORMS[i, j, u, v] += 0.5 * coefficient
+        FORMS[i, j, v, u] += 0.5 * coefficient
+
+
+def eigenvectors_of_the_quartic(inertia, fields, rng):
+    """The different rotations among the 40 eigenvectors grad F(x) = 4 x, up to sign, of W + c as a quartic form F of a quaternion.
+
+    Cartwright and Sturmfels 2013: a general symmetric tensor of order 4 on C^4 has (3^4 - 1)/2 of them. Paths from those of
+    x^3 = x; isotropic eigenvectors, of which 40 - 24 remain for every W, are no rotations.
+    """
+    squares, shift = np.zeros((3, 3), complex), 3 + rng.normal() + 1j * rng.normal()
+    squares[0], squares[2] = 1.5 * inertia, -0.5 * inertia
+    turn, eye = np.exp(2j * np.pi * rng.random()), np.eye(4)
+    every = np.array(list(product(range(-1, 2), repeat=4)), complex)
+    first = every[np.arange(81), (every != 0).argmax(1)].real
+    x = every[first > 0].copy()
+    assert len(x) == 40
+
+    def quartic(x):
+        """grad F / 4 and its derivatives; F = squares.R^2 + |x|^2 fields.R + shift |x|^4."""
+        half = np.einsum("ijkl,nl->nijk", FORMS, x)
+        R, n = np.einsum("nijk,nk->nij", half, x), (x * x).sum(1)
+        linear, along = np.einsum("ij,nij->n", fields, R), np.einsum("ij,nijk->nk", fields, half)
+        gradient = np.einsum("ij,nij,nijk->nk", squares, R, half) + 0.5 * n[:, None] * along
+        gradient += (0.5 * linear + shift * n)[:, None] * x
+        hessian = np.einsum("ij,nijk,nijl->nkl", 2 * squares, half, half)
+        hessian += np.einsum("ij,nij,ijkl->nkl", squares, R, FORMS)
+        hessian += 0.5 * n[:, None, None] * np.einsum("ij,ijkl->kl", fields, FORMS)
+        hessian += along[:, :, None] * x[:, None] + x[:, :, None] * along[:, None]
+        hessian += (0.5 * linear + shift * n)[:, None, None] * eye + 2 * shift * x[:, :, None] * x[:, None]
+        return gradient, hessian, R
+
+    def residual(x, s):
+        gradient, hessian, _ = quartic(x)
+        start, slope = turn * (x**3 - x), turn * (3 * x[:, :, None] ** 2 * eye - eye)
+        s = s[:, None]
+        value = (1 - s) * start + s * (gradient - x)
+        return value, (1 - s[..., None]) * slope + s[..., None] * (hessian - eye), gradient - x - start
+
+    s, step = np.zeros(40), np.full(40, 0.02)
+    for _ in range(4000):
+        active = np.flatnonzero((s < 1) & (step > 1e-12) & (np.abs(x).max(1) < 1e6))
+        if not active.size:
+            break
+        now, length = x[active], np.minimum(step[active], 1 - s[active])
+        _, matrix, change = residual(now, s[active])
+        new = now - length[:, None] * np.linalg.solve(matrix, change[..., None])[..., 0]
+        for _ in range(4):
+            value, matrix, _ = residual(new, s[active] + length)
+            last = np.linalg.solve(matrix, value[..., None])[..., 0]
+            new = new - last
+        good = (np.abs(last).max(1) < 1e-9) & (
+            np.abs(new - now).max(1) < 0.2 * np.maximum(0.5, np.abs(now).max(1))
+        )
+        x[active[good]], s[active[good]] = new[good], (s[active] + length)[good]
+        step[active] = np.where(good, np.minimum(1.5 * length, 0.05), length / 3)
+    n = (x * x).sum(1)
+    arrived = (s == 1) & (np.abs(x).max(1) < 1e3) & (np.abs(n) > 1e-6 * (np.abs(x) ** 2).sum(1))
+    rotations = quartic(x[arrived] / np.sqrt(n[arrived])[:, None])[2].reshape(-1, 9)
+    distance = np.abs(rotations[:, None] - rotations).max(2)
+    return rotations[~np.triu(distance < 1e-6, 1).any(0)]
+
+
+@pytest.mark.parametrize(
+    ("present", "symmetric", "expected"),
+    [("pq", False, 24), ("r", False, 24), ("prq", False, 24), ("prq", True, 16)],
+)
+def test_the_number_of_complex_equilibria_by_eigenvectors_of_a_quartic_form(present, symmetric, expected):
+    """24 for every general body, 16 where two moments are equal, with drag too."""
+    rng = np.random.default_rng(3)
+    inertia = 0.5 + np.abs(rng.normal(size=3))
+    inertia[1] = inertia[0] if symmetric else inertia[1]
+    fields = np.array([rng.normal(size=3) * (name in present) for name in "prq"])
+    assert len(eigenvectors_of_the_quartic(inertia, fields, rng)) == expected
+
+
+@pytest.mark.parametrize("with_p", [0.0, 1.0])
+@pytest.mark.parametrize("with_r", [0.0, 1.0])
+def test_continuation_finds_the_solutions_of_newtons_method(with_p, with_r):
+    rng = np.random.default_rng(3)
+    inertia, p, q = rng.normal(size=(3, 3))
+    p, r = with_p * p, with_r * rng.normal(size=3)
+    real = complex_solutions(inertia + 0j, p, r, q, 2500, 0)
     real = real[np.abs(real.imag).max(1) < 1e-9].real
-    alpha, gamma, is_real, _, complete = homotopy.solve(inertia[:, None], p[:, None], q[:, None])
+    columns = (vector[:, None] for vector in (inertia, p, r, q))
+    alpha, gamma, is_real, _, complete = homotopy.solve(*columns)
     assert complete.all()
     continued = np.concatenate([alpha, gamma])[:, is_real[:, 0], 0].T
     assert len(continued) == len(real)
@@ -186,11 +285,11 @@ def test_bodies_without_isolated_equilibria_and_on_bifurcations():
 
 def dense_search(body, starts=300):
     """alpha and gamma, (E, 6), of the critical points of W for Omega = 1 by Newton's method on the rotations, starts also beside them."""
-    inertia, k, mu = (
+    inertia, k, mu, drag = (
         np.array([body.get(f"{x}{i}" if x else "ABC"[i - 1], 0.0) for i in (1, 2, 3)])
-        for x in ("", "k", "mu")
+        for x in ("", "k", "mu", "drag")
     )
-    fields = (3.0, body.get("h1", 0.0) * mu), (-1.0, body.get("h3", 0.0) * mu - k)
+    fields = (3.0, body.get("h1", 0.0) * mu), (0.0, drag), (-1.0, body.get("h3", 0.0) * mu - k)
     rng, seeds = np.random.default_rng(0), np.zeros((0, 3, 3))
     for angle in (3.0, 0.1, 0.01):
         frames = np.linalg.qr(rng.normal(size=(starts, 3, 3)))[0] * rng.choice([-1, 1], (starts, 3, 1))
@@ -199,7 +298,7 @@ def dense_search(body, starts=300):
         frames = np.concatenate([frames, seeds, beside])
         for _ in range(60):
             gradient, hessian = np.zeros((len(frames), 3)), np.zeros((len(frames), 3, 3))
-            for (factor, field), v in zip(fields, (frames[:, 0], frames[:, 2]), strict=True):
+            for (factor, field), v in zip(fields, frames.swapaxes(0, 1), strict=True):
                 slope = factor * inertia * v + field
                 gradient += np.cross(slope, v)
                 for j, change in enumerate(np.cross(v[:, None], np.eye(3)).swapaxes(0, 1)):
@@ -233,11 +332,12 @@ def beside_symmetry(rng, i):
     moments = np.full(3, 1.0)
     moments[second], moments[third] = 1 + difference, rng.choice([0.7, 1.4])
     k, mu = rng.normal(size=(2, 3)) * 0.3
+    drag = 0.3 * rng.spawn(1)[0].normal(size=3) * (i % 2)
     if i // 3 != 1:
         across = [first, second]
-        k[across] *= difference * (i // 3 == 2)
-        mu[across] *= difference * (i // 3 == 2)
-    vectors = {f"{name}{j + 1}": v[j] for name, v in (("k", k), ("mu", mu)) for j in range(3)}
+        for vector in (k, mu, drag):
+            vector[across] *= difference * (i // 3 == 2)
+    vectors = {f"{name}{j + 1}": v[j] for name, v in (("k", k), ("mu", mu), ("drag", drag)) for j in range(3)}
     return dict(zip("ABC", moments, strict=True)) | vectors | {"h1": 0.4, "h3": -0.7}
 
 

@@ -361,8 +361,8 @@ def test_verdicts_on_a_sphere_do_not_depend_on_its_axes():
             vectors = (axes @ v for v in (rotor, field, w, alpha, gamma))
             k, h, *start = (np.array([v]) for v in vectors)
             body = Body(
-                np.ones((1, 3)), k, np.array([turn]), Direction(np.full(1, 3 * turn**2), 0 * h), Direction(np.zeros(1), h),
-                np.zeros(1),
+                np.ones((1, 3)), k, np.array([turn]), Direction(np.full(1, 3 * turn**2), 0 * h),
+                Direction(np.zeros(1), 0 * h), Direction(np.zeros(1), h), np.zeros(1),
             )  # fmt: skip
             in_space, by_energy = (Equilibria.of(body, *start, from_space=x) for x in (True, False))
             known = in_space.points.size > 0

@@ -95,7 +95,7 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
 
     Notes
     -----
-    Equilibria form circles where two moments are equal and rotor and magnet have no component across, all to the last bit.
+    Equilibria form circles where two moments are equal and rotor, magnet and drag have no component across, all to the last bit.
     Near such a body, at relative differences of the moments from about 1e-12 on, or with equal moments at components across
     from about 1e-7 on, its isolated equilibria are all listed. Nearer to it, and within about 1e-10 of a bifurcation, where
     solutions are closer than 1e-5, their number is not certain.

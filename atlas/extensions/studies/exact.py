@@ -330,6 +330,7 @@ def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Po
     if satellite:
         weight = -p["h3"] * np.array([p["mu1"], p["mu2"], p["mu3"]])
         others = [p["h1"] * p["mu1"], p["h1"] * p["mu2"], p["h1"] * p["mu3"], p["Omega"] * np.ptp(inertia)]
+        others += [p["drag1"], p["drag2"], p["drag3"]]
     else:
         weight = p["Mg"] * np.array([p["x0"], p["y0"], p["z0"]])
         others = [p["N"] * np.ptp(inertia)]

@@ -76,6 +76,41 @@ def test_verified_borders(case):
     assert max(distance.min(0).max(), distance.min(1).max()) < 1e-12
 
 
+DRAGGED = {
+    "general": ({"A": 1.0, "B": 1.3, "C": 1.7, "drag3": 0.2, "k1": 0.1}, {"drag1": (-1.0, 1.2), "drag2": (-1.0, 1.1)}),
+    "with a magnet": (
+        {"A": 1.0, "B": 1.3, "C": 1.7, "drag3": 0.2, "mu1": 0.3, "mu2": 0.2, "h1": 0.5, "h3": 0.4},
+        {"drag1": (-1.0, 1.2), "k3": (-1.0, 1.1)},
+    ),
+    "symmetric": ({"A": 1.0, "B": 1.0, "C": 0.6, "mu3": 0.3, "h1": 0.4}, {"drag3": (-0.9, 2.0), "k3": (-1.0, 1.1)}),
+}
+
+
+@pytest.mark.parametrize("case", DRAGGED)
+def test_borders_with_drag_explain_the_numbers_of_equilibria(case):
+    """In every cell, and at the ends of random lines across the curves."""
+    body, box = DRAGGED[case]
+    ds = atlas.borders("satellite", body, box)
+    assert (ds.cells == Cell.COUNTED).all()
+    assert float(ds.residual.max()) < 1e-10
+    (first, (low, high)), (second, (bottom, top)) = box.items()
+    for value in np.random.default_rng(1).uniform(low, high, 2):
+        cuts = crossings(ds, first, value, second)
+        ends = np.array([bottom, *(cut[0] for cut in cuts), top])
+        middles = 0.5 * (ends[1:] + ends[:-1])[np.diff(ends) > 1e-4]
+        rest = atlas.equilibria("satellite", body | {first: np.full(middles.size, value), second: middles})
+        counted = (rest["index"].values >= 0).sum(1)
+        changes = np.cumsum([0.0, *(cut[2] for cut in cuts)])[np.diff(ends) > 1e-4]
+        np.testing.assert_array_equal(counted - counted[0], changes - changes[0])
+
+
+@pytest.mark.parametrize("case", ["symmetric"])
+def test_limits_of_stability_with_drag_explain_the_numbers_of_stable_equilibria(case):
+    ds = atlas.borders("satellite", *DRAGGED[case], stability=True)
+    assert (ds.cells == Cell.COUNTED).all()
+    assert (ds.kind >= BorderKind.LIMIT_OF_STABILITY).any()
+
+
 def test_sides_change_where_pitchforks_cross():
     """A rotor in a principal plane: beside each segment near k2 = 0 the numbers of equilibria differ by its count_change."""
     body = {"A": 1.443, "B": 1.108, "C": 0.502, "k1": 0.0}

@@ -323,3 +323,31 @@ def test_permanent_rotations_beside_a_symmetry(difference):
     larger = first if difference < 0 else second
     assert (index[larger] == index[~larger] - 1).all()
     assert (first != second).all()
+
+
+@pytest.mark.parametrize(("axis", "moment"), [(1, "A"), (2, "B"), (3, "C")])
+def test_drag_along_an_axis_loses_its_equilibria_in_closed_form(axis, moment):
+    """8 rest with this axis along the velocity; 4 more each while |drag| < |difference to another moment|, Omega = 1, and 3 times it.
+
+    They turn about another axis, which is along the normal or the radius. About the axis of the middle moment two of these families
+    exchange their index at drag^2 = 3 (B - A) (C - B), where a line of equilibria joins them.
+    """
+    moments = {"A": 1.0, "B": 1.3, "C": 1.7}
+    differences = [abs(moments[moment] - other) for name, other in moments.items() if name != moment]
+    folds = np.sort([factor * difference for factor in (1, 3) for difference in differences])
+    name = f"drag{axis}"
+    ds = atlas.branches("satellite", moments, along={name: np.linspace(0.031, 3.017, 14)})
+    exchange = [np.sqrt(3 * 0.3 * 0.4)] if moment == "B" else []
+    values = np.unique(np.round([*folds, *exchange], 9))
+    np.testing.assert_allclose(np.unique(np.round(ds[f"fold_{name}"], 9)), values, rtol=1e-9)
+    expected = 8 + 4 * (ds[name].values[:, None] < folds).sum(1)
+    np.testing.assert_array_equal(ds.equilibrium_count, expected)
+
+
+def test_no_branch_of_a_body_with_all_torques_is_lost():
+    body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "mu2": 0.3, "h1": 0.2, "drag1": 0.2, "drag3": 0.3}
+    values = np.linspace(-1.01, 1.1, 8)
+    ds = atlas.branches("satellite", body, along={"drag2": values})
+    check_consistent(ds, "drag2", 0)
+    expected = atlas.equilibria("satellite", body | {"drag2": xr.DataArray(values, dims="drag2")})
+    np.testing.assert_array_equal(ds.equilibrium_count, expected.equilibrium_count)

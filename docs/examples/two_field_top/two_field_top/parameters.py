@@ -35,7 +35,8 @@ def vectors(points):
 def body(points):
     inertia, rotor, weight, magnet = (np.moveaxis(v, 0, -1) for v in vectors(points))
     zero = np.zeros_like(points["Mg"])
-    return Body(inertia, rotor, zero, Direction(zero, -magnet), Direction(zero, -weight), zero)
+    fields = (Direction(zero, field) for field in (-magnet, 0 * magnet, -weight))
+    return Body(inertia, rotor, zero, *fields, zero)
 
 
 def initial_state(points):

@@ -405,3 +405,62 @@ def test_lists_beside_bifurcations_are_whole_or_refused():
 def test_a_rounded_symmetry_is_refused():
     assert 0.1 + 0.2 != 0.3
     assert listed(BODY | {"A": 0.3, "B": 0.1 + 0.2, "C": 0.4, "k3": 0.02}) == 0
+
+
+def bodies_with_all_torques(count, seed):
+    """Bodies of three different moments under all torques, a fifth of them without drag and a fifth with drag alone."""
+    rng = np.random.default_rng(seed)
+    parts = rng.uniform(0.05, 1.0, (3, count))
+    columns = dict(zip("ABC", parts.sum(0) - parts, strict=True))
+    kind, size = np.arange(count) % 5, 10 ** rng.uniform(-1.5, 0.7, (5, count))
+    for name, own, without in (("k", 0, 1), ("mu", 1, 1), ("drag", 2, 0)):
+        columns |= {f"{name}{i}": size[own] * rng.normal(size=count) * (kind != without) for i in (1, 2, 3)}
+    return bodies(count, **columns, h1=size[3] * (kind != 1), h3=size[4] * rng.choice([-1, 1], count))
+
+
+def newton(points, starts, rng):
+    """Frames at rest to which Newton's method goes from random ones, (bodies, starts, 3, 3), and where it converges."""
+    inertia, k, mu, drag = (
+        np.array([points[f"{x}{i}" if x else "ABC"[i - 1]] for i in (1, 2, 3)]).T[:, None]
+        for x in ("", "k", "mu", "drag")
+    )
+    h1, h3 = (points[name][:, None, None] for name in ("h1", "h3"))
+    terms = (3.0, h1 * mu), (0.0, drag), (-1.0, h3 * mu - k)
+    scale = np.abs(inertia).sum(2) + np.abs(h1 * mu).sum(2) + np.abs(h3 * mu - k).sum(2) + np.abs(drag).sum(2)
+    shape = (len(points["A"]), starts)
+    frames = np.linalg.qr(rng.normal(size=(*shape, 3, 3)))[0] * rng.choice([-1, 1], (*shape, 3, 1))
+    frames[:, :, 1] = np.cross(frames[:, :, 2], frames[:, :, 0])
+    for _ in range(50):
+        gradient, hessian = np.zeros((*shape, 3)), np.zeros((*shape, 3, 3))
+        for row, (factor, field) in enumerate(terms):
+            v = frames[:, :, row]
+            slope = factor * inertia * v + field
+            gradient += np.cross(slope, v)
+            for j in range(3):
+                change = np.cross(v, np.eye(3)[j])
+                hessian[..., j] += np.cross(factor * inertia * change, v) + np.cross(slope, change)
+        step = -np.linalg.solve(hessian + 1e-300 * np.eye(3), gradient[..., None])[..., 0]
+        size = np.linalg.norm(step, axis=-1)
+        step *= np.minimum(1, 0.4 / np.maximum(size, 0.4))[..., None]
+        frames = turned(frames.reshape(-1, 3, 3), step.reshape(-1, 3)).reshape(frames.shape)
+    return frames, (size < 1e-9) & (np.linalg.norm(gradient, axis=-1) < 1e-11 * scale)
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(2000, marks=pytest.mark.long)])
+def test_newtons_method_finds_no_equilibrium_that_is_not_listed(count):
+    """Random bodies under all torques, 500 random orientations each."""
+    points, rng = bodies_with_all_torques(count, 5), np.random.default_rng(6)
+    listed = SATELLITE.equilibria_of_bodies(points, stability=False)
+    complete = listed["completeness"] == Completeness.COMPLETE
+    assert complete.mean() > 0.99
+    vectors, found = np.concatenate([listed["alpha"], listed["gamma"]], 2), 0
+    for first in range(0, count, 20):
+        part = np.arange(first, min(first + 20, count))
+        frames, converged = newton({name: values[part] for name, values in points.items()}, 500, rng)
+        ends = np.concatenate([frames[:, :, 0], frames[:, :, 2]], 2)
+        distance = np.nanmin(np.abs(ends[:, :, None] - vectors[part, None]).max(3), 2)
+        place = np.nanargmin(np.abs(ends[:, :, None] - vectors[part, None]).max(3), 2)
+        missed = converged & (distance > 1e-5) & complete[part, None]
+        assert not missed.any(), np.argwhere(missed)
+        found += sum(np.unique(place[i][converged[i]]).size for i in np.flatnonzero(complete[part]))
+    assert found > 0.98 * (listed["index"][complete] >= 0).sum()

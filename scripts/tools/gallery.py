@@ -245,6 +245,13 @@ PICTURES = (
         + CHAOS,
     ),
     Picture(
+        "drag_arrow",
+        "An arrow-shaped satellite in SI units, released at rest in the orbital frame at a pitch, its centre of pressure 6 cm behind the"
+        " centre of mass. Low down drag turns it nose forward, high up the gravity gradient upright, at 90 degrees of pitch. Between, and"
+        " from steeper pitches, it tumbles. Nose forward, at pitch 0, it is stable up to 473 km, where the torque of drag falls below"
+        " that of the gravity gradient." + CHAOS,
+    ),
+    Picture(
         "planar_oscillations",
         "A symmetric body whose axis swings in the orbital plane like a pendulum. Each motion is periodic; in the tongues,"
         " resonances with the motion out of the plane, its neighbours leave exponentially. The lines are theory, by Floquet"

@@ -122,6 +122,48 @@ class PeriodicSolution(Flag):
     MARGINAL = 3, "rho is 1 or -1 to rounding errors"
 
 
+class FamilyEnd(Flag):
+    """How a family of periodic motions ends."""
+
+    UNBOUNDED = 0, "rates grow without bound"
+    STEADY_MOTION = 1, "at another steady motion, with one of its frequencies"
+    ASYMPTOTIC = (
+        2,
+        "the period grows without bound, at motions that leave a steady motion and come back to it",
+    )
+    MULTIPLE = 3, "on an orbit of another family that is run through several times"
+    MIRROR = 4, "on its mirror image, at an orbit that is its own"
+    PERIOD_LIMIT = 5, "not followed further: the period reached its limit"
+    STEP_LIMIT = 6, "not followed further: the number of steps reached its limit"
+    LOST = 7, "not followed further: no step leads to another orbit; or there is no such family"
+
+
+class OrbitStability(Flag):
+    """Linear stability of a periodic motion with its momenta held."""
+
+    UNKNOWN = 0, "no such orbit"
+    STABLE = 1, "every multiplier is on the unit circle"
+    UNSTABLE = 2, "a multiplier is off the unit circle"
+
+
+class EventsComplete(Flag):
+    """Whether the events of a family are all listed up to three periods of its birth."""
+
+    NO = 0, "some may be missing"
+    YES = 1, "steps of half the length find no others"
+
+
+class PeriodicEvent(Flag):
+    """What happens at an orbit of a family of periodic motions."""
+
+    NONE = 0, "no event"
+    FOLD = 1, "the energy is extreme, and a multiplier is 1"
+    PERIOD_FOLD = 2, "the period is extreme"
+    DOUBLING = 3, "a multiplier is -1: orbits of twice the period branch off"
+    BRANCH = 4, "a multiplier is 1: another family crosses"
+    KREIN = 5, "two pairs of multipliers meet"
+
+
 class Completeness(Flag):
     """Whether the equilibria of a body are all listed."""
 

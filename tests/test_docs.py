@@ -36,7 +36,7 @@ CELL = "{code-cell} ipython3"
 EXTENSIONS = {
     "README.md": {"page"},
     "docs/accuracy.md": {"studies"},
-    "docs/api.rst": {"basins", "branches", "equilibria", "page", "sections"},
+    "docs/api.rst": {"basins", "branches", "equilibria", "page", "periodic", "sections"},
     "docs/basins.md": {"basins", "equilibria"},
     "docs/branches.md": {"branches"},
     "docs/fixed_point.md": {"equilibria"},
@@ -47,6 +47,7 @@ EXTENSIONS = {
     "docs/my_satellite.md": {"branches"},
     "docs/new_system.md": {"lagrangian", "studies"},
     "docs/page.md": {"page"},
+    "docs/periodic.md": {"periodic"},
     "docs/published.md": {"branches", "normal_form", "published"},
     "docs/satellite.md": {"equilibria"},
     "docs/scenes.md": {"equilibria"},

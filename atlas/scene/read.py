@@ -199,7 +199,7 @@ def scene_from(
         raise BadInput("axes: a scene needs at least one [axes.NAME] table")
     seed = checks.SEED("seed", table.get("seed", 0))
     expressions = _expressions(section["ties"], seed)
-    family, solve, choice = _family(system, section["family"]) if "family" in table else (None, (), {})
+    family, solve, choice = parse_family(system, section["family"]) if "family" in table else (None, (), {})
     ties: dict[str, Tie] = expressions | columns
     _check_ties(axes, expressions, solve, is_refined=refine is not None)
     order = evaluation_order(ties, {*system.parameters, *fixed, *axes} - set(solve))
@@ -388,7 +388,7 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
     return values
 
 
-def _family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
+def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
     """Name of the family, its solved parameters in the order of its formulas, and what chooses among several solutions."""
     checks.check_keys(table, "family.", ("name", "solve", "branch", "near"))
     families = families_of(system)

@@ -1,0 +1,157 @@
+"""The flow of one body with its tangent vectors, in which rates are divided by a rate of the body.
+
+A change of a state has six components: of the angular velocity w, and of the attitude. Where the frame has two directions v the
+attitude changes by a rotation eta, dv = v x eta, as in `kernel.augmented`; where it has gamma alone by d gamma. Motions of a body
+symmetric about its third axis differ by turns R(chi) about it: R turns the components 1 and 2 of w, of directions and of eta alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...kernel import specialization
+from ...kernel.augmented import rotates
+from ...kernel.blocks import BlockSchedule, pack_blocks
+from ...kernel.ensemble import Ensemble
+from ...kernel.tableaux import TANGENT_METHOD
+from ...kernel.tangent import Growth
+from ...measure.tangent_runs import TangentArrays
+from ...systems.base import Array, Points
+from ...systems.gyrostat import Gyrostat
+
+SIZE = 6  # components of a change
+RADIANS = 0.3  # largest step times the frequency bound: errors of a period are rounding
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector product of (..., 3); for few vectors NumPy's takes ten times as long."""
+    (x, y, z), (u, v, w) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
+
+
+def turn(chi: float) -> Array:
+    """R(chi) for the components of changes."""
+    c, s = np.cos(chi), np.sin(chi)
+    return np.kron(np.eye(2), [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@cache
+def _schedule(lanes: int, steps: int) -> BlockSchedule:
+    """Blocks of lanes with equal steps and one node."""
+    ones = np.ones(lanes, np.int64)
+    return pack_blocks(steps * ones, ones)
+
+
+class Flow:
+    """Equations, integrals and symmetry of one body; states are (states, N), changes (states, 6)."""
+
+    def __init__(self, system: Gyrostat, points: Points) -> None:
+        self.system, self.equations, self.ensemble = system, system.equations, Ensemble.of(system, points)
+        self.body, self.start = system.body(points), self.ensemble.state[:, 0]
+        self.constants = self.ensemble.constants
+        self.symmetric = bool(system.conserves_axial_momentum(points)[0])
+        self.rotates, self.rate = rotates(self.equations), 1.0
+        powers, constant = self.equations.INTEGRALS, system.integral_scales(points)
+        self.energy = next(iter(powers))
+        self.momenta = [name for name in powers if powers[name] == 1 and not np.isnan(constant[name][0])]
+        self.held = (
+            self.momenta if self.rotates else ["length_gamma", *self.momenta]
+        )  # rotations keep lengths
+        self.tangents = specialization.tangent_kernel(system)
+        self.path = specialization.node_kernel(system, TANGENT_METHOD.name)
+
+    def vectors(self, states: Array) -> Array:
+        """The angular velocity and the directions of the frame, (states, vectors, 3)."""
+        return states.reshape(len(states), -1, 3)
+
+    def moved(self, states: Array, changes: Array) -> Array:
+        """States after changes, exactly on the attitudes."""
+        v = self.vectors(states).copy()
+        v[:, 0] += self.rate * changes[:, :3]
+        if self.rotates:
+            v[:, 1:] = v[:, 1:] @ Rotation.from_rotvec(changes[:, 3:]).as_matrix()
+            # Rounding errors of many turns add up.
+            v[:, 2] /= np.linalg.norm(v[:, 2], axis=1)[:, None]
+            v[:, 1] -= (v[:, 1] * v[:, 2]).sum(1)[:, None] * v[:, 2]
+            v[:, 1] /= np.linalg.norm(v[:, 1], axis=1)[:, None]
+        else:
+            v[:, 1] += changes[:, 3:]
+        return v.reshape(states.shape)
+
+    def difference(self, ends: Array, states: Array) -> Array:
+        """The change, to first order, from states to others near them."""
+        a, b = self.vectors(ends), self.vectors(states)
+        attitude = a[:, 1] - b[:, 1]
+        if self.rotates:
+            a, b = (np.concatenate([v, cross(v[:, 2:], v[:, 1:2])], 1) for v in (a, b))
+            attitude = -0.5 * cross(b[:, 1:], a[:, 1:]).sum(1)
+        return np.hstack([(a[:, 0] - b[:, 0]) / self.rate, attitude])
+
+    def value(self, name: str, state: Array) -> float:
+        """An integral at a state."""
+        return float(sum(getattr(self.equations, name)(state, self.constants[:, 0])))
+
+    def gradients(self, names: Sequence[str], state: Array) -> Array:
+        """Derivatives of integrals, (names, 6): they are quadratic, so that central differences are exact."""
+        v, unit = self.vectors(state[None])[0], np.eye(3)
+        moved = np.zeros((SIZE, *v.shape))
+        moved[:3, 0] = self.rate * unit
+        moved[3:, 1:] = cross(v[None, 1:], unit[:, None]) if self.rotates else unit[:, None]
+        step = 1e-3 * moved.reshape(SIZE, -1)
+        ahead, behind = (state + step).T, (state - step).T
+        integrals = [getattr(self.equations, name) for name in names]
+        rows = [sum(each(ahead, self.constants)) - sum(each(behind, self.constants)) for each in integrals]
+        return np.reshape(rows, (len(rows), SIZE)) / 2e-3
+
+    def slopes(self, states: Array) -> Array:
+        """Changes per time."""
+        derivative = np.array(self.equations.rhs(states.T, self.constants), float).T
+        attitude = derivative[:, 3:]
+        if self.rotates:
+            attitude = np.array(self.equations.frame_motion(states.T, self.constants)[:3]).T
+        return np.hstack([derivative[:, :3] / self.rate, attitude])
+
+    def symmetry(self, states: Array) -> Array:
+        """Derivatives of R(chi) y by chi; 0 of a body without symmetry."""
+        v, axis = self.vectors(states), np.array([0.0, 0.0, 1.0])
+        attitude = np.broadcast_to(-axis, (len(v), 3)) if self.rotates else cross(axis, v[:, 1])
+        return self.symmetric * np.hstack([cross(axis, v[:, 0]) / self.rate, attitude])
+
+    def turned(self, states: Array, chi: float) -> Array:
+        """R(chi) y."""
+        return (self.vectors(states) @ turn(chi)[:3, :3].T).reshape(states.shape)
+
+    def bound(self, state: Array) -> float:
+        """Bound of the fastest frequency of the motion of a state."""
+        return float(self.body.frequency_bound(*self.system.vectors(state[:, None]))[0])
+
+    def run(self, states: Array, time: float, bound: float) -> tuple[Array, Array]:
+        """States after a time, of motions with a frequency bound, and the matrices of changes, (states, 6, 6)."""
+        count, steps = len(states), _steps(time, bound)
+        unit, lanes = time / steps / self.tangents.STEP * self.rate, count * SIZE
+        state, constants = np.repeat(states.T, SIZE, axis=1), np.repeat(self.constants, lanes, axis=1)
+        vectors, sums = np.tile(np.diag([unit] * 3 + [1.0] * 3), (1, count)), np.empty((len(Growth), lanes))
+        schedule, weights = _schedule(lanes, steps), np.ones((SIZE, lanes))
+        arrays = TangentArrays(np.full(lanes, time / steps), state, constants, vectors, weights, sums)
+        begin = np.zeros_like(schedule.steps)
+        self.tangents.integrate(schedule, arrays, 0, len(begin), begin, begin + 1)
+        vectors *= np.exp(sums[Growth.LOG_GROWTH])  # the kernel divides them by their lengths
+        vectors[:3] /= unit
+        return state[:, ::SIZE].T.copy(), vectors.reshape(SIZE, count, SIZE).transpose(1, 0, 2)
+
+    def nodes(self, states: Array, time: float, bound: float, steps: int = 0) -> Array:
+        """States after every step of a time, (states, steps + 1, N)."""
+        count, steps = len(states), steps or _steps(time, bound)
+        start = self.ensemble.subset(np.zeros(count, np.int64))
+        start = replace(start, state=np.ascontiguousarray(states.T))
+        result, _ = start.nodes(self.path, np.ones(count, np.int64), np.full(count, time / steps), steps + 1)
+        return result.transpose(2, 1, 0)
+
+
+def _steps(time: float, bound: float) -> int:
+    return max(4, int(np.ceil(min(time * bound / RADIANS, 1e6))))

@@ -1,0 +1,228 @@
+"""Periodic motions by multiple shooting, and the small oscillations of steady motions from which their families are born.
+
+A motion of period T and turn chi, y(T) = R(chi) y(0), is given by m states, T/m apart. Newton's method solves for these, T and chi:
+each segment ends at the next state, momenta are those of the family, the change of all states is across the flow and across turns
+about an axis of symmetry, and along the family it is given, by arc length or by the energy. By what the integrals repeat these are
+more equations than unknowns; they are compatible. Lengths are the root of the mean square of the changes of states, with those of
+T in periods of the birth, and of chi.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from ...systems.base import Array
+from .flow import SIZE, Flow, turn
+
+ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
+NEWTON, CONVERGED, TOO_FAR = 9, 1e-11, 3.0  # steps of Newton's method, the last of them, and one that is none
+SINGULAR = 1e-14
+LARGE, SEPARATE = (
+    1e6,
+    1e4,
+)  # multipliers that take digits from others, and the ratio from which on those follow alone
+
+
+class Birth(NamedTuple):
+    """A small oscillation: its frequency, and the complex change of the steady motion, (6,)."""
+
+    frequency: float
+    mode: Array
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """A periodic motion, and the direction of its family there."""
+
+    states: Array  # (m, N)
+    period: float
+    chi: float
+    bound: float  # of the fastest frequency
+    tangent: Array  # unit vector, (6 m + 2,)
+
+
+def across(rows: Array) -> Array:
+    """Basis of what is across some rows, which may depend on each other, (6, n)."""
+    _, size, vectors = np.linalg.svd(np.vstack([np.zeros((1, SIZE)), rows]))
+    return vectors[(size > 1e-9 * size.max()).sum() :].T
+
+
+class SteadyMotion:
+    """A steady motion y' = q G y, G the derivative of turns about the axis of symmetry."""
+
+    def __init__(self, flow: Flow) -> None:
+        self.flow, self.state = flow, flow.start
+        slope, self.along = flow.slopes(self.state[None])[0], flow.symmetry(self.state[None])[0]
+        self.spin = float(self.along @ slope / max(self.along @ self.along, 1e-300))
+        self.residual = float(np.abs(slope - self.spin * self.along).max())
+
+    def births(self) -> tuple[list[Birth], int]:
+        """Small oscillations with these momenta, the fastest first, and the number of exponents that are 0."""
+        flow, bound = self.flow, self.flow.bound(self.state)
+        time = 0.5 / bound
+        matrix = turn(-self.spin * time) @ flow.run(self.state[None], time, bound)[1][0]
+        basis = across(np.vstack([flow.gradients(flow.held, self.state), self.along]))
+        values, vectors = np.linalg.eig(basis.T @ matrix @ basis)
+        exponents, result = np.log(values.astype(complex)) / time, []
+        for exponent, vector in zip(exponents, vectors.T, strict=True):
+            if exponent.imag > ROUNDING * bound > abs(exponent.real):
+                mode, factor = basis @ vector, np.exp(exponent * time)
+                # The mode also swings about the axis of symmetry.
+                swing = self.along @ (matrix @ mode - factor * mode) / max(self.along @ self.along, 1e-300)
+                mode = mode + self.along * swing / (factor - 1)
+                mode = mode * np.exp(-0.5j * np.angle((mode * mode).sum())) / np.linalg.norm(mode)
+                result.append(Birth(float(exponent.imag), mode))
+        return sorted(result, reverse=True, key=lambda each: each.frequency), int(
+            (abs(exponents) <= ROUNDING * bound).sum()
+        )
+
+
+class Family:
+    """The equations of a family of periodic motions."""
+
+    def __init__(self, steady: SteadyMotion, birth: Birth) -> None:
+        self.flow, self.steady, self.birth = steady.flow, steady, birth
+        self.unit = 2 * np.pi / birth.frequency  # of T
+        self.level = [self.flow.value(name, steady.state) for name in self.flow.held]
+        self.birth_energy = self.flow.value(self.flow.energy, steady.state)
+
+    def scales(self, m: int) -> Array:
+        """Units of the unknowns."""
+        return np.append(np.full(SIZE * m, np.sqrt(m)), [self.unit, 1.0])
+
+    def born(self, m: int) -> Orbit:
+        """The orbit of amplitude 0."""
+        T, q, w, y = self.unit, self.steady.spin, self.birth.frequency, self.steady.state
+        times = np.arange(m) * T / m
+        states = np.concatenate([self.flow.turned(y[None], q * t) for t in times])
+        changes = [turn(q * t) @ (self.birth.mode * np.exp(1j * w * t)).real for t in times]
+        tangent = np.append(np.concatenate(changes), [0.0, 0.0]) / self.scales(m)
+        return Orbit(states, T, q * T, self.flow.bound(y), tangent / np.linalg.norm(tangent))
+
+    def moved(self, orbit: Orbit, step: Array) -> Orbit:
+        """The orbit after a change of its unknowns in their units."""
+        change = step * self.scales(len(orbit.states))
+        states = self.flow.moved(orbit.states, change[:-2].reshape(-1, SIZE))
+        return replace(orbit, states=states, period=orbit.period + change[-2], chi=orbit.chi + change[-1])
+
+    def equations(self, orbit: Orbit) -> tuple[Array, Array, Array]:
+        """Residuals, those of the segments first; their derivatives by the unknowns in their units; matrices of the segments."""
+        flow, m, n = self.flow, len(orbit.states), SIZE * len(orbit.states)
+        ends, matrices = flow.run(orbit.states, orbit.period / m, orbit.bound)
+        slopes, back = flow.slopes(ends), turn(-orbit.chi)
+        ends[-1:], slopes[-1] = flow.turned(ends[-1:], -orbit.chi), back @ slopes[-1]
+        matrices[-1] = back @ matrices[-1]
+        jacobian = np.zeros((n + len(flow.held) + 2, n + 2))
+        blocks, i, j = jacobian[:n, :n].reshape(m, SIZE, m, SIZE), np.arange(m), (np.arange(m) + 1) % m
+        blocks[i, :, i] = matrices
+        blocks[i, :, j] -= np.eye(SIZE)
+        jacobian[:n, -2] = slopes.ravel() / m
+        jacobian[n - SIZE : n, -1] = -flow.symmetry(ends[-1:])[0]
+        jacobian[n:-2, :SIZE] = flow.gradients(flow.held, orbit.states[0])
+        along = flow.symmetry(orbit.states)
+        velocity = flow.slopes(orbit.states) - orbit.chi / orbit.period * along
+        jacobian[-2, :n] = velocity.ravel() / np.linalg.norm(velocity)
+        jacobian[-1, :n] = along.ravel() / max(float(np.linalg.norm(along)), 1e-300)
+        jacobian[-1, -1] = not flow.symmetric
+        residual = flow.difference(ends, orbit.states[j]).ravel()
+        held = [flow.value(name, orbit.states[0]) for name in flow.held]
+        return (
+            np.concatenate([residual, np.subtract(held, self.level), [0, 0]]),
+            jacobian * self.scales(m),
+            matrices,
+        )
+
+    def energy(self, orbit: Orbit) -> float:
+        return self.flow.value(self.flow.energy, orbit.states[0])
+
+    def energy_row(self, orbit: Orbit) -> Array:
+        """Derivatives of the energy by the unknowns in their units."""
+        row = np.zeros_like(orbit.tangent)
+        row[:SIZE] = self.flow.gradients([self.flow.energy], orbit.states[0])[0] * np.sqrt(len(orbit.states))
+        return row
+
+    def corrected(self, guess: Orbit, energy: float | None = None) -> tuple[Orbit, int, float] | None:
+        """The periodic motion beside a guess, across its tangent or of an energy; steps, and the distance; None if lost."""
+        orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
+        for count in range(1, NEWTON + 1):
+            residual, jacobian, _ = self.equations(orbit)
+            row, value = guess.tangent, 0.0
+            if energy is not None:
+                row, value = self.energy_row(orbit), self.energy(orbit) - energy
+            step = _solve(np.vstack([jacobian, row]), -np.append(residual, value))
+            size = float(np.linalg.norm(step))
+            if not size < TOO_FAR:
+                return None
+            orbit, total = self.moved(orbit, step), total + step
+            if not orbit.period > 0:
+                return None
+            if size < CONVERGED or (size < 1e-9 and size > 0.1 * last):
+                return orbit, count, float(np.linalg.norm(total))
+            last = size
+        return None
+
+    def with_tangent(self, orbit: Orbit, jacobian: Array) -> Orbit:
+        """The orbit with the direction of the family, that of the tangent before; nan where it is singular."""
+        tangent = _solve(np.vstack([jacobian, orbit.tangent]), np.append(np.zeros(len(jacobian)), 1.0))
+        return replace(
+            orbit, tangent=tangent / np.linalg.norm(tangent) if np.isfinite(tangent[0]) else np.nan * tangent
+        )
+
+    def meshed(self, orbit: Orbit, m: int) -> Orbit:
+        """The same orbit and tangent with another number of states."""
+        flow, old = self.flow, len(orbit.states)
+        change = orbit.tangent * self.scales(old)
+        changes, states, tangent = change[:-2].reshape(old, SIZE), [], []
+        for place in np.arange(m) * old / m:
+            i, share = int(place), place % 1 / old
+            y, matrix = flow.run(orbit.states[i : i + 1], max(share, 1e-15) * orbit.period, orbit.bound)
+            states.append(y)
+            tangent.append(matrix[0] @ changes[i] + flow.slopes(y)[0] * share * change[-2])
+        new = np.append(np.concatenate(tangent), change[-2:]) / self.scales(m)
+        return replace(orbit, states=np.concatenate(states), tangent=new / np.linalg.norm(new))
+
+    def multipliers(self, orbit: Orbit, matrices: Array) -> Array:
+        """Multipliers without the trivial ones, in pairs mu, 1/mu with |mu| >= 1."""
+        flow, states, names = self.flow, orbit.states, [*self.flow.held, self.flow.energy]
+
+        def basis(i: int) -> Array:
+            """Of changes on the level of the integrals, across the flow and turns about an axis of symmetry."""
+            y = states[i : i + 1]
+            return across(np.vstack([flow.gradients(names, y[0]), flow.slopes(y), flow.symmetry(y)]))
+
+        first = basis(0)
+        matrix = first.T @ np.linalg.multi_dot([*matrices[::-1], first])
+        if np.abs(matrix).max(initial=0.0) > LARGE:
+            # Products of orthogonal and triangular factors, whose first directions become those of the largest multipliers.
+            bases = [first, *map(basis, range(1, len(states))), first]
+            parts = [b.T @ part @ a for a, part, b in zip(bases, matrices, bases[1:], strict=False)]
+            final = np.eye(len(matrix))
+            for _ in range(3):
+                before, product = final, np.eye(len(matrix))
+                for part in parts:
+                    final, upper = np.linalg.qr(part @ final)
+                    product = upper @ product
+            matrix = before.T @ final @ product
+        values, result = list(np.linalg.eigvals(matrix).astype(complex)), list[complex]()
+        while values:
+            # Small multipliers have the rounding errors of the largest one.
+            large = values.pop(int(np.argmax(np.abs(values))))
+            if len(values) == 3 and abs(large) > max(LARGE, SEPARATE * np.abs(values).max()):
+                values = sorted(np.linalg.eigvals(matrix[1:, 1:]).astype(complex), key=abs)[1:]
+            else:
+                values.pop(int(np.argmin(np.abs(np.array(values) - 1 / large))))
+            result += [large, 1 / large]
+        return np.array(result)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Least squares by orthogonal and triangular factors; infinite where the matrix is singular."""
+    orthogonal, upper = scipy.linalg.qr(matrix, mode="economic", check_finite=False)
+    diagonal = np.abs(np.diag(upper))
+    if not diagonal.min() > SINGULAR * diagonal.max():
+        return np.full(matrix.shape[1], np.inf)
+    return scipy.linalg.solve_triangular(upper, orthogonal.T @ right, check_finite=False)

@@ -1,0 +1,369 @@
+"""Families of periodic motions as datasets."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from ... import systems
+from ...errors import BadInput, shown
+from ...flags import EventsComplete, FamilyEnd, Flag, OrbitStability, PeriodicEvent
+from ...kernel import specialization, tangent
+from ...kernel.tableaux import TANGENT_METHOD
+from ...label.attitude import STARTS, start
+from ...measure.instrument import Variable
+from ...scene import checks
+from ...scene.family import near_values, solution
+from ...scene.model import Settings
+from ...scene.read import parse_family
+from ...scene.tables import Table, flat_columns, parameter_arrays, table
+from ...store import dataset
+from ...systems.base import Array, Points, check_possible, families_of, subset
+from ...systems.gyrostat import Gyrostat
+from ...systems.gyrostat.body import transverse_axes
+from .families import BIRTHS, Member, Path
+from .flow import Flow
+from .orbits import Family, SteadyMotion
+
+UNSTEADY = 1e-8  # largest change of a steady motion, in the unit of rates of the motion
+ON_CIRCLE = 1e-6  # distance of a multiplier from the unit circle that rounding may cause
+NEAREST, RESONANT = (
+    1e-3,
+    1e-8,
+)  # relative distances of frequencies: of the one that is meant, and from a resonance
+MAX_ORBITS = 10_000
+POLE = 1e-6  # sine of theta below which psi, phi and their rates have few digits
+FAMILY, ORBIT, MULTIPLIER, EVENT = (
+    ("family",),
+    ("family", "orbit"),
+    ("family", "orbit", "multiplier"),
+    ("family", "event"),
+)
+SECTION = {
+    "family": "name",
+    "solve": "solve",
+    "branch": "branch",
+    "near": "near",
+}  # keys of motion, those of [family]
+_VARIABLES: dict[str, tuple[tuple[str, ...], str, str, type[Flag] | None]] = {
+    "period": (ORBIT, "s", "period", None),
+    "turn": (ORBIT, "rad", "turn about the axis of symmetry in a period, up to whole turns", None),
+    "energy": (ORBIT, "J", "energy integral", None),
+    "theta_min": (ORBIT, "rad", "least theta", None),
+    "theta_max": (ORBIT, "rad", "largest theta", None),
+    "orbit_stable": (ORBIT, "1", "linear stability of the orbit, momenta held", OrbitStability),
+    "closing": (ORBIT, "1", "largest error at the nodes, in rad and in rates of the motion", None),
+    "arc": (ORBIT, "1", "arc length from the birth", None),
+    "multiplier_real": (MULTIPLIER, "1", "real part of a multiplier", None),
+    "multiplier_imag": (MULTIPLIER, "1", "imaginary part of a multiplier", None),
+    "frequency": (FAMILY, "rad s-1", "frequency of the small oscillations", None),
+    "birth_period": (FAMILY, "s", "period of the small oscillations", None),
+    "birth_energy": (FAMILY, "J", "energy integral of the steady motion", None),
+    "birth_slope": (FAMILY, "s J-1", "slope of the period by the energy at the birth", None),
+    "end": (FAMILY, "1", "how the family ends", FamilyEnd),
+    "end_period": (FAMILY, "s", "period at the end", None),
+    "end_energy": (FAMILY, "J", "energy integral at the end", None),
+    "complete": (
+        FAMILY,
+        "1",
+        "whether the events up to three periods of the birth are all listed",
+        EventsComplete,
+    ),
+    "event_kind": (EVENT, "1", "what happens along the family", PeriodicEvent),
+    "event_period": (EVENT, "s", "period where it happens", None),
+    "event_energy": (EVENT, "J", "energy integral where it happens", None),
+    "event_arc": (EVENT, "1", "arc length where it happens", None),
+}
+
+
+@checks.typed
+def periodic(
+    system: str,
+    body: Table,
+    *,
+    motion: Mapping[str, Any] | None = None,
+    frequency: float | str = "all",
+    orbits: int = 60,
+    max_period: float = 12.0,
+    energy: float | Sequence[float] | None = None,
+    above: float | Sequence[float] | None = None,
+    events: bool = True,
+) -> xr.Dataset:
+    """Families of periodic motions that are born from a steady motion, from there to their ends.
+
+    Parameters
+    ----------
+    system : str
+        "satellite" or "fixed_point".
+    body : mapping of str to float, array_like or DataArray
+        Parameters, as in `label_points`; omitted ones take their defaults. Arrays give an atlas of families.
+    motion : mapping, optional
+        Start values of the steady motion, with the keys of the table [family] of a scene where a family solves some of them:
+        ``{"family": "perp_radius", "solve": ["m"], "theta0": 0.9}``. Default: the start of `body`.
+    frequency : float, int or str
+        A frequency of the small oscillations about the motion, to 1e-3; an int is its position from 1, the largest, as in
+        frequency_1; "all": every one.
+    orbits : int
+        Most orbits that are listed of a family, at equal numbers of steps from the birth to the end.
+    max_period : float
+        Where a family is left that goes on, in periods of its birth.
+    energy, above : float or sequence of float, optional
+        Values of the energy integral, or its excess over that of the steady motion: every orbit with one of them is listed instead.
+    events : bool
+        Whether bifurcations and folds are looked for, which takes as long again.
+
+    Returns
+    -------
+    xarray.Dataset
+        Over the dimensions of arrays, "family" and "orbit": start values for `trajectory` and `label_points`, where theta is largest;
+        period; turn, of a body symmetric about its third axis, after which the motion repeats; energy, theta_min, theta_max;
+        orbit_stable (flags); closing, the error; arc, the length of the family from its birth; over "multiplier" too
+        multiplier_real, multiplier_imag, without the multipliers that are always 1. Over "family": frequency, birth_period,
+        birth_energy, birth_slope (of the period by the energy), the momenta that are held, end (flags), end_period, end_energy,
+        complete (flags); with "event": event_kind (flags), event_period, event_energy, event_arc. The parameters are coordinates.
+
+    Raises
+    ------
+    BadInput
+        For a start that is no steady motion or has no such frequency, and where no family is born; of several bodies only if none
+        has one.
+
+    Notes
+    -----
+    An orbit is stable where every multiplier is within 1e-6 of the unit circle, momenta held; also where none is left, as of a
+    symmetric top. Near an end at infinite period bifurcations follow each other without end; they are listed to the last orbit.
+    """
+    description = systems.get(system)
+    if not isinstance(description, Gyrostat):
+        raise BadInput(f"periodic: needs a system with gyrostats, such as satellite; {system} has none")
+    if energy is not None and above is not None:
+        raise BadInput("energy and above are both given; allowed: one of them")
+    if isinstance(frequency, str) and frequency != "all":
+        raise BadInput(f'frequency = {shown(frequency)}: must be a number or "all"')
+    if not checks.number("max_period", max_period) > 1:
+        raise BadInput(f"max_period = {max_period:g}: must be above 1")
+    checks.whole_number("orbits", orbits, 1, MAX_ORBITS)
+    motion = motion or {}
+    family = {SECTION[key]: motion[key] for key in motion if key in SECTION}
+    source = table(body, description.parameters) | {key: motion[key] for key in motion if key not in SECTION}
+    names, given, _ = parameter_arrays(description, source)
+    arrays = xr.broadcast(*given) or (xr.DataArray(0.0),)
+    dims, shape = arrays[0].dims, arrays[0].shape
+    for dim in {*dims} & {*MULTIPLIER, *EVENT, *STARTS}:
+        raise BadInput(f"body: the dimension {dim} is one of the result; rename it")
+    points = flat_columns(description, names, [array.values for array in arrays[: len(names)]], shape, source)
+    description.check(points)
+    check_possible(description, points)
+    levels = [
+        None if each is None else [checks.number("energy", x) for x in np.ravel(each).tolist()]
+        for each in (energy, above)
+    ]
+    values = partial(_family_values, orbits=orbits, energy=levels[0], above=levels[1], events=events)
+    rows, refusals = list[list[dict[str, Any]]](), list[BadInput]()
+    for i in range(len(points["A"])):
+        try:
+            found = _families(description, subset(points, np.array([i])), family, frequency)
+            rows.append(
+                [
+                    values(Path(each).follow(max_period), points["Omega"][i] if "Omega" in points else None)
+                    for each in found
+                ]
+            )
+        except BadInput as error:
+            rows.append([])
+            refusals.append(error)
+    if not any(rows):
+        raise refusals[0]
+    ds = xr.Dataset({name: _variable(description, name, rows, dims, shape) for name in max(rows, key=len)[0]})
+    own = {name for name, parameter in description.parameters.items() if parameter.start} | {*map(str, ds)}
+    ds = dataset.with_parameters(ds, description, dict(zip(names, given, strict=True)), leave_out=own)
+    text = specialization.source(description, TANGENT_METHOD.name, of=tangent)
+    ds.attrs = dataset.provenance(
+        description, Settings(method=TANGENT_METHOD.name), specialization.kernel_hash(text),
+        title=f"families of periodic motions of the {description.title}", warnings=[],
+    )  # fmt: skip
+    return ds
+
+
+def _families(
+    system: Gyrostat, points: Points, table: Mapping[str, Any], frequency: float | str
+) -> list[Family]:
+    """The families of one body that are asked for."""
+    if table:
+        name, solve, choice = parse_family(system, table)
+        chosen = families_of(system)[name]
+        points = solution(chosen, solve, points, near_values(system, chosen, solve, choice))
+    if points["damping"][0]:
+        raise BadInput(
+            f"damping = {points['damping'][0]:g}: motions of a damped body do not repeat; set it to 0"
+        )
+    flow = Flow(system, points)
+    steady, size = SteadyMotion(flow), np.linalg.norm(flow.start[:3])
+    scale = max(float(flow.bound(flow.start)), float(size))
+    if not steady.residual <= UNSTEADY * max(scale, scale**2):
+        raise BadInput("motion: no steady motion starts here; family and solve make one of it")
+    births, zeros = steady.births()
+    if flow.symmetric and np.linalg.norm(steady.along) < POLE:
+        raise BadInput("motion: the axis of symmetry is on the vertical, where turns about both are the same")
+    if zeros or not births:
+        raise BadInput(
+            f"motion: {'an exponent is 0, families are not isolated' if zeros else 'it has no small oscillations'}"
+        )
+    found = [birth.frequency for birth in births]
+    text, places = ", ".join(f"{each:.9g}" for each in found), range(len(found))
+    if not isinstance(frequency, str):
+        position = isinstance(frequency, int | np.integer)
+        place = int(frequency) - 1 if position else int(np.argmin(np.abs(np.subtract(found, frequency))))
+        if place not in places or not (position or abs(found[place] - frequency) <= NEAREST * found[place]):
+            raise BadInput(f"frequency = {frequency:g}: the motion has {text}, in positions from 1 on")
+        places = range(place, place + 1)
+    result, refused = [], ""
+    for k in places:
+        ratios = [
+            round(each / found[k]) for i, each in enumerate(found) if i != k and _resonant(each / found[k])
+        ]
+        if ratios:
+            refused = f"frequency = {found[k]:.9g}: no family is born, another frequency is {ratios[0]} times as large"
+            continue
+        flow = copy.copy(flow)
+        flow.rate = max(abs(float(flow.body.turn[0])), float(size), found[k])
+        steady = SteadyMotion(flow)
+        result.append(Family(steady, steady.births()[0][k]))
+    if not result:
+        raise BadInput(refused)
+    return result
+
+
+def _resonant(ratio: float) -> bool:
+    return min(abs(ratio - 1), abs(ratio - 2)) < RESONANT
+
+
+def _family_values(
+    path: Path,
+    Omega: float | None,
+    *,
+    orbits: int,
+    energy: list[float] | None,
+    above: list[float] | None,
+    events: bool,
+) -> dict[str, Any]:
+    """Values of a family by name."""
+    family, flow, members = path.family, path.family.flow, path.members
+    momenta = {name: flow.value(name, flow.start) for name in flow.momenta}
+    values: dict[str, Any] = {
+        "frequency": family.birth.frequency, "birth_period": family.unit, "birth_energy": family.birth_energy,
+        "birth_slope": slope_at_birth(family, members), **momenta,
+        **dict(zip(("end", "end_period", "end_energy"), path.end, strict=True)),
+    }  # fmt: skip
+    if events:
+        found, values["complete"] = path.events()
+        rows = np.reshape([(*event, arc) for arc, event in found], (-1, 4))
+        values |= dict(zip(("event_kind", "event_period", "event_energy", "event_arc"), rows.T, strict=True))
+    if above is not None:
+        energy = [each + family.birth_energy for each in above]
+    if energy is not None:
+        members = [each for level in energy for each in path.at_energy(level)]
+    elif len(members) > orbits:
+        members = [members[i] for i in np.linspace(0, len(members) - 1, orbits).astype(int)]
+    n, extremes = len(members), [_extremes(flow, each) for each in members]
+    mu = np.reshape([each.multipliers for each in members], (n, -1))
+    chi = np.array([each.orbit.chi for each in members])
+    stable = (np.abs(np.abs(mu) - 1) < ON_CIRCLE).all(1)
+    return values | {
+        **_starts(flow, np.reshape([each[2] for each in extremes], (n, -1)), Omega),
+        "period": [each.orbit.period for each in members], "turn": 2 * np.pi * np.rint(chi / (2 * np.pi)) - chi,
+        "energy": [each.energy for each in members], "theta_min": [each[0] for each in extremes],
+        "theta_max": [each[1] for each in extremes], "multiplier_real": mu.real, "multiplier_imag": mu.imag,
+        "orbit_stable": np.where(stable, OrbitStability.STABLE, OrbitStability.UNSTABLE),
+        "closing": [each.closing for each in members], "arc": [each.arc for each in members],
+    }  # fmt: skip
+
+
+def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
+    """dT/dh at amplitude 0, extrapolated from the first orbits."""
+    above = np.array([each.energy - family.birth_energy for each in members[:BIRTHS]])
+    if len(above) < BIRTHS or not np.abs(above).min() > 0:
+        return np.nan
+    slopes = (np.array([each.orbit.period for each in members[:BIRTHS]]) - family.unit) / above
+    return float(np.linalg.solve((above / above[-1])[:, None] ** np.arange(BIRTHS), slopes)[0])
+
+
+def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
+    """Least and largest theta along an orbit, and the state at the largest, or near it where that is on the vertical."""
+    orbit, found = each.orbit, []
+    states = flow.nodes(orbit.states, orbit.period / len(orbit.states), orbit.bound)
+    step, states = (
+        orbit.period / len(orbit.states) / (states.shape[1] - 1),
+        states[:, :-1].reshape(-1, len(flow.start)),
+    )
+    for sign in (1, -1):
+        first = int(np.argmax(sign * states[:, -1]))
+        state = states[first - 1 if sign * _rise(flow, states[first]) < 0 else first]
+        times = [0.0, step]
+        rises = [_rise(flow, state), _rise(flow, flow.nodes(state[None], step, 0.0, 1)[0, 1])]
+        while len(times) < 6 and rises[-1] != rises[-2]:  # secants
+            times.append(times[-1] - rises[-1] * (times[-1] - times[-2]) / (rises[-1] - rises[-2]))
+            rises.append(_rise(flow, flow.nodes(state[None], times[-1], 0.0, 1)[0, 1]))
+        inside = 0 <= times[-1] <= step and rises[0] * rises[1] < 0
+        found.append(
+            flow.nodes(state[None], times[-1], 0.0, 1)[0, 1] if inside and times[-1] else states[first]
+        )
+    (low, high), sines = (
+        (np.arctan2(np.hypot(y[-3], y[-2]), y[-1]) for y in found),
+        np.hypot(*states[:, -3:-1].T),
+    )
+    if np.sin(high) < POLE < sines.max():
+        states = states[sines > 0.1 * sines.max()]
+        found[1] = states[np.argmin(states[:, -1])]
+    return float(low), float(high), found[1]
+
+
+def _rise(flow: Flow, state: Array) -> float:
+    """Rate of the cosine of theta."""
+    u1, u2, _, g1, g2, _ = flow.equations.frame_motion(state, flow.constants[:, 0])
+    return float(g1 * u2 - g2 * u1)
+
+
+def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
+    """Start values of states by name; psi0 is 0 where it has no meaning."""
+    if not len(states):
+        return {name: states[:, 0] for name in STARTS}
+    gamma = states[:, -3:]
+    alpha = states[:, 3:6] if flow.rotates else transverse_axes(gamma)[..., 0, :]
+    attitude = Rotation.from_matrix(np.stack([alpha, np.cross(gamma, alpha), gamma], 1))
+    values = start(
+        flow.system.name, attitude=attitude, rates=states[:, :3], relative_to="inertial", Omega=Omega
+    )
+    return values if flow.rotates else values | {"psi0": 0 * values["psi0"]}
+
+
+def _variable(
+    system: Gyrostat,
+    name: str,
+    rows: Sequence[Sequence[Mapping[str, Any]]],
+    dims: tuple[Any, ...],
+    shape: tuple[int, ...],
+) -> tuple[tuple[Any, ...], Array, dict[str, Any]]:
+    """A variable from the values of every body and family, nan (flags: 0, of ends lost) where one has fewer."""
+    of_starts = (ORBIT, "", "", None) if name in STARTS else (FAMILY, "N m s", f"momentum held, {name}", None)
+    own, unit, text, flags = _VARIABLES.get(name, of_starts)
+    values = [[np.asarray(family[name], float) for family in families] for families in rows]
+    inner = np.max([each.shape for families in values for each in families], axis=0).astype(int)
+    empty = np.nan if flags is None else FamilyEnd.LOST if name == "end" else 0
+    full = np.full((len(rows), max(map(len, rows)), *inner), empty, float if flags is None else np.int8)
+    for i, families in enumerate(values):
+        for j, each in enumerate(families):
+            place: Any = (i, j, *map(slice, each.shape))
+            full[place] = each
+    attributes: dict[str, Any] = Variable(
+        name, "int8", unit, text, flags.meanings() if flags else None
+    ).attributes()
+    if name in STARTS:
+        attributes = {"long_name": system.parameters[name].meaning, "units": system.parameters[name].unit}
+    return (*dims, *own), full.reshape(*shape, *full.shape[1:]), attributes

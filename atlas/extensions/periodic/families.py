@@ -168,7 +168,7 @@ class Path:
         if not self.members:
             return Found(FamilyEnd.LOST, self.birth.orbit.period, self.birth.energy)
         kind = FamilyEnd.STEP_LIMIT if len(self.members) == MOST_STEPS else FamilyEnd.LOST
-        return self._at_steady_motion(0.01) or self._left(kind)
+        return self._at_steady_motion(1e-3) or self._left(kind)
 
     def _left(self, kind: Flag) -> Found:
         return Found(kind, self.members[-1].orbit.period, self.members[-1].energy)
@@ -186,7 +186,7 @@ class Path:
             if both and (end := self._turned_back()):
                 return end
         if new.orbit.period > self.longest:
-            return self._at_steady_motion(0.01) or self._left(FamilyEnd.PERIOD_LIMIT)
+            return self._at_steady_motion(1e-3) or self._left(FamilyEnd.PERIOD_LIMIT)
         long = slowest < SLOW * fastest and new.orbit.period > 1.5 * unit
         return self._at_steady_motion(1e-4) if long else None
 

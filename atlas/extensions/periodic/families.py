@@ -37,6 +37,7 @@ FAR = 0.35  # largest distance of an orbit from its guess, over the step
 FAST = 12.0  # rates that grow without bound, in rates of the birth
 SLOW = 1.5e-3  # least speed over the largest one at which a long period may be due to a steady motion
 COMPLETE = 3.0  # periods of the birth up to which every step is halved in search of events
+LATER = 3.0  # times so much may multipliers change in a step beyond
 SAME = 0.02  # of a step: slopes that vanish together
 SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # of a step, where functions are fitted
 TESTS = {
@@ -145,24 +146,28 @@ class Path:
     def _follow(self) -> Found:
         before, step, failures = self.birth, FIRST, 0
         while len(self.members) < MOST_STEPS and step > SHORTEST and failures < 40:
+            weight = 1.0 if before.orbit.period < COMPLETE * self.family.unit else 1 / LATER
             found = self.beside(before, step)
-            near = found is not None and found[2] < FAR and found[1] < 8 and before.far_from(found[0]) < 1.5
-            if found is None or not near or found[0].orbit.tangent @ before.orbit.tangent < COSINE:
+            bad = found is None or found[1] > 7 or found[2] > FAR
+            if found is None or bad or found[0].orbit.tangent @ before.orbit.tangent < COSINE:
                 failures += 1
                 # At a singular orbit shorter steps fail as well: a longer one may lead across it.
                 step = step / 2 if failures % 5 else min(step * 40.0, LONGEST)
                 continue
             new, count, distance = found
+            change = weight * before.far_from(new)
+            if change > 1.5:
+                step /= 2
+                continue
             self.members.append(new)
             self.starts.append(before)
             if end := self._ended():
                 return end
-            if len(self.members) >= BIRTHS and count <= 4 and distance < 0.1 and before.far_from(new) < 0.6:
+            if len(self.members) >= BIRTHS and count < 5 and distance < 0.1 and change < 0.6:
                 step = min(step * 1.5, LONGEST)
-            m, failures = len(new.orbit.states), 0
-            if (
-                new.expansion > EXPANSION or new.orbit.period > SEGMENT * m * self.family.unit
-            ) and m < MOST_NODES:
+            m, failures = len(new.orbit.states), max(failures - 1, 0)
+            long = new.expansion > EXPANSION or new.orbit.period > SEGMENT * m * self.family.unit
+            if long and m < MOST_NODES:
                 new = replace(new, orbit=self.family.meshed(new.orbit, min(-(-m * 3 // 2), MOST_NODES)))
             before = new
         if not self.members:

@@ -20,7 +20,7 @@ from .flow import SIZE, Flow, turn
 
 ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
 NEWTON, CONVERGED, TOO_FAR = 9, 1e-11, 3.0  # steps of Newton's method, the last of them, and one that is none
-SINGULAR = 1e-14
+SINGULAR, CLOSED = 1e-14, 1e-13
 LARGE, SEPARATE = (
     1e6,
     1e4,
@@ -150,6 +150,10 @@ class Family:
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
         for count in range(1, NEWTON + 1):
             residual, jacobian, _ = self.equations(orbit)
+            if (
+                count > 5 and last < 1e-4 and np.abs(residual).max() < CLOSED
+            ):  # nearly singular equations go no further
+                return orbit, count, float(np.linalg.norm(total))
             row, value = guess.tangent, 0.0
             if energy is not None:
                 row, value = self.energy_row(orbit), self.energy(orbit) - energy
@@ -196,7 +200,8 @@ class Family:
 
         first = basis(0)
         matrix = first.T @ np.linalg.multi_dot([*matrices[::-1], first])
-        if np.abs(matrix).max(initial=0.0) > LARGE:
+        large = float(np.abs(matrix).max(initial=0.0)) > LARGE
+        if large:
             # Products of orthogonal and triangular factors, whose first directions become those of the largest multipliers.
             bases = [first, *map(basis, range(1, len(states))), first]
             parts = [b.T @ part @ a for a, part, b in zip(bases, matrices, bases[1:], strict=False)]
@@ -210,12 +215,12 @@ class Family:
         values, result = list(np.linalg.eigvals(matrix).astype(complex)), list[complex]()
         while values:
             # Small multipliers have the rounding errors of the largest one.
-            large = values.pop(int(np.argmax(np.abs(values))))
-            if len(values) == 3 and abs(large) > max(LARGE, SEPARATE * np.abs(values).max()):
+            mu = values.pop(int(np.argmax(np.abs(values))))
+            if large and len(values) == 3 and abs(mu) > SEPARATE * np.abs(values).max():
                 values = sorted(np.linalg.eigvals(matrix[1:, 1:]).astype(complex), key=abs)[1:]
             else:
-                values.pop(int(np.argmin(np.abs(np.array(values) - 1 / large))))
-            result += [large, 1 / large]
+                values.pop(int(np.argmin(np.abs(np.array(values) - 1 / mu))))
+            result += [mu, 1 / mu]
         return np.array(result)
 
 

@@ -65,24 +65,21 @@ def hatched(ax: Axes, x: float, y: float) -> str:
     return "".join(inside)
 
 
+def dashes(line: Line2D | Patch) -> list[float]:
+    """Lengths of the dashes and gaps of a line, in units of its width; empty for none."""
+    return [round(length, 3) for length in line._unscaled_dash_pattern[1] or []]
+
+
 def look(line: Line2D) -> tuple[object, ...]:
-    """Colour, width, dashes and marker of a line, by which a legend names it."""
-    dashes, marker = line._unscaled_dash_pattern[1], str(line.get_marker())
-    drawn = (
-        ()
-        if line.get_linestyle() == "None"
-        else (line.get_linewidth(), dashes and [round(x, 3) for x in dashes])
-    )
-    return (
-        to_hex(line.get_color()),
-        *drawn,
-        marker,
-        to_hex(line.get_markerfacecolor()) if marker != "None" else "",
-    )
+    """Colour, dashes and marker of a line, by which a legend names it."""
+    marker = line.get_marker()
+    drawn = None if line.get_linestyle() == "None" else dashes(line)
+    face = "" if marker in ("None", None) else to_hex(line.get_markerfacecolor())
+    return to_hex(line.get_color()), drawn, marker, face
 
 
 def lines_of(figure: Figure, ax: Axes, text: str) -> list[np.ndarray]:
-    """Vertices of the lines that look like an entry of the legend."""
-    sample = entries(figure)[text]
+    """Vertices of the lines that look like the entry of the legend that begins with a text."""
+    (sample,) = (sample for entry, sample in entries(figure).items() if entry.startswith(text))
     assert isinstance(sample, Line2D)
     return [line.get_xydata() for line in ax.lines if look(line) == look(sample) and line.get_xydata().size]

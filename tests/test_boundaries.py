@@ -71,6 +71,7 @@ REPLACED = {
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
         label.plan.Plan.kernel label.plan.Plan.kernel_hash label.points.MANY_STEPS label.points._advised plotting.style.STYLE.savefig.dpi runs.estimate.LONG
+        runs.estimate.CALIBRATION_STEPS runs.estimate.LABEL_STEPS
         runs.estimate.long_run runs.memory.LONG systems.gyrostat.fundamental._compile extensions.studies.stress.generic_cases
         extensions.studies.stress.limits extensions.studies.stress.stress extensions.studies.work_precision.POINT_STEPS_TIMED
     """,
@@ -97,7 +98,11 @@ PRIVATE = {
     """,
     "Matplotlib, whose animations are drawn frame by frame": """
         plotting/test_trajectory_figure.py:?._draw_was_started plotting/test_trajectory_figure.py:?._fig
-        plotting/test_trajectory_figure.py:?._func
+        plotting/test_trajectory_figure.py:?._func shown/test_shown_motions.py:?._draw_was_started
+        shown/test_shown_motions.py:?._fig shown/test_shown_motions.py:?._func
+    """,
+    "Matplotlib, which tells the dashes of lines no other way": """
+        readers.py:?._unscaled_dash_pattern
     """,
     "a step of a calculation whose inputs no public call takes, or at a hundred times the cost": """
         extensions.studies.convergence._with_setting extensions.lagrangian.lagrangian._is_singular

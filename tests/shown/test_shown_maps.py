@@ -7,8 +7,9 @@ from readers import cell, colour_at, colours, entries, hatched, heading, lines_o
 
 import atlas
 from atlas import load_scene
+from atlas.analysis.boundary import STABILITY
 from atlas.analysis.metadata import flag_names
-from atlas.plotting import style
+from atlas.plotting import content, style
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -140,7 +141,7 @@ def test_the_limit_of_stability_parts_stable_from_unstable_motions(small):
     """It looks like its entry, and passes between two neighbours as often as it must: once, or of one kind never or twice."""
     for variable in ("stable", "growth_rate", "label"):
         figure = small.atlas.map(variable)
-        (line,) = lines_of(figure, figure.axes[0], "stability limit" + " (theory)" * (variable == "label"))
+        (line,) = lines_of(figure, figure.axes[0], STABILITY)
         (x, y), is_unstable = line.T, (small.stable == UNSTABLE).values
         for (i, j), _, theta0 in places(small.isel(sigma=slice(-1))):
             k = np.flatnonzero((y[:-1] - theta0) * (y[1:] - theta0) < 0)  # pieces end in nan
@@ -151,7 +152,7 @@ def test_the_limit_of_stability_parts_stable_from_unstable_motions(small):
 
 def test_slow_instabilities_are_hatched_and_no_others(small):
     figure = small.atlas.map("label")
-    sample = entries(figure)["too slow to show"]
+    sample = entries(figure)[content.SLOW]
     steady = np.isin(small.label, [1, 2]) & (small.stable == UNSTABLE)
     slow = steady & (small.growth_rate * small.end_time < 12)
     assert 0 < slow.sum() < slow.size
@@ -167,7 +168,7 @@ def test_a_point_of_no_body_no_motion_and_no_number_is_white_for_its_reason(vari
     ds["label"][4, 5] = ds["status"][4, 5] = ds["label"][6, 1] = 0
     ds["status"][6, 1] = flag_names(ds.status).index("impossible_body")
     texts = entries(ds.atlas.map("theta_max", boundary=False))
-    assert list(texts) == ["no such body", "no such motion", "no value"]
+    assert list(texts) == [content.NO_BODY, content.NO_MOTION, content.NO_VALUE]
     ax = ds.atlas.map("theta_max", boundary=False).axes[0]
     for index, x, y in places(ds):
         assert np.isnan(number_at(ax, x, y)) == bool(np.isnan(ds.theta_max.values[index]))

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from readers import entries, lines_of, look
+from readers import dashes, entries, lines_of
 
 import atlas
 from atlas.analysis.metadata import flag_names
@@ -136,7 +136,7 @@ def test_every_branch_looks_like_the_entry_of_its_stability(ds, degrees):
         text = kinds[int(ds.stability_kind[branch, i])]
         point = [float(ds.k3[i]), float(ds.theta0[branch, i]) * size]
         assert np.abs(np.concatenate(lines_of(figure, ax, text)) - point).max(1).min() < 1e-9, (text, point)
-        is_dashed = look(samples[text])[2] is not None
+        is_dashed = bool(dashes(samples[text]))
         assert is_dashed == (text in ("unstable", "unknown")), text
     kinds = {i: name.replace("_", " ") for i, name in enumerate(flag_names(ds.fold_kind))}
     for k3, theta0, kind in zip(ds.fold_k3.values, ds.fold_theta0.values, ds.fold_kind.values, strict=True):
@@ -209,7 +209,7 @@ def test_every_border_looks_like_the_entry_of_its_kind():
             vertices[[0, -1]], [[0, round(vertices[0, 1])], [0.2, round(vertices[0, 1]) + 0.02]]
         )
         assert patch.get_linewidth() == sample.get_linewidth(), number
-        assert patch._unscaled_dash_pattern == sample._unscaled_dash_pattern
+        assert dashes(patch) == dashes(sample)
         np.testing.assert_array_equal(patch.get_edgecolor()[:3], to_rgb(sample.get_color()))
     assert len(ax.patches) == 5
     places = {"cusp": [0.05, 7.0], "meeting of borders": [0.15, 8.0], "exponents meet at 0": [0.18, 9.0]}

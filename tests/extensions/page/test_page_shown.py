@@ -8,9 +8,11 @@ from extensions.page.test_in_browser import DONE, pixel
 from extensions.page.test_page import table_of, unpacked
 from readers import lines_of
 
+from atlas.analysis.boundary import STABILITY
 from atlas.analysis.metadata import flag_names, system_of
 from atlas.extensions.page.page import atlas_page
 from atlas.plotting import style
+from atlas.plotting.content import SLOW
 from atlas.variables import data_variables
 
 # What is drawn on every canvas from now on: lines with their ink, texts and filled boxes, in the pixels of the canvas.
@@ -52,11 +54,8 @@ def value(text: str) -> float:
     text = text.replace(" \N{MULTIPLICATION SIGN} ", "\N{MULTIPLICATION SIGN}")
     if match := re.fullmatch(r"(?:(\S+)\N{MULTIPLICATION SIGN})?10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", text):
         return float((match[1] or "1").translate(raised)) * 10.0 ** int(match[2].translate(raised))
-    return (
-        {"\N{EN DASH}": np.nan, "\N{INFINITY}": np.inf}.get(text)
-        if text in "\N{EN DASH}\N{INFINITY}"
-        else float(text.translate(raised))
-    )
+    others = {"\N{EN DASH}": np.nan, "\N{INFINITY}": np.inf}
+    return others[text] if text in others else float(text.translate(raised))
 
 
 def axis(marks: list[dict], which: int, align: str) -> np.ndarray:
@@ -150,12 +149,13 @@ def test_the_legend_has_the_share_of_every_flag(browser, address, small_atlas, n
     for item in texts_of(browser, "#legend li"):
         if match := re.fullmatch(r"(.*?)([\d.]+|< 0\.1) %", item):
             found[match[1]] = float(match[2])
-    slow = "too slow to show"
-    assert (slow in found) == (name != "stable")
+    steady, grown = small_atlas.label.isin([1, 2]), small_atlas.growth_rate * small_atlas.end_time
+    slow = 100 * float((steady & (small_atlas.stable == 2) & (grown < 12)).mean())
+    assert found.get(SLOW) == (None if name == "stable" else pytest.approx(slow, abs=0.5))
     for text, share in shares.items():
         assert found.pop(text) == pytest.approx(share, abs=0.5), text
-    assert set(found) <= {slow}
-    assert "stability limit (theory)" in texts_of(browser, "#legend li")
+    assert set(found) <= {SLOW}
+    assert any(text.startswith(STABILITY) for text in texts_of(browser, "#legend li"))
 
 
 @pytest.mark.parametrize("degrees", [False, True])
@@ -253,7 +253,7 @@ def test_a_cell_has_the_colour_that_the_bar_has_at_its_value(browser, address, s
 def test_lines_of_theory_are_where_the_map_of_the_atlas_has_them(browser, address, small_atlas):
     """And on maps of the kinds of motion in space those of the labels there."""
     figure = small_atlas.atlas.map("stable")
-    (line,) = lines_of(figure, figure.axes[0], "stability limit")
+    (line,) = lines_of(figure, figure.axes[0], STABILITY)
     expected = line[np.isfinite(line).all(1)]
     browser.open(address)
     for name in ("stable", "growth_rate", "label"):
@@ -267,7 +267,7 @@ def test_lines_of_theory_are_where_the_map_of_the_atlas_has_them(browser, addres
         assert np.abs(places[:, None] - expected).max(-1).min(1).max() < 0.02
         assert np.abs(expected[:, None] - places).max(-1).min(1).max() < 0.02
     lines = browser.evaluate("data.theory.slices[0].map(line => [line.kind, line.on, line.source])")
-    assert ["stability limit", ["frame", "limits"], "theory"] in lines
+    assert [STABILITY, ["frame", "limits"], "theory"] in lines
     assert all(
         set(on) <= {"frame", "limits"} or set(on) == {"inertial"} or source == "exact"
         for _, on, source in lines

@@ -343,6 +343,21 @@ def test_the_plots_of_a_motion_are_those_of_the_trajectory(browser, address, sma
         np.testing.assert_allclose(drawn_curve[:, 1], expected, atol=0.02 * np.ptp(values))
 
 
+def test_theta_of_a_motion_in_degrees(browser, small_atlas, tmp_path, quick_page):
+    path = tmp_path / "degrees.html"
+    atlas_page(small_atlas, degrees=True).save(path)
+    browser.open(path.as_uri())
+    browser.click(*pixel(browser, [5, 5]))
+    browser.wait(DONE)
+    theta = np.degrees(
+        small_atlas.atlas.trajectory(
+            sigma=float(small_atlas.sigma[5]), theta0=float(small_atlas.theta0[5])
+        ).theta.values
+    )
+    said = re.fullmatch(r"θ \(deg\) from (\S+) to (\S+)", texts_of(browser, "#plots figcaption")[0])
+    assert [value(text) for text in said.groups()] == pytest.approx([theta.min(), theta.max()], rel=1e-3)
+
+
 def test_the_sphere_of_a_motion_is_seen_from_outside(browser, address, small_atlas):
     """Strong on the side of the reader, with the names of the frame where its axes point."""
     browser.open(address)

@@ -80,8 +80,10 @@ def border_error(
     plane, dims, panels = plane_of(ds, x, y, select, degrees=degrees)
     for dim in panels:
         raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
-    if variable in plane and not has_flags(plane[variable]) and not (plane[variable] % 1 > 0).any():
-        array = plane[variable].fillna(-1)  # numbers, such as those of equilibria
+    array = plane.data_vars.get(variable)
+    is_number = array is not None and array.dtype.kind in "iuf" and not has_flags(array)
+    if array is not None and is_number and not (array % 1 > 0).any():  # such as numbers of equilibria
+        array = array.fillna(-1)
     else:
         array = flag_variable(plane, variable)
     names, array = flag_names(array), array.transpose(*dims)

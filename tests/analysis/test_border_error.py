@@ -118,8 +118,10 @@ def test_degrees_a_single_axis_and_numbers_of_equilibria(ds):
     expected = [min(abs(each - root) for root in roots("m", sigma)) for each in middle]
     assert own.distance_largest == pytest.approx(max(expected), abs=1e-4)
     assert list(own.axis) == ["m"]
-    with pytest.raises(BadInput, match="theta_max: not a flag variable of this atlas"):
-        ds.atlas.border_error("theta_max")
+    others = ds.assign(words=ds.label.astype(str)).assign_coords(m=np.arange(ds.sizes["m"]))
+    for variable in ("theta_max", "words", "m"):
+        with pytest.raises(BadInput, match=f"{variable}: not a flag variable of this atlas"):
+            others.atlas.border_error(variable)
 
 
 def test_numbers_of_equilibria_change_at_their_borders_within_half_a_cell():

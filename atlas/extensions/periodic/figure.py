@@ -12,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from ...analysis.metadata import flags_of
 from ...errors import BadInput, allowed_text, shown
-from ...flags import OrbitStability, PeriodicEvent
+from ...flags import FamilyEnd, OrbitStability, PeriodicEvent
 from ...plotting.maps import Entries, Sheet
 from ...plotting.options import MapOptions, Width
 from ...plotting.style import QUALITATIVE, STYLE
@@ -65,9 +66,9 @@ def periodic_diagram(
     stable, arcs = ds["orbit_stable"].values == OrbitStability.STABLE, ds["arc"].values
     kinds = ds["event_kind"].values if "event_kind" in ds else np.zeros((len(arcs), 0), int)
     entries: Entries = {}
-    ends = ds["end"].attrs["flag_meanings"].split()
+    names, ends = [*FamilyEnd.meanings()], flags_of(ds, "end", len(FamilyEnd))
     for k, colour in zip(range(len(arcs)), np.resize(COLOURS, len(arcs)), strict=True):
-        end = ends[int(ds["end"].values[k])].replace("_", " ")
+        end = names[ends[k]].replace("_", " ")
         entries[rf"$\omega$ = {ds['frequency'].values[k]:.4g}: {end}"] = Line2D([], [], color=str(colour))
     styles: dict[PeriodicEvent, dict[str, Any]] = {
         kind: {"marker": marker, "color": "black", "linestyle": "", "markersize": 3.5}

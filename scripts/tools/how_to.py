@@ -21,7 +21,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("how_to", "my_satellite", "my_top", "teaching")
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 LARGEST = (1100, 600)  # pixels of a picture: the page has many
-COLOURS = 48
+COLOURS = 128
 
 
 def blocks() -> dict[str, tuple[str, str]]:

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from strategies import RANDOM, default_points
+from strategies import DRAG, RANDOM, default_points
 from truth import worst_point
 
 import atlas
@@ -31,7 +31,7 @@ def point_set(kind: str, system: str) -> tuple[dict[str, np.ndarray], np.ndarray
         points["B"] = points["A"]
         points |= {
             name: np.zeros(COUNT)
-            for name in ("k1", "k2", "mu1", "mu2", "l1", "l2", "x0", "y0")
+            for name in ("k1", "k2", "mu1", "mu2", "drag1", "drag2", "l1", "l2", "x0", "y0")
             if name in points
         }
         points["C"] = np.minimum(points["C"], 1.9 * points["A"])
@@ -39,7 +39,10 @@ def point_set(kind: str, system: str) -> tuple[dict[str, np.ndarray], np.ndarray
         points["theta0"] = 10 ** rng.uniform(-3, -1, COUNT)
         points["theta0"][::2] = np.pi - points["theta0"][::2]
         points["theta_dot0"] = rng.normal(size=COUNT)
-    elif kind == "kicked off the vertical":  # from the pole itself, or from the cylinder around it
+    elif (
+        kind == "kicked off the vertical"
+    ):  # from the pole itself, or from the cylinder around it; drag makes most of them unstable
+        points |= {name: np.zeros(COUNT) for name in DRAG if name in points}
         points["theta0"] = 10 ** rng.uniform(-9, -5.1, COUNT) * rng.integers(0, 2, COUNT)
         points["theta0"][::2] = np.pi - points["theta0"][::2]
         points["theta_dot0"] = 10 ** rng.uniform(-2, 0.3, COUNT) * rng.choice([-1, 1], COUNT)

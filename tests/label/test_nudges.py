@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from family_starts import STARTS
-from strategies import default_points, evaluate
+from strategies import DRAG, default_points, evaluate
 
 from atlas import systems
 from atlas.flags import Label, Status
@@ -56,7 +56,7 @@ def test_nudges_of_fast_motions(name):
         base = STARTS[name][kind](rng, 30)
         speed = 10 ** rng.uniform(0, 2)
         powers = dict.fromkeys(("Omega", "n", "m", "k1", "k2", "k3", "l1", "l2", "l3"), 1)
-        powers |= dict.fromkeys(("mu1", "mu2", "mu3", "Mg", "N"), 2)
+        powers |= dict.fromkeys((*DRAG, "mu1", "mu2", "mu3", "Mg", "N"), 2)
         base = {key: values * speed ** powers.get(key, 0) for key, values in base.items()}
         predicted, label = nudged(system, base, theta0=NUDGE, psi0=-NUDGE)
         known = np.isin(predicted, STEADY)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from family_starts import exact_starts, grioli_points, points_of_family
 from numpy import sqrt
-from strategies import default_points
+from strategies import DRAG, default_points
 from truth import assert_at_points
 
 import atlas
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("whole_kernels")
 # Powers of a rate in the units of parameters of bodies whose moments of inertia stay.
 POWERS = dict.fromkeys(("Omega", "n", "m", "theta_dot0", "p0", "q0", "r0"), 1)
 POWERS |= dict.fromkeys(("k1", "k2", "k3", "l1", "l2", "l3"), 1)
-POWERS |= dict.fromkeys(("mu1", "mu2", "mu3", "Mg", "N"), 2)
+POWERS |= dict.fromkeys((*DRAG, "mu1", "mu2", "mu3", "Mg", "N"), 2)
 # A unit of rates, and the tolerance
 UNITS = [(2.0**30, 1e-5), (1e10, 1e-5), (1e12, 1e-5), (1.0, 1e-14), (1.0, 1e-15)]
 

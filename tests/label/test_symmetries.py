@@ -64,6 +64,7 @@ def image(points, vectors, reverses, signs, a):
     w, alpha, gamma = vectors
     changes = {f"k{i + 1}": r * d * signs[i] for i in range(3)}
     changes |= {f"mu{i + 1}": signs[i] for i in range(3)} | {"h1": a, "h3": r * d}
+    changes |= {f"drag{i + 1}": r * a * signs[i] for i in range(3)}
     body = points | {name: points[name] * sign for name, sign in changes.items()}
     return satellite_start(body, r * d * S * w, a * S * alpha, r * d * S * gamma), r * d * signs[2]
 

@@ -108,7 +108,7 @@ PRIVATE = {
         extensions.studies.convergence._with_setting extensions.lagrangian.lagrangian._is_singular
         runs.cluster._has_result runs.folder._Job store.zarr_store._unpacked_bytes runs.refine._decode runs.refine._encode
         extensions.studies.exact._quadrature extensions.studies.reference._dop853 extensions.studies.reference._integrate_group
-        label.any_axis._circle label.pipeline._step_decides label.theory._statistics
+        label.any_axis._circle label.pipeline._sample label.pipeline._step_decides label.theory._statistics
     """,
 }  # fmt: skip
 

@@ -478,7 +478,7 @@ def try_csv(rng: Random) -> str:
 
 def _field(rng: Random) -> str:
     """A field of a table, a number in most cases."""
-    if rng.random() < 0.8:
+    if rng.random() < 0.85:
         return (
             rng.choice([" ", "", "+"]) + str(rng.choice(USUAL)) if rng.random() < 0.9 else str(_number(rng))
         )

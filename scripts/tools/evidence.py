@@ -113,10 +113,22 @@ CHECKS = {
         f"{PYTEST} tests/extensions/equilibria/test_one_satellite.py -k all_equilibria",
         passed,
     ),
+    "drag": Check(
+        "all equilibria of random satellites with drag",
+        "Newton's method from 500 random starts",
+        f"{PYTEST} -v -m long tests/extensions/equilibria -k newtons_method_finds",
+        sums(r"\[(\d+)\] PASSED", r"\[(\d+)\] FAILED"),
+    ),
     "folds": Check(
         "folds and borders of equilibria",
         "values and curves of other methods",
         f"{PYTEST} tests/extensions/branches -k verified",
+        passed,
+    ),
+    "periodic": Check(
+        "families of periodic motions, to their ends",
+        "another code",
+        f"{PYTEST} -m 'long or not long' tests/extensions/periodic -k another_code",
         passed,
     ),
     "satellite": Check(

@@ -22,17 +22,12 @@ from .flow import SIZE
 from .orbits import Family, Orbit
 
 NODES, MOST_NODES = 5, 40
-SEGMENT, EXPANSION = (
-    0.3,
-    60.0,
-)  # longest part between two nodes, in periods of the birth, and its largest expansion
+# Longest part between two nodes, in periods of the birth, and its largest expansion.
+SEGMENT, EXPANSION = 0.3, 60.0
 # Steps by arc length: the first ones, of which the slope at the birth is extrapolated, the longest, the shortest, and their number.
 FIRST, BIRTHS, LONGEST, SHORTEST, MOST_STEPS = 0.01, 4, 0.15, 1e-6, 1500
-ANGLE, GROWTH, COSINE = (
-    0.35,
-    1.5,
-    0.9,
-)  # largest change of angles and logarithms of multipliers; between tangents
+# Largest change of the angles and of the logarithms of multipliers, and least cosine between tangents, in a step.
+ANGLE, GROWTH, COSINE = 0.35, 1.5, 0.9
 FAR = 0.35  # largest distance of an orbit from its guess, over the step
 FAST = 12.0  # rates that grow without bound, in rates of the birth
 SLOW = 1.5e-3  # least speed over the largest one at which a long period may be due to a steady motion
@@ -124,9 +119,8 @@ class Path:
             family.born(NODES), 0.0, family.birth_energy, np.empty(0), np.empty((2, 0)), {}, 0.0, 1.0
         )
         self.members: list[Member] = []
-        self.starts: list[
-            Member
-        ] = []  # from where the step to each of them began, with the same number of states
+        # From where the step to each of them began, with the same number of states.
+        self.starts: list[Member] = []
         self.fastest = 0.0
 
     def follow(self, max_period: float) -> Path:

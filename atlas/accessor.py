@@ -371,8 +371,7 @@ class Atlas(Questions):
         Returns
         -------
         dict
-            Family -> curves of shape (vertices, axes), x first; rows of nan cut a curve. Which families
-            have curves: see `atlas.analysis.exact_curves.family_curves`.
+            Family -> curves of shape (vertices, axes), x first. Which families have curves: see `atlas.analysis.exact_curves.family_curves`.
         """
         from .analysis.exact_curves import family_curves
         from .analysis.metadata import resolved_scene, scene_of, system_of

@@ -39,7 +39,6 @@ from .tracer import (
     contours,
     crossings,
     on_axes,
-    shown_parts,
     values_at,
     within,
 )
@@ -75,12 +74,8 @@ def boundary(
         low, high = (np.array([extreme(column) for column in columns]) for extreme in (np.min, np.max))
         theory = theory_lines(scene, plane, dims, variable)
         if variable not in extension.parts("lines"):
-            theory |= {
-                f"{name.replace('_', ' ')} (exact)": [
-                    part for curve in curves for part in shown_parts(curve, np.isfinite(curve).all(1))
-                ]
-                for name, curves in family_curves(Plane.of(scene, plane, dims)).items()
-            }
+            exact = family_curves(Plane.of(scene, plane, dims))
+            theory |= {f"{name.replace('_', ' ')} (exact)": curves for name, curves in exact.items()}
         lines = {
             kind: [
                 part for line in group for part in within(np.log(line, out=line.copy(), where=log), low, high)

@@ -22,7 +22,7 @@ REGION = 0.1
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
-    """Curves by family where exact steady motions cross a plane; rows of nan cut a curve.
+    """Curves by family where exact steady motions cross a plane.
 
     A family has a curve if it can be solved for an axis of the plane: the scene's family, or any if it names
     none; where ties use the axes, the lines on which its conditions hold. Where a scene solves its points onto a family only an
@@ -76,10 +76,10 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
                     "no curve of exact motions of %s: no parameter that varies here solves %s",
                     family.name, condition.text,
                 )  # fmt: skip
-            found = [
+            candidates = [
                 _zero_lines(plane, family, axes, np.where(others, f(points), np.nan), f) for f in functions
             ]
-            curves += max(found, key=lambda lines: sum(map(len, lines)), default=[])
+            curves += max(candidates, key=lambda lines: sum(map(len, lines)), default=[])
     return curves
 
 

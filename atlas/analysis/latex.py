@@ -87,12 +87,8 @@ def in_latex(text: str) -> str:
     return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
 
 
-FORMULAS = (
-    "conditions",
-    "printed",
-    "true",
-    "ours",
-)  # columns of texts with formulas; others are words and numbers
+# Columns of texts with formulas; others are words and numbers.
+FORMULAS = ("conditions", "printed", "true", "ours")
 
 
 def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> str:

@@ -333,9 +333,8 @@ def draw(views: list[View], options: MapOptions) -> Figure:
     if options.ax is None and (options.title or not heading):
         views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
-    most = (
-        4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
-    )  # flags stand beside their curves
+    # Flags stand beside their curves.
+    most = 4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
     columns = options.columns or (1 if options.row else min(len(views), most))
     if len(views[0].texts) == 2:
         columns = sum(view.texts[0] == views[0].texts[0] for view in views)
@@ -519,11 +518,11 @@ def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[E
             regions.setdefault(reason, (_sample(reason), []))[1].append(mask)
     for panel in panels:
         regions.setdefault(SLOW, (_sample(SLOW), []))[1].append(panel.slow)
-    visible_in = {
-        text: [mask.mean() >= MIN_VISIBLE for mask in masks] for text, (_, masks) in regions.items()
+    entries: Entries = {
+        text: sample
+        for text, (sample, masks) in regions.items()
+        if any(mask.mean() >= MIN_VISIBLE for mask in masks)
     }
-    entries: Entries = {text: regions[text][0] for text, seen in visible_in.items() if any(seen)}
-    source = "" if all(view.from_theory for view in views) else " (theory)"
     source = "" if all(view.from_theory for view in views) else " (theory)"
     for panel in panels:
         for kind in panel.borders:

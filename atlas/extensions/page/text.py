@@ -6,7 +6,7 @@ import re
 import unicodedata
 from typing import Any
 
-from ...analysis.latex import GREEK
+from ...analysis.latex import FUNCTIONS, GREEK
 
 Run = dict[str, Any]
 
@@ -34,7 +34,6 @@ _ACCENTS = {
     "tilde": "\u0303",
     "vec": "\u20d7",
 }
-_FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "ln")
 _FONTS = ("mathrm", "mathbf", "mathit", "text", "rm")
 _TOKEN = re.compile(r"\\[A-Za-z]+|\\.|[{}_^]|\s+|[^\\{}_^\s]", re.DOTALL)
 _SUPERSCRIPTS = str.maketrans("0123456789-\N{MINUS SIGN}+", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁻⁺")
@@ -130,7 +129,7 @@ class _Formula:
             _append(self.result, _SPACES[name], False, shift)
         elif name in _FONTS:
             self.argument(shift, accent)
-        elif name in _FUNCTIONS:
+        elif name in FUNCTIONS:
             last = self.result[-1]["t"][-1:] if self.result else "("
             following = next((token for token in self.tokens if not token.isspace()), "}")
             before, behind = last != "(" and not last.isspace(), following not in "()^_}"

@@ -21,6 +21,7 @@ from ...kernel.ensemble import Ensemble
 from ...kernel.tableaux import TANGENT_METHOD
 from ...kernel.tangent import Growth
 from ...measure.tangent_runs import TangentArrays
+from ...systems import vectors
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 
@@ -30,8 +31,7 @@ RADIANS = 0.3  # largest step times the frequency bound: errors of a period are 
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of (..., 3); for few vectors NumPy's takes ten times as long."""
-    (x, y, z), (u, v, w) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], -1)
+    return np.moveaxis(vectors.cross(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
 def turn(chi: float) -> Array:
@@ -135,14 +135,14 @@ class Flow:
         count, steps = len(states), _steps(time, bound)
         unit, lanes = time / steps / self.tangents.STEP * self.rate, count * SIZE
         state, constants = np.repeat(states.T, SIZE, axis=1), np.repeat(self.constants, lanes, axis=1)
-        vectors, sums = np.tile(np.diag([unit] * 3 + [1.0] * 3), (1, count)), np.empty((len(Growth), lanes))
+        changes, sums = np.tile(np.diag([unit] * 3 + [1.0] * 3), (1, count)), np.empty((len(Growth), lanes))
         schedule, weights = _schedule(lanes, steps), np.ones((SIZE, lanes))
-        arrays = TangentArrays(np.full(lanes, time / steps), state, constants, vectors, weights, sums)
+        arrays = TangentArrays(np.full(lanes, time / steps), state, constants, changes, weights, sums)
         begin = np.zeros_like(schedule.steps)
         self.tangents.integrate(schedule, arrays, 0, len(begin), begin, begin + 1)
-        vectors *= np.exp(sums[Growth.LOG_GROWTH])  # the kernel divides them by their lengths
-        vectors[:3] /= unit
-        return state[:, ::SIZE].T.copy(), vectors.reshape(SIZE, count, SIZE).transpose(1, 0, 2)
+        changes *= np.exp(sums[Growth.LOG_GROWTH])  # the kernel divides them by their lengths
+        changes[:3] /= unit
+        return state[:, ::SIZE].T.copy(), changes.reshape(SIZE, count, SIZE).transpose(1, 0, 2)
 
     def nodes(self, states: Array, time: float, bound: float, steps: int = 0) -> Array:
         """States after every step of a time, (states, steps + 1, N)."""

@@ -215,9 +215,9 @@ def _families(
         places = range(place, place + 1)
     result, refused = [], ""
     for k in places:
-        ratios = [
-            round(each / found[k]) for i, each in enumerate(found) if i != k and _resonant(each / found[k])
-        ]
+        others = np.delete(found, k) / found[k]
+        # No family is born where another frequency is twice as large, or as large.
+        ratios = [n for n in (2, 1) if (np.abs(others - n) < RESONANT).any()]
         if ratios:
             refused = f"frequency = {found[k]:.9g}: no family is born, another frequency is {ratios[0]} times as large"
             continue
@@ -228,10 +228,6 @@ def _families(
     if not result:
         raise BadInput(refused)
     return result
-
-
-def _resonant(ratio: float) -> bool:
-    return min(abs(ratio - 1), abs(ratio - 2)) < RESONANT
 
 
 def _family_values(

@@ -409,8 +409,6 @@ CALLS = [
     (lambda ds, points: ds.atlas.nearest(sigma=9.0), "sigma = 9: outside the atlas; allowed: 0.3 to 1.7"),
     (lambda ds, points: ds.atlas.trajectory(sigma=1.0), "theta0: has no value; a trajectory needs a value of every axis: sigma, theta0"),
     (lambda ds, points: ds.atlas.boundary("wandering"), "label = 'wandering': allowed: not_computed, ..."),
-    (lambda ds, points: ds.atlas.margin("k3"), "axis = 'k3': no axis with neighbouring points; allowed: sigma, theta0"),
-    (lambda ds, points: ds.atlas.border_error("step"), "step: not a flag variable of this atlas; ..."),
     (lambda ds, points: atlas.conditions("moon"), "system = 'moon': there is no such system; allowed: satellite, fixed_point"),
     (lambda ds, points: ds.atlas.trust("step"), "step: not a flag variable of this atlas; ..."),
     (lambda ds, points: points.atlas.families(), "families: these points come from no scene, so that there are no axes"),

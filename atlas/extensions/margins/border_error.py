@@ -9,12 +9,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from ..errors import BadInput, attribute_text
-from ..flags import Status
-from ..systems.base import Array, families_of
-from .boundary import boundary
-from .degrees import DEGREE, factor
-from .metadata import (
+from ...analysis.boundary import boundary
+from ...analysis.degrees import DEGREE, factor
+from ...analysis.metadata import (
     flag_names,
     flag_variable,
     has_flags,
@@ -24,7 +21,10 @@ from .metadata import (
     scene_problem,
     system_of,
 )
-from .select import plane_of
+from ...analysis.select import plane_of
+from ...errors import BadInput, attribute_text
+from ...flags import Status
+from ...systems.base import Array, families_of
 
 BORDER = ["first", "second", "curve"]  # the flags on both sides, and the kind of the nearest curve of theory
 # Variables along each axis: column of the pairs of neighbours, and a statistic of it.
@@ -74,10 +74,37 @@ def _about(border: xr.Dataset) -> str:
 
 
 def border_error(
-    ds: xr.Dataset, variable: str, x: str | None, y: str | None, select: Mapping[str, float], degrees: bool
+    ds: xr.Dataset,
+    variable: str = "label",
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    select: Mapping[str, float] | None = None,
+    degrees: bool = False,
 ) -> BorderError:
-    """Borders between the flags of a variable with their errors; see `Atlas.border_error`."""
-    plane, dims, panels = plane_of(ds, x, y, select, degrees=degrees)
+    """How sure the borders of a map are: half a cell, the distance from theory, and what half the step changed.
+
+    Parameters
+    ----------
+    variable : str, optional
+        A flag variable, or one of whole numbers such as equilibrium_count; default label.
+    x, y : str, optional
+        Axes, as in `map`.
+    select : mapping of str to float, optional
+        Axis -> value, for the other axes.
+    degrees : bool, optional
+        Take and return angles in degrees.
+
+    Returns
+    -------
+    Dataset
+        Its `str` is a sentence to cite; so is that of a part, such as ``.isel(border=0)``. Over "border", the longest first:
+        `first` and `second`, the flags on its sides, and `curve`, the kind of the nearest line of `boundary()` on the row or
+        column of a pair of neighbours; of each axis `pairs`, `half_cell`, and `distance_median` and `distance_largest`
+        between the middle of a pair and this curve. `points_changed` of `points_checked` are those of the whole run; with
+        check_half_step = "all" also the `checked` points of these pairs, and those `sensitive` to the step.
+    """
+    plane, dims, panels = plane_of(ds, x, y, select or {}, degrees=degrees)
     for dim in panels:
         raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
     array = plane.data_vars.get(variable)

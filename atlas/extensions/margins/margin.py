@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from ..errors import BadInput, allowed_text, attribute_text, shown
-from ..flags import LABELS, Flag, Label
-from ..measure.instrument import Variable
-from ..scene.model import Scene
-from ..systems.base import Array, families_of
-from .boundary import EXISTENCE, KINDS, LABEL, STABILITY
-from .degrees import factor, in_degrees
-from .exact_curves import TRISECTIONS
-from .metadata import (
+from ...analysis.boundary import EXISTENCE, KINDS, LABEL, STABILITY
+from ...analysis.degrees import factor, in_degrees
+from ...analysis.exact_curves import TRISECTIONS
+from ...analysis.metadata import (
     axes_of,
     flag_variable,
     in_order,
@@ -25,9 +19,14 @@ from .metadata import (
     scene_of,
     scene_problem,
 )
-from .plane import IN_SPACE, Plane
-from .select import cell_edges, nearest_on_axes
-from .tracer import narrow
+from ...analysis.plane import IN_SPACE, Plane
+from ...analysis.select import cell_edges, nearest_on_axes
+from ...analysis.tracer import narrow
+from ...errors import BadInput, allowed_text, attribute_text, shown
+from ...flags import LABELS, Flag, Label
+from ...measure.instrument import Variable
+from ...scene.model import Scene
+from ...systems.base import Array, families_of
 
 CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # of theory, which divide regions
 # Frame of the curves by the variable that changes at them.
@@ -47,9 +46,33 @@ SOURCE = Variable("source", "int8", "1", "what the place of a change is known fr
 
 
 def margin(
-    ds: xr.Dataset, axis: str, variable: str, coords: Mapping[str, float], degrees: bool
+    ds: xr.Dataset, axis: str, variable: str = "label", *, degrees: bool = False, **coords: float
 ) -> xr.Dataset:
-    """Least changes of an axis, up and down, at which a flag changes; see `Atlas.margin`."""
+    """Least change of one axis at which a flag changes, at each point or at given values of the axes.
+
+    Parameters
+    ----------
+    axis : str
+        The axis that changes; the others stay.
+    variable : str, optional
+        A flag variable; default label. Every other flag counts as a change, also unresolved and not_computed.
+    degrees : bool, optional
+        Take and return angles in degrees.
+    **coords : float
+        Axis -> value, as in `nearest`; the distance is that from the value of `axis` itself.
+
+    Returns
+    -------
+    Dataset
+        `margin`, the lesser of `down` and `up`, inf where nothing changes within the atlas, nan where there is no label; and
+        flags `source_margin`, `source_down` and `source_up`. Places are known from cells, halfway between neighbours (on a
+        logarithmic axis in the logarithm), or, where a limit of stability or precession or an edge of existence of theory runs
+        between them, from this curve. ``ds.atlas.margin("k3").atlas.map("margin")`` draws it.
+
+    Notes
+    -----
+    A margin of one known point; the probability of a label under uncertainty is that of random draws, see `probability`.
+    """
     flag_variable(ds, variable)  # BadInput if there is none
     if axis not in (axes := neighbour_axes(ds)):
         raise BadInput(f"axis = {shown(axis)}: no axis with neighbouring points; {allowed_text(axis, axes)}")

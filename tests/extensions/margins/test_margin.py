@@ -5,7 +5,7 @@ import pytest
 
 import atlas
 from atlas import BadInput
-from atlas.analysis.margin import Source
+from atlas.extensions.margins.margin import Source
 from atlas.flags import Label
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")

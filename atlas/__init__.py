@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from .analysis.catalogue import conditions as conditions
     from .errors import BadInput as BadInput
     from .faces import *  # noqa: F403
-    from .label.attitude import principal as principal
-    from .label.attitude import start as start
     from .label.points import label_points as label_points
     from .label.trajectory import trajectory as trajectory
     from .plotting.maps import figure as figure
@@ -42,8 +40,6 @@ _MODULES = {
     "label_points": "label.points",
     "open_atlas": "runs.backend",
     "trajectory": "label.trajectory",
-    "principal": "label.attitude",
-    "start": "label.attitude",
     "concat": "store.joined",
     "figure": "plotting.maps",
     "style": "plotting.style",

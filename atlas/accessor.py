@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from .label.attitude import Attitude
     from .plotting.options import Width
     from .plotting.trajectory import Film
 
@@ -322,44 +321,6 @@ class Atlas(Questions):
             raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
         resolved_scene(self._ds, plane)
         return family_curves(Plane.of(scene, plane, dims))
-
-    def attitude(
-        self,
-        *,
-        frame: str | None = None,
-        euler: str | None = None,
-        axes: Attitude | None = None,
-        degrees: bool = False,
-    ) -> xr.Dataset:
-        """Attitude and angular velocity along a motion from `atlas.trajectory`, as `atlas.start` takes them.
-
-        Parameters
-        ----------
-        frame : str, optional
-            As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
-        euler : str, optional
-            SciPy's letters of three turns: "ZYX" in the frame "lvlh" gives yaw, pitch and roll, about the third axis, the second
-            one as turned and the first one as turned twice; "xyz" gives the same three, roll first. They are those of a body whose
-            axes are forward, right and down.
-        axes : array_like, optional
-            As in `atlas.start`. ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` where A, B and C are about up, forward and left, as the
-            axes of a body with theta = psi = phi = 0 are: without it "lvlh" gives other angles than yaw, pitch and roll.
-        degrees : bool, optional
-            Angles in degrees.
-
-        Returns
-        -------
-        Dataset
-            `quaternion` (time, component), which turns components in the body into those in the frame, scalar last; `rates`
-            (time, axis) along body axes, of a satellite relative to the orbital frame; with `euler` also `angles` (time, angle),
-            the third 0 where the first and the third turn are about one axis.
-        """
-        from .analysis.degrees import in_degrees, in_rad
-        from .analysis.metadata import system_of
-        from .label.attitude import attitude
-
-        motion = attitude(system_of(self._ds), in_rad(self._ds), frame, euler, axes)
-        return in_degrees(motion, degrees)
 
     def plot(
         self,

@@ -24,10 +24,8 @@ FUNCTIONS = (
     "load_scene",
     "example",
     "open_atlas",
-    "principal",
     "register",
     "run",
-    "start",
     "style",
     "trajectory",
 )

@@ -16,7 +16,6 @@ from ...errors import BadInput, shown
 from ...flags import EventsComplete, FamilyEnd, Flag, OrbitStability, PeriodicEvent
 from ...kernel import specialization, tangent
 from ...kernel.tableaux import TANGENT_METHOD
-from ...label.attitude import STARTS, start
 from ...measure.instrument import Variable
 from ...scene import checks
 from ...scene.family import near_values, solution
@@ -27,6 +26,7 @@ from ...store import dataset
 from ...systems.base import Array, Points, check_possible, families_of, subset
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import transverse_axes
+from ..attitude.attitude import STARTS, start
 from .families import BIRTHS, Member, Path
 from .flow import Flow
 from .orbits import Family, SteadyMotion

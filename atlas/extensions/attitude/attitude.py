@@ -12,13 +12,15 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from .. import systems
-from ..errors import BadInput, one_line, shown
-from ..kernel.augmented import frame_vectors
-from ..scene.checks import check_range, choice, typed
-from ..scene.tables import check_written, common_size
-from ..systems.base import FAMILY_TOLERANCE, NO_RIGID_BODY, Array, Mask, System
-from .trajectory import FRAME_AXIS
+from ... import systems
+from ...analysis.degrees import in_degrees, in_rad
+from ...analysis.metadata import system_of
+from ...errors import BadInput, one_line, shown
+from ...kernel.augmented import frame_vectors
+from ...label.trajectory import FRAME_AXIS
+from ...scene.checks import check_range, choice, typed
+from ...scene.tables import check_written, common_size
+from ...systems.base import FAMILY_TOLERANCE, NO_RIGID_BODY, Array, Mask, System
 
 Attitude: TypeAlias = "ArrayLike | Rotation"
 
@@ -203,9 +205,37 @@ def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Arr
 
 
 def attitude(
-    system: System, motion: xr.Dataset, frame: str | None, euler: str | None, axes: Attitude | None
+    ds: xr.Dataset,
+    *,
+    frame: str | None = None,
+    euler: str | None = None,
+    axes: Attitude | None = None,
+    degrees: bool = False,
 ) -> xr.Dataset:
-    """Quaternions, rates and angles, in rad, along a motion in rad, see `Atlas.attitude`."""
+    """Attitude and angular velocity along a motion from `atlas.trajectory`, as `atlas.start` takes them.
+
+    Parameters
+    ----------
+    frame : str, optional
+        As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
+    euler : str, optional
+        SciPy's letters of three turns: "ZYX" in the frame "lvlh" gives yaw, pitch and roll, about the third axis, the second
+        one as turned and the first one as turned twice; "xyz" gives the same three, roll first. They are those of a body whose
+        axes are forward, right and down.
+    axes : array_like, optional
+        As in `atlas.start`. ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` where A, B and C are about up, forward and left, as the
+        axes of a body with theta = psi = phi = 0 are: without it "lvlh" gives other angles than yaw, pitch and roll.
+    degrees : bool, optional
+        Angles in degrees.
+
+    Returns
+    -------
+    Dataset
+        `quaternion` (time, component), which turns components in the body into those in the frame, scalar last; `rates`
+        (time, axis) along body axes, of a satellite relative to the orbital frame; with `euler` also `angles` (time, angle),
+        the third 0 where the first and the third turn are about one axis.
+    """
+    system, motion = system_of(ds), in_rad(ds)
     (frame, to_own), body = _frame(system, frame), _rotation("axes", np.eye(3) if axes is None else axes)
     if body.as_quat().ndim > 1:
         raise BadInput("axes: those of one body; allowed: one rotation")
@@ -244,7 +274,7 @@ def attitude(
             raise BadInput(f"euler = {shown(euler)}: {one_line(error)}") from None
         attributes = {"long_name": f"angles {euler!r} of the {words}", "units": "rad"}
         result = result.assign(angles=(("time", "angle"), angles, attributes)).assign_coords(angle=[*euler])
-    return result
+    return in_degrees(result, degrees)
 
 
 def _frame(system: System, frame: str | None) -> tuple[str, Rotation]:

@@ -18,7 +18,6 @@ if not _interruption.is_command():  # commands that need no dataset start in hal
 from ._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .analysis.catalogue import conditions as conditions
     from .errors import BadInput as BadInput
     from .faces import *  # noqa: F403
     from .label.points import label_points as label_points
@@ -43,7 +42,6 @@ _MODULES = {
     "concat": "store.joined",
     "figure": "plotting.maps",
     "style": "plotting.style",
-    "conditions": "analysis.catalogue",
     "register": "systems",
     "BadInput": "errors",
 }

@@ -67,7 +67,7 @@ REPLACED = {
         store.tiling.Tiling.indices systems.base._CHUNK systems.gyrostat.fundamental.LANES
     """,
     "speed, where a test looks at something else": """
-        analysis.catalogue.N_SAMPLES analysis.tracer.COARSE_SAMPLES
+        extensions.catalogue.tables.N_SAMPLES analysis.tracer.COARSE_SAMPLES
         analysis.tracer.LINES_FOLDER extensions.normal_form.lines.RESONANCE_SAMPLES extensions.page.content.MAX_SLICES
         extensions.page.page._file_text extensions.page.page._fallback kernel.specialization.Specialization.of
         label.plan.Plan.kernel label.plan.Plan.kernel_hash label.points.MANY_STEPS label.points._advised plotting.style.STYLE.savefig.dpi runs.estimate.LONG

@@ -18,8 +18,8 @@ from PIL import Image
 import atlas
 from atlas import cli, systems
 from atlas.accessor import Atlas
-from atlas.analysis.published import published_numbers
 from atlas.extension import extensions
+from atlas.extensions.catalogue.papers import published_numbers
 from atlas.flags import Status
 
 ROOT = Path(__file__).parent.parent
@@ -40,6 +40,7 @@ EXTENSIONS = {
         "attitude",
         "basins",
         "branches",
+        "catalogue",
         "equilibria",
         "margins",
         "page",
@@ -51,7 +52,7 @@ EXTENSIONS = {
     "docs/fixed_point.md": {"equilibria"},
     "docs/fixed_point_checks.md": {"amer2013"},
     "docs/gallery.md": {"amer2013", "basins", "page"},
-    "docs/how_to.md": {"basins", "branches", "equilibria", "margins", "studies", "yehia2021"},
+    "docs/how_to.md": {"basins", "branches", "catalogue", "equilibria", "margins", "studies", "yehia2021"},
     "docs/labels.md": {"certificate"},
     "docs/my_satellite.md": {"attitude", "branches"},
     "docs/my_top.md": {"attitude"},

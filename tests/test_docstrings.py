@@ -18,7 +18,6 @@ ROOT = Path(__file__).parent.parent
 CHECKS = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["numpydoc_validation"]["checks"])
 FUNCTIONS = (
     "concat",
-    "conditions",
     "figure",
     "label_points",
     "load_scene",

@@ -11,7 +11,6 @@ import pytest
 
 import atlas
 from atlas import BadInput, cli, extension, systems
-from atlas.analysis.published import published_equations
 from atlas.extension import PARTS, Extension, extensions
 from atlas.label.plan import Plan
 from atlas.runs import plan
@@ -261,9 +260,12 @@ def variables(system):
     plan.identity(Plan.of(replace(scene, outputs=("label",))))
 
 
+@pytest.mark.extension("catalogue")
 def test_several_extensions_add_cases_and_equations_of_a_system(installed_extensions, tmp_path, monkeypatch):
+    from atlas.extensions.catalogue.papers import published_equations
+
     module(tmp_path, "rows", "", theory="""
-from atlas.analysis.published import rows
+from atlas.extensions.catalogue.papers import rows
 from atlas.systems.base import StressCase
 def cases(system):
     return (StressCase(f"at rest, {system.name}", "a case of an extension", 1.0, {}),)

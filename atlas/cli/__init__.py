@@ -23,7 +23,7 @@ from ..interruption import (
     start_deadline,
 )
 from ..kernel.compiling import announced
-from . import atlases, catalogue, scenes
+from . import atlases, scenes
 from .options import BAD_INPUT, DONE, FAILED, Parser
 
 SECOND_NAME = "precession-atlas"
@@ -99,7 +99,6 @@ def parser() -> argparse.ArgumentParser:
         atlases.draw_map,
         atlases.draw_trajectory,
         scenes.copy_example,
-        catalogue.print_conditions,
         scenes.list_kernels,
         *extension.every("commands"),
     ):

@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from atlas.analysis import catalogue
 from atlas.analysis.latex import FUNCTIONS, NAME, NAMES, SIGNS, TOKEN, in_latex
-from atlas.analysis.published import published_numbers
+from atlas.extensions.catalogue import tables as catalogue
+from atlas.extensions.catalogue.papers import published_numbers
 from atlas.flags import Agreement, Flag, Label, Stability, Status
 from atlas.systems import SYSTEMS
 from atlas.systems.base import System, families_of

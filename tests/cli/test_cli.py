@@ -267,7 +267,6 @@ def test_help_of_every_command_is_real(capsys):
         "points",
         "status",
         "join",
-        "conditions",
         "cache",
         "new",
         *extension.parts("commands"),
@@ -279,11 +278,7 @@ def test_help_of_every_command_is_real(capsys):
         assert name in capsys.readouterr().out
 
 
-def test_conditions_and_version_and_cache(capsys, tmp_path, monkeypatch):
-    assert main(["conditions", "satellite"]) == 0
-    assert "perp_velocity" in capsys.readouterr().out
-    assert main(["conditions", "satellite", "--family", "cylindrical"]) == 0
-    assert "A = B" in capsys.readouterr().out
+def test_version_and_cache(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
     assert main(["cache"]) == 0
     (tmp_path / LINES_FOLDER).mkdir()

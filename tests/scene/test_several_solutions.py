@@ -5,8 +5,6 @@ import pytest
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import catalogue
-from atlas.cli import main
 from atlas.flags import Label
 from atlas.scene import grid
 from atlas.scene.family import solution
@@ -196,13 +194,6 @@ def test_the_resolved_scene_names_the_choice(choice):
     assert load_scene(scene.toml()).choice == choice
     assert f"solved for n, {next(iter(choice))} = " in repr(scene)
     assert "choice" not in scene_of("fixed_point", TOP, "conical", ["n"], "m", (8.0,)).toml()
-
-
-def test_conditions_name_the_solution_that_is_taken(capsys):
-    assert main(["conditions", "fixed_point", "--family", "conical"]) == 0
-    assert "of several solutions\n    n: the slow one\n" in capsys.readouterr().out
-    (row,) = catalogue.families(SYSTEMS["fixed_point"], "grioli")
-    assert row["of_several_solutions"][-1] == "n: that of the largest n"
 
 
 WRONG = [

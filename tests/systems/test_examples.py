@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 import atlas
 from atlas import cli, systems
-from atlas.analysis import catalogue
 from atlas.flags import Agreement, EnergyStability, Label, Regularity, Stability, Status, Steadiness
 from atlas.systems.jacobian import jacobian
 from atlas.variables import data_variables, default_variables
@@ -316,7 +315,10 @@ def test_two_field_top_is_stable_where_it_spins_fast():
     np.testing.assert_array_equal(ds["label"].values[ok] == Label.DRIFTING, (discriminant < 0)[ok])
 
 
+@pytest.mark.extension("catalogue")
 def test_catalogue_of_the_two_field_top():
+    from atlas.extensions.catalogue import tables as catalogue
+
     rows = catalogue.families(systems.get("two_field_top"))
     assert [row["family"] for row in rows] == ["rest", "axial", "precession"]
     assert rows[0]["conditions"] == ["n = theta_dot0 = 0", "m = 0", "Mg r x g + mu x a = 0"]

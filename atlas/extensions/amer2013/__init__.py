@@ -10,6 +10,7 @@ EXTENSION = Extension(
     "amer2013",
     __name__,
     "equations of Amer et al. as printed and as true; errors of their solution",
+    needs=("catalogue",),
     variables=dict.fromkeys(
         (
             "first_order_error",

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.published import EntryMeasure, rows
 from ...errors import BadInput
 from ...systems.base import Array, Points
+from ..catalogue.papers import EntryMeasure, rows
 from . import fast_spin, reduction
 from .fast_spin import FastSpin, paper_spin, random_spin, true_acceleration, true_rate
 from .reduction import CONTENT, VARIABLES, Values, evaluate, state

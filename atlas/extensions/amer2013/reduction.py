@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.published import Entry, expression, load, side
 from ...systems.base import Array
+from ..catalogue.papers import Entry, expression, load, side
 from . import fast_spin, periodic
 from .fast_spin import (
     PAPER_BODIES,

@@ -6,5 +6,6 @@ EXTENSION = Extension(
     "published",
     __name__,
     "numbers of others, compared with those of the package",
+    needs=("catalogue",),
     published_numbers=dict.fromkeys(("satellite", "fixed_point"), "numbers:compared"),
 )

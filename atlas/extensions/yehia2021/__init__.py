@@ -6,5 +6,6 @@ EXTENSION = Extension(
     "yehia2021",
     __name__,
     "equations of Yehia & El-kenani as printed and as true",
+    needs=("catalogue",),
     published={"satellite": "published:PUBLISHED"},
 )

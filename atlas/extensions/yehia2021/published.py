@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ...analysis.published import Entry, EntryMeasure, expression, load, rows, side
 from ...extension import extensions
 from ...systems.base import Array
 from ...systems.gyrostat.motions import angular_velocity
@@ -17,6 +16,7 @@ from ...systems.satellite import SATELLITE
 from ...systems.satellite.equations import rhs
 from ...systems.satellite.families import FAMILIES, steady_motion
 from ...systems.satellite.initial import PARAMETERS, body_vectors, constants, directions
+from ..catalogue.papers import Entry, EntryMeasure, expression, load, rows, side
 from . import lagrange
 
 Point = dict[str, Array]

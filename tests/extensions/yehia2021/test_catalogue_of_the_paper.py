@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from atlas import systems
-from atlas.analysis import catalogue
 from atlas.cli import main
+from atlas.extensions.catalogue import tables as catalogue
 from atlas.extensions.yehia2021 import published
 from atlas.systems.base import families_of
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES

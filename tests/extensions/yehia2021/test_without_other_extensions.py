@@ -11,7 +11,7 @@ import sys
 from atlas import cli, extension
 found = {name: each for name, each in extension.extensions().items() if name not in sys.argv[1].split()}
 extension._found = lambda: (found, {})
-from atlas.analysis import catalogue
+from atlas.extensions.catalogue import tables as catalogue
 catalogue.N_SAMPLES = 1
 sys.argv[0] = "atlas"
 sys.exit(cli.main(["conditions", *sys.argv[2:]]))

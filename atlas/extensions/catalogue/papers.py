@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import extension
-from ..scene.expressions import Expression
-from ..systems.base import PublishedEquation, System
+from ... import extension
+from ...scene.expressions import Expression
+from ...systems.base import PublishedEquation, System
 
 Measure = Callable[[np.random.Generator], float]
 Entry = Mapping[str, Any]

@@ -12,10 +12,10 @@ from functools import partial
 from itertools import groupby
 from typing import Any, TextIO
 
-from .. import systems
-from ..errors import BadInput, say, text_table
-from ..files import atomic_write, writable
-from .options import argument, command, out_options
+from ... import systems
+from ...cli.options import argument, command, out_options
+from ...errors import BadInput, say, text_table
+from ...files import atomic_write, writable
 
 OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
 # Columns of the table for a paper by the first column of all.
@@ -50,8 +50,8 @@ RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # co
 )
 def print_conditions(options: argparse.Namespace) -> None:
     """Print the families of steady motions and their conditions."""
-    from ..analysis import catalogue
-    from ..analysis.published import published_numbers
+    from . import tables
+    from .papers import published_numbers
 
     if options.published and options.family is not None:
         raise BadInput("--published: numbers of others belong to no family; leave out --family")
@@ -61,9 +61,9 @@ def print_conditions(options: argparse.Namespace) -> None:
     system, number = systems.get(options.system), None
     if isinstance(options.errata, str):
         number, options.errata = options.errata, True
-    families = [] if options.published else catalogue.families(system, options.family)
+    families = [] if options.published else tables.families(system, options.family)
     only_wrong = bool(options.errata) and number is None
-    published = partial(catalogue.published, system, options.family, only_wrong, number)
+    published = partial(tables.published, system, options.family, only_wrong, number)
     if options.json:
         content: dict[str, object] = {"system": system.name, "reference": system.reference, "doi": system.doi}
         if options.published:
@@ -74,7 +74,7 @@ def print_conditions(options: argparse.Namespace) -> None:
         return
     rows = published_numbers(system) if options.published else published() if options.errata else families
     if out:
-        from ..analysis.latex import latex_table
+        from ...analysis.latex import latex_table
 
         columns = PAPER[next(iter(rows[0]))] if rows else {"family": "family"}
         with atomic_write(out) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
@@ -115,7 +115,7 @@ def print_conditions(options: argparse.Namespace) -> None:
         _print_table(families, of_families | {"motion": "motion", "paper_wording": "words of the paper"})
         say("", f"{system.reference}:")
         of_equations = {"equation": "equation", "family": "family"} | RESIDUALS
-        _print_table(catalogue.published(system), of_equations | {"verdict": "verdict"})
+        _print_table(tables.published(system), of_equations | {"verdict": "verdict"})
         say(
             "as printed, as true: residual of the two readings at random parameters (of a family: the largest of its"
             " equations);",

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.mathtext import MathTextParser
+from refusals import assert_refused, assert_refused_in_shell
 from strategies import (
     fixed_points_on_family,
     random_fixed_points,
@@ -19,15 +20,15 @@ from strategies import (
 )
 
 from atlas import BadInput, conditions, load_scene, systems
-from atlas.analysis import catalogue
 from atlas.analysis.latex import latex_table
 from atlas.cli import main
+from atlas.extensions.catalogue import tables as catalogue
 from atlas.flags import Stability
 from atlas.scene import grid
 from atlas.systems.base import families_of, on_family
 from atlas.systems.satellite.families import FAMILIES as SATELLITE_FAMILIES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SATELLITE, FIXED_POINT = systems.get("satellite"), systems.get("fixed_point")
 # Tables.
 
@@ -289,3 +290,37 @@ def test_gravity_gradient_diagram_is_the_classical_one():
 
 
 # Lagrange's form, and the scripts.
+
+
+def test_conditions_name_the_solution_that_is_taken(capsys):
+    assert main(["conditions", "fixed_point", "--family", "conical"]) == 0
+    assert "of several solutions\n    n: the slow one\n" in capsys.readouterr().out
+    (row,) = catalogue.families(FIXED_POINT, "grioli")
+    assert row["of_several_solutions"][-1] == "n: that of the largest n"
+
+
+def test_conditions_are_printed(capsys):
+    assert main(["conditions", "satellite"]) == 0
+    assert "perp_velocity" in capsys.readouterr().out
+    assert main(["conditions", "satellite", "--family", "cylindrical"]) == 0
+    assert "A = B" in capsys.readouterr().out
+
+
+REFUSALS = [
+    ("conditions sputnik", "system = 'sputnik': there is no such system; allowed: satellite, fixed_point"),
+    ("conditions satellite --family banana", "family banana: unknown; allowed: ..."),
+    ("conditions --published --family conical", "--published: numbers of others belong to no family; leave out --family"),
+    ("conditions --published --errata", "atlas conditions: argument --errata: not allowed with argument --published (see atlas conditions --help)"),
+    ("conditions --csv --json", "atlas conditions: argument --json: not allowed with argument --csv (see atlas conditions --help)"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("command", "sentence"), REFUSALS, ids=[row[0] for row in REFUSALS])
+def test_a_mistake_in_the_command(command, sentence, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert_refused_in_shell(command, sentence, capsys)
+
+
+def test_a_system_that_is_not_known():
+    sentence = "system = 'moon': there is no such system; allowed: satellite, fixed_point"
+    assert_refused(lambda: conditions("moon"), sentence)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import systems
-from ..errors import BadInput, allowed_text
-from ..scene.checks import typed
-from ..systems.base import PublishedEquation, System, families_of
-from ..systems.wording import unknown_family
-from .published import Measure, published_equations
+from ... import systems
+from ...errors import BadInput, allowed_text
+from ...scene.checks import typed
+from ...systems.base import PublishedEquation, System, families_of
+from ...systems.wording import unknown_family
+from .papers import Measure, published_equations
 
 if TYPE_CHECKING:
     import pandas as pd

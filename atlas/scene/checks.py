@@ -21,14 +21,14 @@ from .expressions import RESERVED, Expression
 
 MAX_NAME = 60  # characters of a name that is no parameter
 MAX_THREADS = 1024  # threads or processes of a run
-MAX_LISTED_NUMBERS = 200_000  # in a list of a scene
+MAX_LISTED_NUMBERS = 200_000  # in one list of a scene
 
 T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
 class Check(Generic[T]):
-    """A check with the JSON Schema of its values."""
+    """A function that checks a value, and the JSON Schema of the values it accepts."""
 
     read: Callable[[str, Any], T]
     schema: dict[str, Any]
@@ -80,7 +80,7 @@ def positive(key: str, value: object) -> float:
 
 @accepts(type=["number", "string"], exclusiveMinimum=0)
 def positive_at_points(key: str, value: object) -> float | str:
-    """The value as a float above 0, or the text of arithmetic in names that has a value at each point."""
+    """The value as a float above 0, or as the text of arithmetic if it contains names."""
     if not isinstance(value, str):
         return positive(key, value)
     expression = Expression(key, value)
@@ -183,7 +183,7 @@ def distinct_numbers(key: str, value: object) -> list[float]:
 
 
 def identifier(key: str, name: str) -> str:
-    """The name, if ties can refer to it."""
+    """The name, if ties can use it."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or len(name) > MAX_NAME or name in RESERVED:
         raise BadInput(
             f"{key}: {shown(name)} cannot be used as a name; allowed: ASCII letters, digits and _, at most {MAX_NAME},"
@@ -208,7 +208,7 @@ def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) 
 
 
 def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
-    """Raise BadInput if values from low to high leave the range of a parameter."""
+    """Raise BadInput if low or high is outside the range of a parameter."""
     below = low <= parameter.low if parameter.open_low else low < parameter.low
     if below or high > parameter.high:
         sign = ">" if parameter.open_low else ">="
@@ -218,7 +218,7 @@ def check_range(parameter: Parameter, key: str, low: float, high: float) -> None
         )
 
 
-# Type in the annotations of public functions -> the classes of its values, and its name in messages.
+# Type as annotated in public functions -> accepted classes, name in messages.
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "None": ((type(None),), "None"),
     "str": ((str,), "a text"),
@@ -234,7 +234,7 @@ Annotated = TypeVar("Annotated", bound=Callable[..., Any])
 
 
 def typed(target: Annotated) -> Annotated:
-    """Make a function or a class's public methods raise BadInput for wrong types, where _TYPES has them."""
+    """Make a function, or each public method of a class, raise BadInput for arguments not of their annotated type in _TYPES."""
     if isinstance(target, type):
         for name, method in vars(target).copy().items():
             if inspect.isfunction(method) and not name.startswith("_"):
@@ -290,7 +290,7 @@ Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made b
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Dataclass field read from a table, from `section` if the class is read from several; without a default its key is required."""
+    """Dataclass field with a check, required without a default; section: its table, if a class is read from several."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -303,17 +303,17 @@ INTERVAL: Keys = {
 
 
 def keys_of(cls: type, section: str = "") -> Keys:
-    """The keys of the table `section`: the `checked` fields of a class that belong to it."""
+    """Keys of the table `section`: the `checked` fields of a class that are read from it."""
     return {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
 
 
 def instance_of(cls: type[T], table: Mapping[str, Any], section: str) -> T:
-    """Instance of a class with `checked` fields from a table; BadInput as `from_table`."""
+    """Instance of a class with `checked` fields, from a table; BadInput as in `from_table`."""
     return cls(**from_table(keys_of(cls), table, section))
 
 
 def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
-    """JSON Schema of the table that `from_table` reads; `needed`: its keys without a default are required."""
+    """JSON Schema of the table that `from_table` reads; needed: whether keys without a default are required."""
     keys = {}
     for name, field in fields.items():
         keys[name] = dict(field.metadata["check"].schema)
@@ -329,7 +329,7 @@ def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
 def from_table(
     fields: Keys, table: Mapping[str, Any], section: str, also: Collection[str] = (), rule: str = ""
 ) -> dict[str, Any]:
-    """Checked values of a table; BadInput for a bad value, a missing key, which `rule` explains, and one in neither `fields` nor `also`."""
+    """Checked values of a table; BadInput for bad values, unknown keys and missing keys (rule: what is needed)."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
     for name in needed:

@@ -1,4 +1,4 @@
-"""Scenes as dictionaries: the text that they stand for."""
+"""Conversion of scene dictionaries into TOML text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import BadInput, shown
 
 
 def text_of(table: Mapping[str, Any]) -> str:
-    """The TOML text of a scene that is nested mappings, so that it is read and checked like a file."""
+    """TOML text of a scene given as nested mappings, to be read and checked like a file."""
     try:
         return tomli_w.dumps(_plain(table))
     except RecursionError:
@@ -21,7 +21,7 @@ def text_of(table: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any, key: str = "") -> Any:
-    """A value of a scene in a type of TOML, because the scene is read from that text; BadInput if there is no such type."""
+    """A value of a scene converted into a type of TOML; BadInput if no type fits."""
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):

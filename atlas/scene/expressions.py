@@ -1,4 +1,4 @@
-"""Ties: arithmetic of a scene in names, read with Python's parser and never executed as Python."""
+"""Ties: arithmetic expressions in names, parsed by Python's parser but never executed as Python."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..systems.base import Array
 from .draws import DRAWS
 
 MAX_LENGTH = 500  # characters
-MAX_DEPTH = 200  # of nested parts
+MAX_DEPTH = 200  # levels of nesting
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -53,9 +53,9 @@ _ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 
 
 class Expression:
-    """Arithmetic of names, numbers, pi, + - * / ** and FUNCTIONS, parsed once; else BadInput at `key`.
+    """Parsed arithmetic in names, numbers, CONSTANTS, + - * / ** and FUNCTIONS; BadInput, which names `key`, for other texts.
 
-    With a seed it may contain DRAWS: random numbers that follow from their arguments, the seed, the key, and their place in the text.
+    With a seed, DRAWS are allowed: random numbers determined by arguments, seed, key and the place of the call among the draws.
     """
 
     def __init__(self, key: str, text: str, seed: int | None = None):
@@ -64,7 +64,7 @@ class Expression:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # for texts such as 1if
+                warnings.simplefilter("error")  # a text such as 1if gives a warning only
                 tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
@@ -75,13 +75,13 @@ class Expression:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
         calls = [] if seed is None else [part for part in ast.walk(tree) if isinstance(part, ast.Call)]
         draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
-        # In postfix order: numbers and names with 0, functions with the number of their arguments.
+        # Postfix order: (number or name, 0), or (function, number of its arguments).
         self._program, self.drawn = list[tuple[Any, int]](), set[str]()
         self._compile(tree, draws)
         self.names = frozenset(part for part, _ in self._program if isinstance(part, str))
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Value of the expression, where the names have these values; it may be inf or nan."""
+        """Value of the expression, possibly inf or nan, for these values of its names."""
         stack: list[Any] = []
         with np.errstate(all="ignore"):
             for part, count in self._program:
@@ -92,7 +92,7 @@ class Expression:
         return stack[0]
 
     def _compile(self, node: ast.expr, draws: list[ast.Call]) -> None:
-        """Append a part of the expression to the program; BadInput if it is not arithmetic."""
+        """Append a subexpression to the postfix program; BadInput if it is not arithmetic."""
         function: Any
         start, arguments = len(self._program), list[ast.expr]()
         match node:
@@ -124,7 +124,7 @@ class Expression:
 
 @dataclass(frozen=True, eq=False)
 class PointColumn:
-    """A value for each point of a scene with [points], as a tie that depends on the number of the point."""
+    """One value for each point of a scene with [points]: a tie whose argument is the number of the point."""
 
     key: str  # key of the values in the scene, such as "points.values.C"
     column: Array  # the values, float64 of shape (points,)
@@ -155,7 +155,7 @@ def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
         raise BadInput(f"ties refer to each other in a circle: {circle}") from None
     order: list[str] = []
     while sorter.is_active():
-        # Ties that are ready at the same time keep the order of the scene, and so does a resolved scene.
+        # Independent ties keep the order of the scene, so that a resolved scene has the same order.
         ready = sorted(sorter.get_ready(), key=list(ties).index)
         order += ready
         sorter.done(*ready)

@@ -1,4 +1,4 @@
-"""The family of a scene: its solution for parameters, and the reason why no point is on it."""
+"""The family of a scene: solved parameters, and error messages where no point is on the family."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..systems.base import NEAR, Array, Family, Points, System, on_family
 from . import checks
 from .expressions import Expression
 
-# A solved point counts as on its family if its largest condition residual is below this.
+# A point counts as on the family if its largest condition residual (dimensionless) is below this.
 ON_FAMILY = 1e-9
-# Values tried for a parameter where its formula gives none; not 0, where angles have no meaning.
+# Values tried, for an error message, where a formula has no solution; not theta0 = 0, where angles are singular.
 TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
-# Changes of a solved parameter; a family that holds after each of them leaves the parameter free.
+# Amounts added to a solved parameter; if the conditions hold after each, the family leaves it free.
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 
 
 def free_message(family: Family, name: str, where: str = "") -> str:
-    """Message about a parameter that is to be solved, and that the family leaves free."""
+    """Error message for a parameter in `solve` that the family leaves free."""
     reason = f"the family {family.name} leaves it free{where}, every value is one"
     return f"family.solve = {shown(name)}: {reason}; give it in [fixed], [axes] or [ties]"
 
@@ -29,7 +29,7 @@ def free_message(family: Family, name: str, where: str = "") -> str:
 def solution(
     family: Family, solve: Sequence[str], points: Points, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """The points with the parameters of `solve` from the family's formulas, in that order; near: see `near_values`."""
+    """Points whose parameters in `solve` are computed in turn by the family's formulas; near: see `near_values`."""
     result = dict(points)
     for name, value in near.items():
         result[NEAR + name] = np.full_like(points[name], value)
@@ -43,13 +43,13 @@ def solution(
 def near_values(
     system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Of the parameters of Family.several that branch or near of the table [family] chooses, the value that it asks for."""
+    """Parameter -> value whose nearest solution is wanted: near, or 0 (branch slow) and infinity (fast), of [family]."""
     key = next((key for key in ("branch", "near") if key in table), "")
     if "branch" in table and "near" in table:
         raise BadInput("family: branch and near are both given; a scene has one of them")
     if not key:
         return {}
-    # A start p0 .. gamma30 is solved by the rate of its motion.
+    # Start values p0 .. gamma30 are solved from the rate of the motion, which may have several solutions.
     names = [name for name in family.several if name in solve or ("p0" in solve and name not in family.solve)]
     found = f"family.{key} = {shown(table[key])}: "
     if key == "branch":
@@ -75,7 +75,7 @@ def near_values(
 
 
 def _near(key: str, value: object, unit: str) -> float:
-    """A value of near in its unit, also by arithmetic without names; an angle of more than a turn would be one in degrees."""
+    """A value of near, a number or arithmetic without names; BadInput for angles above 2 pi, probably in degrees."""
     arithmetic = isinstance(value, str) and not Expression(key, value).names
     result = (checks.quantity if arithmetic else checks.number)(key, value)
     if unit == "rad" and abs(result) > 2 * np.pi:
@@ -86,7 +86,7 @@ def _near(key: str, value: object, unit: str) -> float:
 def check_solution(
     family: Family, solve: Sequence[str], base: Points, near: Mapping[str, float], *, exists: bool
 ) -> None:
-    """Raise BadInput if the family leaves a solved parameter free at some points, or does not exist at any of them."""
+    """Raise BadInput if the family leaves a solved parameter free at all these points, or exists at none of them."""
     with np.errstate(all="ignore"):
         points = solution(family, solve, base, near)
         for i, name in enumerate(solve):
@@ -113,13 +113,13 @@ def check_solution(
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Points with values (trials, points) of one parameter, for which `solve` is solved again."""
+    """Points (trials, points) with these values of one parameter, after `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return solution(family, solve, repeated, near) | {name: values}
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if the points, which differ in one parameter, are all on the family, unless its motions fill regions."""
+    """Raise BadInput if trials of one parameter are all on the family, unless its motions fill regions."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(free_message(family, name, " here"))
 

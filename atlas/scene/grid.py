@@ -1,4 +1,4 @@
-"""The grid of a scene: axes, ties, family and nudge become points, a range at a time."""
+"""The grid of a scene: points at any of its indices, from axes, ties, family and nudge."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ from .expressions import Expression
 from .family import ON_FAMILY, check_solution, near_values, solution
 from .model import Duration, Scene, Settings
 
-# Most points of a tile, without the environment variable ATLAS_TILE_POINTS.
+# Default and upper limit of the environment variable ATLAS_TILE_POINTS.
 MAX_POINTS_PER_TILE = 65536
-# Bodies, and starts on a family, checked before a run; the others are checked with their tile.
+# Most bodies and most starts that are checked before a run; the others are checked with their tiles.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# Most points of a grid that are all checked before a run, in about a tenth of a second, to count the reasons.
+# Largest grid whose points are all checked before a run (about 0.1 s), to count each `Reason`.
 MAX_COUNTED = 2**19
-# Points at which the formulas of a family are tried for an error message.
+# Most points at which a family's formulas are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
-# Natural rates in a rate tolerance from which on a warning follows.
+# Ratio of rate tolerance to natural rate above which a warning is given.
 COARSE = 1e-2
 
 
 def max_points_per_tile() -> int:
-    """Most points of a tile, and of a chunk of a file: the environment variable ATLAS_TILE_POINTS, or MAX_POINTS_PER_TILE."""
+    """Most points of a tile and of a chunk of a file: ATLAS_TILE_POINTS of the environment, or MAX_POINTS_PER_TILE."""
     text = os.environ.get("ATLAS_TILE_POINTS") or str(MAX_POINTS_PER_TILE)
     if text.isascii() and text.isdecimal() and 1 <= int(text[:6]) <= MAX_POINTS_PER_TILE and len(text) <= 6:
         return int(text)
@@ -62,33 +62,31 @@ def max_points_per_tile() -> int:
 class Reason(IntEnum):
     """Why a point of a grid is not computed: the first reason that applies."""
 
-    NONE = 0  # it is computed
+    NONE = 0  # the point is computed
     NO_VALUE = 1  # a tie has no finite value
     IMPOSSIBLE_BODY = 2  # see systems.base.possible_body
     IMPOSSIBLE_START = 3  # see System.possible_start
-    NO_MOTION = 4  # the scene's family does not exist
-    NO_DURATION = (
-        5  # nothing turns, but the duration is in turns or orbits; or it is arithmetic without a value
-    )
-    NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a value
-    NO_TRANSIENT = 7  # as NO_DURATION
+    NO_MOTION = 4  # the scene's family has no motion here
+    NO_DURATION = 5  # turns or orbits where nothing turns, or arithmetic without a finite value above 0
+    NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
+    NO_TRANSIENT = 7  # the transient has no value, for the same causes
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Some points of a scene."""
+    """Points of a scene, as columns."""
 
-    base: dict[str, Array]  # parameter -> values before the nudge, for theory; float64 of shape (points,)
+    base: dict[str, Array]  # parameter -> values before the nudge, used by theory; float64 of shape (points,)
     points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
-    reason: Flags  # int8 of shape (points,), values of `Reason`: why a point is not computed
-    duration: Array  # length of the run in time units; float64 of shape (points,), nan where it has no value
-    rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where it has no value
-    step: Array | None = None  # length of a step in time units, in place of `settings.step`
-    transient: Array | float = 0.0  # time before the run in time units, (points,) or one of all
+    reason: Flags  # values of `Reason`, int8 of shape (points,)
+    duration: Array  # time units; float64 of shape (points,), nan where the scene gives none
+    rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where the scene gives none
+    step: Array | None = None  # time units, (points,); replaces `settings.step`
+    transient: Array | float = 0.0  # time units before the run, (points,) or one number for all
 
     @property
     def until(self) -> Array:
-        """Time from the start to the end of the run."""
+        """Time from the start to the end of the run, in time units."""
         return self.transient + self.duration
 
     @property
@@ -106,7 +104,7 @@ class Grid:
 
 
 def status_of(reason: Flags) -> Flags:
-    """Status of points that are not computed for these reasons, values of flags.Status."""
+    """flags.Status of points that are not computed, from their `Reason`."""
     status = np.where(reason == Reason.IMPOSSIBLE_BODY, Status.IMPOSSIBLE_BODY, Status.NOT_COMPUTED)
     return status.astype(np.int8)
 
@@ -115,7 +113,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # Constants are one number in memory for all points, except in ties: NumPy rounds powers with one exponent otherwise.
+    # Constants are views of one number, but copies where ties use them: NumPy rounds powers with a scalar exponent differently.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -133,7 +131,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points at flat C-order indices: ties, family, offsets and nudge; BadInput for ties out of range and incomplete starts."""
+    """Points at flat indices (C order); BadInput for a tie out of its range or an incomplete start."""
     grid = _before_nudge(scene, indices)
     base = {name: np.ascontiguousarray(values) for name, values in grid.base.items()}
     with np.errstate(all="ignore"):
@@ -143,7 +141,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points before the nudge."""
+    """Points at flat indices (C order), without the nudge."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -177,7 +175,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def without_settings(reason: Flags, *settings: Array) -> None:
-    """Set the reason of points that are computed but for a duration, a rate tolerance or a transient without a value."""
+    """Set the reason of points whose only fault is a duration, rate tolerance or transient without a value (nan)."""
     for value, no_value in zip(settings, list(Reason)[Reason.NO_DURATION :], strict=False):
         reason[(reason == Reason.NONE) & np.isnan(value)] = no_value
 
@@ -185,7 +183,7 @@ def without_settings(reason: Flags, *settings: Array) -> None:
 def reasons(
     system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
 ) -> Flags:
-    """Why points are not computed, whatever their durations: values of `Reason`."""
+    """Values of `Reason` that follow from body, start, ties and family, without regard to settings."""
     conditions = {
         Reason.NO_VALUE: no_value,
         Reason.IMPOSSIBLE_BODY: ~possible_body(system, points),
@@ -213,7 +211,7 @@ def of_points(
     duration: Duration | Array,
     transient: Duration,
 ) -> Grid:
-    """Points given one by one, whose runs last as long as a duration, or numbers, say."""
+    """Grid of listed points; duration: of the runs, as a Duration or in time units (points,)."""
     values = SharedValues(points)
     lengths = durations(system, duration, values) if isinstance(duration, Duration) else duration
     rate_tolerance = at_points(system, settings.rate_tolerance, values)
@@ -224,9 +222,9 @@ def of_points(
 
 
 def at_points(system: System, amount: float | str, points: Points, names: Points | None = None, zero: bool = False) -> Array:  # fmt: skip
-    """A number, or the values of arithmetic, at points, (points,); nan where they are not finite and above 0.
+    """Values of a number or of arithmetic at points, (points,); nan where they are not finite or not above 0.
 
-    names: values of every name in the arithmetic, by default of the parameters; zero: whether 0 is allowed.
+    names: values of the names in the arithmetic (default: the parameters); zero: whether 0 is allowed.
     """
     if not isinstance(amount, str):
         return np.full(shape_of(points), amount)
@@ -241,7 +239,7 @@ def durations(
     system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
     zero: bool = False,
 ) -> Array:  # fmt: skip
-    """Lengths of runs, in time units; nan where they have no value, see `at_points`. BadInput where turns overflow."""
+    """Durations in time units, (points,); nan where there is none, see `at_points`; BadInput if turns or orbits overflow."""
     if isinstance(duration.amount, str) or not duration.unit:
         return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):
@@ -259,14 +257,13 @@ def durations(
 
 
 def check(scene: Scene) -> Grid:
-    """At most MAX_CHECKED_STARTS points, evenly spaced over the grid, among which some point is computed.
+    """Sample of at most MAX_CHECKED_STARTS points, evenly spaced over the grid, of which at least one is computed.
 
-    Raises BadInput if no point has a body, start, tie, family or duration, for a solved parameter that the family leaves free,
-    and for a derived variable without meaning.
+    Raises BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """
     try:
         bodies = _even_indices(scene.size, MAX_CHECKED_BODIES)
-        # This checks the ranges of all ties as well.
+        # parameter_values checks the ranges of ties.
         possible = bodies[possible_body(scene.system, parameter_values(scene, bodies))]
         indices = _even_indices(scene.size, MAX_CHECKED_STARTS)
         grid = points_at_indices(scene, indices)
@@ -323,7 +320,7 @@ _NOTHING_TURNS = {
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Sentences on the points not computed, by reason, counted or (beyond MAX_COUNTED) from the sample."""
+    """Sentences on the points not computed, by reason; above MAX_COUNTED points their share in the sample."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         length = max_points_per_tile()
@@ -363,7 +360,7 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
-    """Warnings about a scene: points that are `not_computed`, and `system_warnings` and `unit_warnings` of the others."""
+    """Warnings about a scene: points not computed, and unusual parameters or settings of the others."""
     points = sample.subset(sample.exists)
     return [
         *not_computed(scene, sample),
@@ -374,9 +371,9 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, whole: bool = True) -> list[str]:
-    """Warnings about measured labels with a rate tolerance or a duration that does not fit the natural rates of points.
+    """Warnings about rate tolerances that are large, and durations that are short, against the points' natural rates.
 
-    whole: whether these are all points that are computed, else a sample.
+    whole: whether the points are all computed points of the scene, not a sample.
     """
     if type(system).natural_rate is System.natural_rate or set(LABELS).isdisjoint(outputs):
         return []
@@ -398,7 +395,7 @@ def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, who
 
 
 def settling_warnings(system: System, points: Grid) -> list[str]:
-    """A warning about transients of motions that nothing damps or drives, near the start neither."""
+    """A warning about transients where phase volume is conserved at and near the start, so that nothing settles."""
     if not np.any(points.transient):
         return []
     points = points.subset(_even_indices(points.duration.size, MAX_CHECKED_STARTS))
@@ -410,7 +407,7 @@ def settling_warnings(system: System, points: Grid) -> list[str]:
 
 
 def settings_lines(scene: Scene, sample: Grid) -> list[str]:
-    """A sentence on what a duration and a rate tolerance that are arithmetic are in numbers."""
+    """A sentence with the numeric ranges of a duration, rate tolerance or transient given as arithmetic."""
     settings = (
         ("duration", scene.duration.amount, sample.duration, "time units"),
         ("rate_tolerance", scene.settings.rate_tolerance, sample.rate_tolerance, "rad per time unit"),
@@ -425,19 +422,19 @@ def settings_lines(scene: Scene, sample: Grid) -> list[str]:
 
 
 def _interval(low: float, high: float) -> str:
-    """A number, or two."""
+    """Text of an interval, one number where both ends print alike."""
     return f"{low:.4g}" if f"{low:.4g}" == f"{high:.4g}" else f"{low:.4g} to {high:.4g}"
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
-    """Points of a grid whose surroundings have different values; window: number of points of the surroundings along each axis."""
+    """Grid points with more than one value in the window about them; window: its number of points along each axis."""
     from scipy.ndimage import maximum_filter, minimum_filter  # slow to import, and most runs do not need it
 
     return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))
 
 
 def system_warnings(system: System, points: Points) -> list[str]:
-    """Warnings of the system about points that are computed, and about angles in degrees and numbers out of range."""
+    """The system's own warnings about points, and warnings about lacking theory, angles in degrees and extreme numbers."""
     messages = system.warnings(points)
     if lacks_theory(system, points).any():
         messages.append(
@@ -460,5 +457,5 @@ def system_warnings(system: System, points: Points) -> list[str]:
 
 
 def _even_indices(size: int, count: int) -> np.ndarray:
-    """At most `count` of the indices 0 .. size - 1."""
+    """At most `count` evenly spaced indices from 0 to size - 1."""
     return np.linspace(0, size - 1, min(size, count)).round().astype(np.int64)

@@ -22,23 +22,23 @@ from .expressions import PointColumn, Tie
 from .text import Source
 
 SCHEMA = 1
-# Largest `max_steps`: more than any run takes in practice; sums of such numbers fit into an int64.
+# Largest allowed `max_steps`: above every practical run, and sums over many runs fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
-DEFAULT_ANGLE = 1e-5  # rad, the cylinder tolerance where the rate tolerance is no number
+DEFAULT_ANGLE = 1e-5  # rad; cylinder tolerance if the rate tolerance is arithmetic
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
-# Most axes, parameters or ties in the short text of a scene.
+# Most axes, parameters or ties that the repr of a scene lists.
 MAX_SHOWN = 8
 MAX_TIE_SHOWN = 30  # characters
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of integration and labels, without the duration. BadInput for a value out of range."""
+    """Settings of integration and labels, except the duration; BadInput for a value out of range."""
 
     method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
-    # Beyond a phase error of 1 the phase means nothing.
+    # At most 1: with an error above 1 rad nothing is known of the phase.
     tolerance: float = checked(
         checks.at_most_one, 1e-8, "integration",
         "expected phase error of the fastest frequency at the end of the run (rad)",
@@ -62,7 +62,7 @@ class Settings:
     drift_tolerance: float = checked(
         checks.positive, 1e-5, "labels", "largest relative change of a first integral"
     )
-    # An observable without an entry has its own tolerance: see `systems.base.Observable.tolerance`.
+    # Observables without an entry keep their default, `systems.base.Observable.tolerance`.
     std_tolerance: Mapping[str, float] | None = checked(
         checks.positive_numbers, None, "labels",
         "largest standard deviation with which an observable counts as constant, by its name, for systems with"
@@ -82,17 +82,17 @@ class Settings:
 
     @property
     def cylinder(self) -> float:
-        """Radius in rad of the cylinder, the cap about the vertical in which the third axis counts as vertical."""
+        """Cylinder tolerance (rad): angle from the vertical up to which the third axis counts as vertical."""
         if self.cylinder_tolerance is not None:
             return self.cylinder_tolerance
         return DEFAULT_ANGLE if isinstance(self.rate_tolerance, str) else self.rate_tolerance
 
     def with_number(self, rate_tolerance: float) -> Settings:
-        """The settings with a number in place of arithmetic, and the same cylinder."""
+        """Copy with this rate tolerance (rad per time unit) and the same cylinder tolerance."""
         return replace(self, rate_tolerance=rate_tolerance, cylinder_tolerance=self.cylinder)
 
     def at(self, rate_tolerance: Array | float, transient: Array | float = 0.0) -> RunSettings:
-        """The settings of points with these rate tolerances, (points,) or one of all, rad per time unit, and transients."""
+        """Run settings; rate tolerances (rad per time unit) and transients (time units) are (points,) or one for all."""
         return RunSettings(
             self.method, self.tolerance, self.step, self.max_steps, Tolerances(rate_tolerance, self.cylinder),
             self.drift_tolerance, self.std_tolerance, self.check_half_step, transient,
@@ -103,7 +103,7 @@ DEFAULTS = Settings()
 
 
 def rate_text(rate_tolerance: float | str) -> str:
-    """A rate tolerance for readers."""
+    """Text of a rate tolerance."""
     return rate_tolerance if isinstance(rate_tolerance, str) else f"{rate_tolerance:g}"
 
 
@@ -111,24 +111,22 @@ def rate_text(rate_tolerance: float | str) -> str:
 class Axis:
     """One dimension of the atlas."""
 
-    name: str  # a parameter, or a name that ties refer to
+    name: str  # a parameter, or a name used in ties
     values: Array  # values along the axis, all different; float64 of shape (count,)
-    offset_from_family: bool = False  # the values are distances from the solution of the family's formula
-    long_name: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
-    units: str = ""  # attribute of the coordinate in the atlas; empty: the parameter's
-    display_units: str = (
-        ""  # "deg" for angles in rad that figures show in degrees; attribute of the coordinate
-    )
-    table: Mapping[str, Any] = field(default_factory=dict)  # the table of the scene that describes the axis
+    offset_from_family: bool = False  # whether the values are added to the solution of the family's formula
+    long_name: str = ""  # attribute of the coordinate; empty: long_name of the parameter
+    units: str = ""  # attribute of the coordinate; empty: unit of the parameter
+    display_units: str = ""  # attribute of the coordinate; "deg": figures show an angle (rad) in degrees
+    table: Mapping[str, Any] = field(default_factory=dict)  # the table [axes.NAME] of the scene
 
     @property
     def dim(self) -> str:
-        """Name of the dimension of the atlas."""
+        """Name of the axis as a dimension of the atlas."""
         return f"{self.name}_offset" if self.offset_from_family else self.name
 
     @property
     def can_be_refined(self) -> bool:
-        """Whether [refine] halves the spacing of the axis: it has a count above 1, not listed values."""
+        """Whether [refine] halves the spacing: only on axes with a count above 1, not with listed values."""
         return self.table.get("count", 1) > 1
 
     def __str__(self) -> str:
@@ -142,12 +140,12 @@ class Axis:
 class Duration:
     """Length of the runs."""
 
-    amount: float | str = f"60 / {NATURAL_RATE}"  # how many units: a number, or arithmetic of time units
-    unit: str = ""  # "" for time units, "orbits", or "turns" of the slower of n and m
+    amount: float | str = f"60 / {NATURAL_RATE}"  # number of units, or arithmetic that gives time units
+    unit: str = ""  # "": time units; "orbits"; "turns": periods of the slower of the rates n and m
 
     @property
     def toml(self) -> float | str:
-        """The entry of a scene."""
+        """Value of the key duration or transient of a scene."""
         return str(self) if self.unit else self.amount
 
     def __str__(self) -> str:
@@ -158,9 +156,9 @@ class Duration:
 
 @dataclass(frozen=True)
 class Refine:
-    """Refinement at the borders of labels on grids of half, a quarter, ... the spacing."""
+    """Refinement near borders of labels: the grid spacing is halved `levels` times."""
 
-    # The axes of the scene hold the finest grid.
+    # `Scene.axes` hold the finest grid.
     levels: int = checked(
         checks.whole(1, MAX_REFINEMENT_LEVELS), description="how often the spacing is halved"
     )
@@ -184,18 +182,18 @@ EMPTY_CREATOR = Creator()
 
 @checks.accepts(**checks.table_schema(checks.keys_of(Creator)))
 def creator(key: str, value: object) -> Creator:
-    """Creator from the table of this key."""
+    """Creator from a table; key: its name in messages."""
     return checks.instance_of(Creator, checks.mapping(key, value), key)
 
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas except its title, by their names in ACDD-1.3."""
+    """Global attributes of an atlas, named as in ACDD-1.3, except its title."""
 
     summary: str = checked(checks.text, "")  # a paragraph about the content
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
     keywords: tuple[str, ...] = checked(checks.texts, ())
-    references: tuple[str, ...] = checked(checks.texts, ())  # before the reference of the system
+    references: tuple[str, ...] = checked(checks.texts, ())  # listed before the reference of the system
     acknowledgement: str = checked(checks.text, "")
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
@@ -203,7 +201,7 @@ class About:
     creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
-        """Global attributes of ACDD-1.3 that are not empty, without the references."""
+        """Nonempty attributes by their names in ACDD-1.3, except the references."""
         attributes = {f.name: getattr(self, f.name) for f in fields(self)}
         del attributes["references"]
         attributes |= {f"creator_{name}": value for name, value in vars(attributes.pop("creator")).items()}
@@ -224,28 +222,28 @@ EMPTY_ABOUT = About()
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """A checked scene: everything that decides on the content of an atlas."""
+    """A checked scene: everything that determines the content of an atlas."""
 
     title: str  # free text, kept in the atlas
     system: System  # equations, parameters and families
-    fixed: Mapping[str, float]  # parameters, and names that ties refer to, with one value
-    axes: Mapping[str, Axis]  # the dimensions of the atlas in order; the single axis "point" with [points]
-    ties: Mapping[str, Tie]  # names computed from other names, in the order of their evaluation
+    fixed: Mapping[str, float]  # name -> constant value; parameters, and names used in ties
+    axes: Mapping[str, Axis]  # dimensions of the atlas in order; with [points] the single axis "point"
+    ties: Mapping[str, Tie]  # name -> expression of other names, in order of evaluation
     family: str | None = None  # family of steady motions on which every point starts
-    solve: tuple[str, ...] = ()  # parameters from the family's formulas, in the order of their use
-    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near, see `family.near_values`
-    nudge: Mapping[str, float] = field(default_factory=dict)  # added to start values after solving
+    solve: tuple[str, ...] = ()  # parameters computed by the family's formulas, in this order
+    choice: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # the entry branch or near of [family], see `family.near_values`
+    nudge: Mapping[str, float] = field(default_factory=dict)  # start value -> amount added after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin
-    settings: Settings = DEFAULTS  # integration and labels
+    settings: Settings = DEFAULTS  # settings of integration and labels
     outputs: tuple[str, ...] = ()  # variables of the atlas
-    map: str = ""  # default variable of its map and its page; empty: see `analysis.metadata.map_variable`
-    seed: int = 0  # of the random numbers in ties
-    refine: Refine | None = None  # refinement at borders
-    points: Mapping[str, Any] | None = (
-        None  # the table [points] in place of axes; a file is replaced by its numbers
-    )
-    about: About = EMPTY_ABOUT  # attributes of the atlas: summary, creator, licence and the like
+    map: str = ""  # variable shown first on maps and pages; empty: chosen by `analysis.metadata.map_variable`
+    seed: int = 0  # seed of the random numbers in ties
+    refine: Refine | None = None  # refinement near borders of labels
+    points: Mapping[str, Any] | None = None  # table [points], with the numbers of a file in place of its name
+    about: About = EMPTY_ABOUT  # global attributes of the atlas
     source: Source | None = field(default=None, compare=False)  # the file of the scene, for error messages
 
     @property
@@ -260,30 +258,30 @@ class Scene:
 
     @property
     def extensions(self) -> list[str]:
-        """Names of the extensions that give its variables and its family, in alphabetical order."""
+        """Names of the extensions that define variables or the family of the scene, in alphabetical order."""
         variables = [name for name in self.outputs if name not in self.system.derived]
         families = [] if self.family is None or self.family in self.system.families else [self.family]
         return [each.name for each in extension.used(variables, families)]
 
     @property
     def solved_text(self) -> str:
-        """What is solved, and which of several solutions is taken; empty without such."""
+        """Text of the solved parameters and the chosen branch; empty if nothing is solved."""
         choice = [f"{key} = {shown(value)}" for key, value in self.choice.items()]
         return ", ".join([f"solved for {', '.join(self.solve)}", *choice]) if self.solve else ""
 
     @property
     def nudges_angles(self) -> bool:
-        """Whether the nudge changes angles and their rates, not the optional start values of the system."""
+        """Whether the nudge changes Euler angles and their rates, rather than optional start values."""
         return bool(self.nudge) and not optional_start_values(self.system, self.nudge)
 
     @property
     def coarsening(self) -> tuple[int, ...]:
-        """Distance of two points of the coarse grid of a refined scene along each axis."""
+        """Spacing of the coarsest grid along each axis, in points of the finest grid."""
         assert self.refine is not None
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """Parameters that are 0 or absent, and pairs that are equal, at every point: kernels leave terms out."""
+        """Parameters that are 0 or absent, and pairs of equal ones, at every point; kernels omit terms that vanish then."""
         parameters, varying = self.system.parameters, {*self.axes, *self.ties, *self.solve}
         constants = {
             name: self.fixed.get(name, parameters[name].default) for name in parameters if name not in varying
@@ -359,7 +357,7 @@ class Scene:
 
 
 def zero_and_equal(constants: Mapping[str, float]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-    """The parameters among some constants that are 0 or absent (nan), and the pairs that are equal."""
+    """Names of the constants that are 0 or absent (nan), and pairs of names with equal values."""
     zero = {name for name, value in constants.items() if value == 0 or math.isnan(value)}
     return frozenset(zero), frozenset(
         (a, b) for a, b in combinations(constants, 2) if constants[a] == constants[b]
@@ -367,5 +365,5 @@ def zero_and_equal(constants: Mapping[str, float]) -> tuple[frozenset[str], froz
 
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:
-    """Start values among the names that other start values can replace, so that a start need not give them."""
+    """The optional start values, whose default is nan, among these names."""
     return [name for name in names if math.isnan(system.parameters[name].default)]

@@ -1,4 +1,4 @@
-"""Columns that are no parameters: those that may have been meant as parameters are refused."""
+"""Columns that are no parameters: probably mistyped parameters are refused."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from ..errors import BadInput, shown
 
-MAX_FIELDS, MAX_NAME = 10_000, 100  # fields of a column, and characters of a name, that are looked at
+MAX_FIELDS, MAX_NAME = 10_000, 100  # fields of a column and characters of a name that are examined
 REMEDY = "rename it, or keep it as it is by keep"
-# What may separate the names of two columns, and the fields below them.
+# Separators of two names, or of two values, that were read as one column.
 _BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
-# One unit or more, such as kg m^2, rad/s, A.m2 or Nms; possessive, because mmmm is read in many ways.
+# Products of units, such as kg m^2, rad/s, A.m2 or Nms; possessive, because a text like mmmm has many readings.
 _UNITS = (
     r"(?:1?/)?(?:(?:(?i:kg|mg|lbm?|slugs?|[cmkuµμ]m|ms|min|hr?s?|hours?|sec|days?|[mµμ]?rad|deg(?:rees?)?|arcmin|arcsec|rp[ms]|rev|turns?"
     r"|orbits?|k?hz|[mk]N|[munµμ]T|gauss)|[gmshNTAJWVG°%])(?:\*\*|\^)?[-+]?\d*[\s*·.⋅/-]*)++"
@@ -32,12 +32,12 @@ _QUOTES = "\"'` \t\u00b4\u00ab\u00bb\u2018\u2019\u201c\u201d\u201e"
 
 @lru_cache(1000)
 def _plain(name: str) -> str:
-    """A name without case, blanks and signs."""
+    """A name in lower case without blanks and punctuation."""
     return re.sub(r"[^\w°]|_", "", name).lower()
 
 
 def parameter_meant(name: str, parameters: Collection[str]) -> str:
-    """The parameter that a name is but for case, blanks, signs and a unit after it; else an empty text."""
+    """The parameter equal to a name up to case, blanks, punctuation and a unit at the end; else an empty text."""
     text = unicodedata.normalize("NFKC", name[:MAX_NAME])
     by_plain = {_plain(each): each for each in parameters} | {each: each for each in parameters}
     forms = (name, _plain(text), _plain(_UNIT_OF_NAME.sub("", text)))
@@ -45,7 +45,7 @@ def parameter_meant(name: str, parameters: Collection[str]) -> str:
 
 
 def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
-    """Raise BadInput for a name that is or holds parameters but for case, blanks and units, unless its values count from 0."""
+    """Raise BadInput if a name resembles a parameter or contains parameters, unless its values are 0, 1, 2, ..."""
     problem, meant = "", parameter_meant(name, parameters)
     if meant:
         problem = f"no parameter, but {meant} if case, blanks and units do not count; {REMEDY}"
@@ -67,7 +67,7 @@ def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
 
 
 def check_texts(name: str, values: Any, parameters: Collection[str]) -> None:
-    """Raise BadInput for a column of texts that may have been meant as a parameter, or as several."""
+    """Raise BadInput for a column of texts whose name or values suggest one or several parameters."""
     check_name(name, values, parameters)
     if _most(map(_is_numbers, fields := _fields(values))):
         example = next(field for field in fields if _is_numbers(field))
@@ -78,24 +78,24 @@ def check_texts(name: str, values: Any, parameters: Collection[str]) -> None:
 
 
 def _fields(values: Any) -> list[str]:
-    """The first values as texts, without missing ones."""
+    """The first MAX_FIELDS values as texts, without missing values."""
     texts = (str(value).strip() for value in np.ravel(values)[:MAX_FIELDS])
     return [text for text in texts if text.lower() not in _MISSING]
 
 
 def _most(answers: Iterable[bool]) -> bool:
-    """Whether more than half of them are true."""
+    """Whether more than half of the answers are true."""
     answers = list(answers)
     return 2 * sum(answers) > len(answers)
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether a text is nearly a number, or several of which one has a decimal point."""
-    parts = re.split(r"[\s,;|/&]+", field)  # no colon, which times have
+    """Whether a text is nearly a number, or several such numbers with a decimal point among them."""
+    parts = re.split(r"[\s,;|/&]+", field)  # not at colons, which occur in times of day
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 
 
 def _is_nearly_number(field: str) -> bool:
-    """Whether a text is a number, or one with a decimal comma, thousands, a unit or quotes."""
+    """Whether a text is a number, possibly with a decimal comma, thousands separators, a unit or quotes."""
     text = unicodedata.normalize("NFKC", field[: MAX_NAME + 1]).replace("\u2212", "-").strip(_QUOTES)
     return len(text) <= MAX_NAME and bool(_NUMBER.fullmatch(text)) and not _LETTER_OF_NAME.fullmatch(text)

@@ -20,10 +20,10 @@ from .tables import CsvColumns
 from .text import read_text
 
 SAMPLES = ("latin_hypercube", "sobol")
-# Most points of a sample, and most numbers: points times ranges.
+# Most points, and most numbers (points times ranges), of a sample.
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
 MAX_COLUMNS = 100  # of a table or file of points
-# Most bytes of a file of points in a scene, and most fields of a CSV file, in which some columns may name the points.
+# Most bytes of a points file, and most CSV fields: more than numbers, because some columns may name points.
 MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
 RANGES = checks.Check(
@@ -61,7 +61,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """The table [points] of the resolved scene, and its columns by name; without a folder no file is read."""
+    """Table [points] with numbers in place of a file name, and its columns by name; folder None: a file is refused."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
@@ -105,7 +105,7 @@ def read_points(
 
 
 def file_of(scene: Path) -> list[Path]:
-    """The file of points of a scene file, if any; it need not exist."""
+    """A list of the points file that a scene file names, which need not exist; empty if it names none."""
     if not scene.is_file():  # a pipe could not be read again
         return []
     try:
@@ -116,7 +116,7 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Numbers that fill the unit cube, (dimensions, count); "sobol" suits powers of two."""
+    """Quasi-random numbers in the unit cube, (dimensions, count); "sobol" is balanced for powers of two."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":
@@ -161,7 +161,7 @@ def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
 def _listed_column(
     system: System, name: str, values: Any, location: Callable[[int], str] | None
 ) -> PointColumn:
-    """One column of a file or a list, checked; location: file and line of a point."""
+    """Checked column of a file or a list; location: gives file and line of a point."""
     key = f"points.values.{checks.identifier('points', name)}"
     tables.check_written(key, values)
     try:

@@ -42,15 +42,15 @@ from .model import (
 )
 from .text import MAX_CHARACTERS, Source, read_text
 
-# Limits with which any text is read and checked as a scene within a few seconds and 500 MB; no larger object is allocated.
+# With these limits any text is read and checked within a few seconds and 500 MB.
 MAX_TABLES = 2000
-MAX_JOINED_NAMES = 16  # as in a.b.c
-MAX_NAMES = 200  # of names with values
+MAX_JOINED_NAMES = 16  # in a dotted key such as a.b.c
+MAX_NAMES = 200  # in [fixed], [axes] and [ties] together
 MAX_TIE_CHARACTERS = 10_000  # of all ties together
 MAX_AXES = 32
 MAX_AXIS_COUNT = 10**7
 MAX_POINTS = 10**11
-# Points of the fine grid of a refined scene, each with a prediction.
+# Most points of the finest grid of a refined scene; theory predicts the label of each.
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
@@ -105,7 +105,7 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
     path, is_atlas = Path(source), False
-    with suppress(OSError, ValueError):  # reading the text raises the better error
+    with suppress(OSError, ValueError):  # read_text raises the better error
         is_atlas = (path / "manifest.json").exists()
         if path.is_file():  # a pipe could not be read again
             with path.open("rb") as file:
@@ -126,9 +126,9 @@ def parse_scene(
     *,
     of_atlas: bool = False,
 ) -> Scene:
-    """The scene of a text; BadInput names its path, line and key. Without a folder, as for atlases, no points file is read.
+    """Scene from TOML text; BadInput names path, line and key.
 
-    Of a finished atlas, outputs that nothing installed here gives are left out.
+    folder: where a points file is read from, None: nowhere; of_atlas: outputs that nothing installed computes are dropped.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -159,7 +159,7 @@ def parse_scene(
 def scene_from(
     table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path(), *, of_atlas: bool = False
 ) -> Scene:
-    """The scene of a parsed TOML text, as `parse_scene`."""
+    """Scene from a parsed TOML text; arguments as for `parse_scene`."""
     checks.check_keys(table, "", KEYS)
     for key in ("schema", "system", "axes"):
         if key not in table and not (key == "axes" and "points" in table):
@@ -258,7 +258,7 @@ def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
 
 
 def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
-    """Variables in the order of the registry, of an atlas without unknown ones, and the name of the variable that maps show, or ""."""
+    """Variables in the order of the registry (of_atlas: unknown ones are dropped), and the variable that maps show, or ""."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     listed = table.get("variables", default_variables(system))
@@ -269,7 +269,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
         raise BadInput(
             f"outputs.variables: {shown(name)} is unknown; {extension.available_text(name, registry)}"
         )
-    # A finished atlas holds what it was written with.
+    # The list of a finished atlas is complete, so that nothing is added to it.
     outputs = tuple(
         [name for name in registry if name in listed] if of_atlas else listed_variables(system, listed)
     )
@@ -278,7 +278,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
 
 
 def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> tuple[str, ...]:
-    """Outputs with the variables that say where their labels are proved; BadInput if there is none, or with [refine]."""
+    """Outputs and the variables that say where labels are proved; BadInput if no label can be proved, or with [refine]."""
     if is_refined:
         raise BadInput(
             "integration.prove = true: not together with refine, whose borders are those of measured labels"
@@ -298,7 +298,7 @@ def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> 
     return tuple(name for name in registry if name in wanted or name in outputs)
 
 
-# Keys of a table [axes.NAME]: of evenly spaced values, of listed values, of both.
+# Keys of a table [axes.NAME]: for evenly spaced values, for listed values, for both.
 SPACED: checks.Keys = {
     "from": checks.INTERVAL["from"],
     "to": checks.INTERVAL["to"],
@@ -377,7 +377,7 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
 
 
 def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
-    """`count` evenly spaced, distinct values from the number `from` to the number `to`."""
+    """`count` distinct values from `from` to `to`, evenly spaced or, for log, with evenly spaced logarithms."""
     first, last, spacing = checks.interval(key, table)
     if count > 1 and first == last:
         raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
@@ -389,7 +389,7 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
 
 
 def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
-    """Name of the family, its solved parameters in the order of its formulas, and what chooses among several solutions."""
+    """Name of the family, solved parameters in the order of its formulas, and the entry branch or near of [family]."""
     checks.check_keys(table, "family.", ("name", "solve", "branch", "near"))
     families = families_of(system)
     if "name" not in table:
@@ -422,7 +422,7 @@ def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[s
 def _check_names(
     system: System, names: Mapping[str, Iterable[str]], axes: Mapping[str, Axis], ties: Mapping[str, Tie]
 ) -> None:
-    """Raise BadInput for a name without a use, or in two sections, except an axis offset from a family."""
+    """Raise BadInput for a name that is unused or is in two sections, except an axis with offset_from_family."""
     sections: dict[str, list[str]] = {}
     for section, section_names in names.items():
         for name in section_names:
@@ -464,7 +464,7 @@ def _check_ties(
     *,
     is_refined: bool,
 ) -> None:
-    """Raise BadInput for a tie to a solved parameter, an offset from one that is not solved, and draws along refined axes."""
+    """Raise BadInput for ties that use solved parameters, offsets of unsolved ones, and draws numbered by a refined axis."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
@@ -483,7 +483,7 @@ def _check_ties(
 
 
 def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
-    """Amounts added to start values; `names` have a value in the scene."""
+    """Start value -> amount added, from [nudge]; names: what has a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.quantity(f"nudge.{name}", value) for name, value in table.items()}
@@ -503,7 +503,7 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
 def _integration(
     system: System, integration: Mapping[str, Any], labels: Mapping[str, Any], names: Collection[str]
 ) -> tuple[Duration, Duration, Settings]:
-    """Duration, transient and settings from the tables [integration] and [labels]; `names` have a value at each point."""
+    """Duration, transient and settings from [integration] and [labels]; names: allowed in arithmetic."""
     values = checks.from_table(
         checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
     )
@@ -526,7 +526,7 @@ def _integration(
 def check_std_tolerance(
     system: System, tolerances: Mapping[str, float] | None, key: str = "std_tolerance"
 ) -> None:
-    """Raise BadInput for a tolerance without an observable of the system."""
+    """Raise BadInput for a tolerance whose name is no observable of the system."""
     names = [observable.name for observable in system.observables]
     for name in tolerances or ():
         if name not in names:
@@ -536,7 +536,7 @@ def check_std_tolerance(
 
 
 def parse_duration(value: object, key: str = "duration", names: Collection[str] = ()) -> Duration:
-    """Length of runs, from time units or a text such as "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
+    """Duration from time units or a text: "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"([-+]?[0-9.][-+0-9.eE]*)\s*([A-Za-z]+)", value.strip())
@@ -563,7 +563,7 @@ def parse_duration(value: object, key: str = "duration", names: Collection[str] 
 
 
 def parse_transient(system: System, value: object, key: str, names: Collection[str]) -> Duration:
-    """Time before runs of a system, as `parse_duration`; 0 is allowed."""
+    """Transient from a value as for `parse_duration`, or 0."""
     if value in (0, "0") and not isinstance(value, bool):
         return Duration(0.0)
     check_unit(system, transient := parse_duration(value, key, names), key)
@@ -571,7 +571,7 @@ def parse_transient(system: System, value: object, key: str, names: Collection[s
 
 
 def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:
-    """Raise BadInput for arithmetic with other names than these and the natural rate."""
+    """Raise BadInput for arithmetic in names other than these and natural_rate."""
     known = {*names, NATURAL_RATE}
     for name in sorted(Expression(key, amount).names - known if isinstance(amount, str) else ()):
         raise BadInput(
@@ -581,7 +581,7 @@ def check_at_points(key: str, amount: float | str, names: Collection[str]) -> No
 
 
 def check_unit(system: System, duration: Duration, key: str = "duration") -> None:
-    """Raise BadInput for a duration in orbits of a system without an orbit; key: beginning of the message."""
+    """Raise BadInput for turns or orbits where the system has none; key: beginning of the message."""
     if duration.unit and not system.frame:
         raise BadInput(f"{key} = {shown(str(duration))}: nothing turns in the {system.name}; use time units")
     if duration.unit == "orbits" and system.frame_rate is None:

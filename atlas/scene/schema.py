@@ -92,7 +92,7 @@ def scene_schema() -> Schema:
 
 
 def _table_of(description: str, values: Schema) -> Schema:
-    """Schema of a table whose keys are names of the user's choice."""
+    """Schema of a table whose keys are names chosen by the user."""
     names = {"propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
     return TABLE | names | {"description": description, "additionalProperties": values}
 
@@ -102,7 +102,7 @@ def _without(*keys: str) -> Schema:
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
 
 
-# Any table [axes.NAME].
+# Schema of each table [axes.NAME].
 AXIS: Schema = checks.table_schema({**read.SPACED, **read.LISTED, **read.OF_BOTH}, needed=False) | {
     "oneOf": [
         {"required": ["from", "to", "count"], **_without(*read.LISTED)},
@@ -119,7 +119,7 @@ POINTS: Schema = checks.table_schema(points.KEYS, needed=False) | {
 
 
 def _properties_of(system: System) -> Schema:
-    """Schemas of the tables that depend on the system: its parameters, families and variables."""
+    """Schemas of the tables that contain parameters, families or variables of a system."""
     fixed, axes, ties, nudge, families = {}, {}, {}, {}, []
     for name, parameter in system.parameters.items():
         description, limits = {"description": f"{parameter.meaning} ({parameter.unit})"}, {}

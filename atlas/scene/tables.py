@@ -33,29 +33,27 @@ Table: TypeAlias = (
     "Mapping[str, Values] | Sequence[Mapping[str, float]] | xr.Dataset | pd.DataFrame | str | Path"
 )
 FORMATS = (".csv", ".nc")
-# Type -> what NetCDF reads where no number was written.
+# NumPy type -> fill value of NetCDF, read where no number was written.
 _UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8": -(2**63) + 2}
-_NO_RADIANS = re.compile(
-    r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE
-)  # the beginning of units that are none of rad
+_NO_RADIANS = re.compile(r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE)  # start of units of angle but rad
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 
 def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) -> dict[str, Any]:
     """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or one of its rows.
 
-    Columns of a Dataset are DataArrays: its data variables, and its coordinates among `parameters` and `keep`; other coordinates
-    stay with the arrays. A single dimension that is not among them becomes "point" and loses the coordinate that numbers it. The
-    index of a DataFrame, unless it numbers the rows, is the column "point", or the parameter whose name it has.
+    Columns of a Dataset are its data variables and the coordinates named in `parameters` or `keep`, as DataArrays with all other
+    coordinates. A single dimension with another name is renamed "point", without its index. The index of a DataFrame becomes a
+    column of its name, if `parameters` or `keep` has it, else "point"; an index that numbers the rows is dropped.
     """
     import xarray as xr
 
     names = {*parameters, *keep}
     if isinstance(source, str | Path):
         return read(source, parameters, keep)
-    if hasattr(source, "collect") and hasattr(source, "collect_schema"):  # a lazy table of polars
+    if hasattr(source, "collect") and hasattr(source, "collect_schema"):  # a LazyFrame of polars
         source = source.collect()
-    if hasattr(source, "column_names") and hasattr(source, "to_pandas"):  # of pyarrow
+    if hasattr(source, "column_names") and hasattr(source, "to_pandas"):  # a table of pyarrow
         source = source.to_pandas()
     if isinstance(source, xr.Dataset):
         columns = [n for n in source.variables if n in source.data_vars or n in names]
@@ -63,7 +61,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
         if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
-            # A list; its index numbers the points, unless it has several levels.
+            # A list of points; its index numbers them, unless it has several levels.
             index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
             for name in index:
                 check_name(str(name), source[name], {*parameters} - {*columns})
@@ -75,7 +73,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    # Lazy tables have no length, and may warn when asked for columns; those of others than pyarrow may be no names.
+    # Lazy tables have no length, and may warn on access to `columns`; beside `column_names`, `columns` may not be names.
     if hasattr(source, "__len__") and hasattr(source, "columns") and not hasattr(source, "column_names"):
         values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
@@ -89,7 +87,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         check_name(str(labels.name), labels, {*parameters} - {*values})
         numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
         return values if numbers_rows else {POINT: np.asarray(labels)} | values
-    if of_pandas and hasattr(source, "to_dict"):  # a row, without what names it
+    if of_pandas and hasattr(source, "to_dict"):  # a row; entries that name the point are dropped
         row = {str(name): value for name, value in source.to_dict().items()}
         naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - names
         _check_others(parameters, {name: row[name] for name in naming}, row, keep)
@@ -116,7 +114,7 @@ def read(
     max_bytes: float = math.inf,
     max_fields: float = math.inf,
 ) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as `table`; BadInput beyond the limits on bytes and CSV fields."""
+    """Columns of a .csv or .nc file, as in `table`; BadInput above the limits on bytes and CSV fields."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
@@ -141,7 +139,7 @@ def read(
                 raise BadInput(f"{path}: has the dimensions {dims}; points need one")
             _check_bytes(path, ds.nbytes, max_bytes)
             ds.load()
-    except Exception as error:  # reading a damaged file, also its values, may raise any error
+    except Exception as error:  # opening and loading a damaged file may raise any error
         raise hdf5.unreadable(path, error) from None
     try:
         return table(ds, parameters, keep)
@@ -152,9 +150,9 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = (), ties: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Columns that name the points: texts, IDENTIFIERS and `keep`; any other column may be a mistyped parameter.
+    """Columns that name the points: texts, IDENTIFIERS and `keep`; BadInput for a probably mistyped parameter.
 
-    ties: names that are no parameters and have numbers, for ties.
+    ties: names of numeric columns that ties use.
     """
     import xarray as xr
 
@@ -171,7 +169,7 @@ def kept_columns(
     for name, values in ((name, table[name]) for name in table if name not in {*system.parameters, *ties}):
         column = values if isinstance(values, xr.DataArray) else np.asarray(values)
         is_text = column.dtype.kind in "UT"
-        if column.dtype.kind == "O":  # texts among missing values
+        if column.dtype.kind == "O":  # texts and missing values
             is_text = any(isinstance(value, str) for value in np.ravel(column))
         if is_text or name in keep or name.lower() in IDENTIFIERS:
             if isinstance(column, xr.DataArray) and column.ndim:
@@ -185,7 +183,7 @@ def kept_columns(
 def _check_others(
     parameters: Collection[str], others: Mapping[str, Any], columns: Mapping[str, Any], keep: Collection[str]
 ) -> None:
-    """Raise BadInput if one of the columns that name points may be a parameter, or if there are no others."""
+    """Raise BadInput if a column that names points may be a mistyped parameter, or if no column is a parameter."""
     source = f"{columns.source}: " if isinstance(columns, CsvColumns) else ""
     try:
         for name in (name for name in columns if name in others and name.lower() not in IDENTIFIERS):
@@ -201,7 +199,7 @@ def _check_others(
 def parameter_arrays(
     system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **others: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Names of the parameters in a table; their values, and `others`, as aligned arrays of float64; and the columns to keep."""
+    """Names of the parameters in a table; aligned float64 arrays of these and of `others`; and columns that name points."""
     import xarray as xr
 
     name_columns = kept_columns(system, columns, keep)
@@ -229,7 +227,7 @@ def parameter_arrays(
 
 
 def _numbers(name: str, values: Any) -> xr.DataArray:
-    """A number, a 1-D array or a DataArray as a DataArray of float64, a dask array as a lazy one; else BadInput."""
+    """A number, 1-D array or DataArray as a float64 DataArray (lazy for dask arrays); BadInput for other values."""
     import xarray as xr
 
     check_written(name, values)
@@ -239,7 +237,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
         if kind not in "iufO" or (kind == "O" and any(isinstance(v, str | bool) for v in np.ravel(array))):
             raise TypeError
         array = array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):  # also of rows of different lengths
+    except (TypeError, ValueError, OverflowError):  # also for rows of different lengths
         raise BadInput(f"{name} = {shown(values)}: must be a number or an array of numbers") from None
     if isinstance(array, xr.DataArray):
         return array
@@ -250,7 +248,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
 
 
 def check_written(name: str, values: Any) -> None:
-    """Raise BadInput for masked values, and for those of a file that were never written, unless they are lazy."""
+    """Raise BadInput for masked values and fill values of NetCDF; lazy arrays are not checked."""
     if getattr(values, "chunks", None) is not None:
         return
     if isinstance(values, Sequence):
@@ -266,7 +264,7 @@ def check_written(name: str, values: Any) -> None:
 
 
 def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
-    """Checked columns of every parameter, nan for an absent optional start, and the number of points."""
+    """Checked columns of every parameter, nan for absent optional start values, and the number of points."""
     source = table(points, system.parameters)
     names, arrays, _ = parameter_arrays(system, source)
     values = [array.values for array in arrays]
@@ -289,7 +287,7 @@ def flat_columns(
 
 
 def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any] | None) -> None:
-    """Raise BadInput with the location of a value that is out of range, or neither finite nor an optional start value."""
+    """Raise BadInput with the location of a value out of range or not finite; optional start values may be nan."""
     name = parameter.name
     missing = np.isnan(column) & np.isnan(parameter.default)
     if missing.all():
@@ -316,7 +314,7 @@ def _location(source: Mapping[str, Any] | None, column: Array, point: np.integer
 
 
 def common_size(sizes: Mapping[str, int]) -> int:
-    """Length of the columns, 1 without any; BadInput if they differ or are empty."""
+    """Common length of the columns, 1 if there are none; BadInput for different lengths or length 0."""
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
         raise BadInput(f"points: columns of different lengths ({lengths})")
@@ -334,15 +332,15 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
         )
 
 
-SEPARATORS = ("\t", ";", ",", " ")  # the first of them in the line of names separates fields
-INDEX = "index"  # name of a first column without name, as in files of pandas
+SEPARATORS = ("\t", ";", ",", " ")  # separators of fields in order of precedence; the line of names decides
+INDEX = "index"  # name given to an unnamed first column, the index in files of pandas
 # Most characters of a line (a file that is no table may be a single line) and of a table (a pipe may have no end).
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
-MAX_COMMENTS = 20  # before the first point, of which one may name the columns
+MAX_COMMENTS = 20  # last comments before the first point that are searched for names of columns
 
 
 class CsvColumns(dict[str, Any]):
-    """Columns of a CSV file by name, with its name and the line, from 1, of each point."""
+    """Columns of a CSV file by name, with the name of the file and the line (from 1) of each point."""
 
     def __init__(self, columns: dict[str, Any], source: str, lines: array.array[int]):
         super().__init__(columns)
@@ -355,9 +353,9 @@ class CsvColumns(dict[str, Any]):
 
 
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
-    """Columns of a CSV file with names first, nan for empty `numeric` fields; BadInput with file and line.
+    """Columns of a CSV file, nan for empty fields of `numeric` columns; BadInput with file and line.
 
-    The names may stand in a comment before a line of numbers, as numpy.savetxt writes them.
+    The first line, or a comment before it as numpy.savetxt writes, names the columns.
     """
     number = size = 0  # number of the last line read; characters read
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)
@@ -427,7 +425,7 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
 
 
 def _separator(names: str) -> str:
-    """What separates the fields of a file, by its line of names."""
+    """Separator of fields in a line of names."""
     return next((each for each in SEPARATORS if each in names.strip(" \r\n")), ",")
 
 
@@ -439,7 +437,7 @@ def _rows(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
 
 
 def _names_held(comment: str, first: str, numeric: Collection[str]) -> int:
-    """Number of the numeric columns that a comment names; 0 if it has not as many fields as the first line of numbers."""
+    """Number of `numeric` names in a comment, or 0 if the first line of numbers has another number of fields."""
     separator = _separator(comment)
     try:
         names, fields = (next(_rows([line], separator), []) for line in (comment, first))
@@ -457,7 +455,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(field: str) -> float:
-    """The number in a field, nan if it is empty; ValueError for other texts, also for those that are numbers in Python alone."""
+    """The number in a field, nan if it is empty; ValueError for other texts, also for 1_000, a number in Python alone."""
     if "_" in field:
         raise ValueError
     return float(field.strip() or "nan")
@@ -480,7 +478,7 @@ def _header(source: str, fields: list[str]) -> list[str]:
 
 
 def _numbers_if_possible(texts: list[str]) -> np.ndarray:
-    """The texts of a column, as numbers if all of them are numbers."""
+    """Column of numbers if all texts are numbers, else of texts."""
     if all(text.isdecimal() and len(text) < 19 for text in texts):
         return np.array([int(text) for text in texts])
     try:

@@ -1,4 +1,4 @@
-"""Texts of users, from files or standard input, and the lines of scenes that messages name."""
+"""Text from files or standard input, and the line of a scene that an error message names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TextIO
 from ..errors import BadInput
 
 MAX_CHARACTERS = 6_000_000  # of a scene
-MAX_KEY = 300  # characters at the beginning of a line that may contain its key
+MAX_KEY = 300  # characters of a line that are searched for a key
 _KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")
@@ -33,7 +33,7 @@ _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)
 def open_text(path: Path | None) -> Iterator[TextIO]:
     """Open a file in UTF-8, or standard input; BadInput if it cannot be opened or read."""
     name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # its descriptor may be that of another file now
+    if path is None and sys.__stdin__ is None:  # descriptor 0 may belong to another file
         raise BadInput(f"{name}: is closed")
     try:
         with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:
@@ -49,7 +49,7 @@ def open_text(path: Path | None) -> Iterator[TextIO]:
 
 
 def read_text(path: Path | None) -> str:
-    """Text in UTF-8, cut at the length of the longest scene, because a device may have no end; BadInput if it cannot be read."""
+    """Text in UTF-8, cut after MAX_CHARACTERS + 1 because a device may have no end; BadInput if it cannot be read."""
     with open_text(path) as file:
         return file.read(MAX_CHARACTERS + 1)
 
@@ -62,7 +62,7 @@ class Source:
     text: str
 
     def located(self, error: BadInput) -> BadInput:
-        """The error with file and line in front of its message, which begins with a key."""
+        """The error with file and line in front; the line is that of the key with which its message begins."""
         message = str(error)
         if message.startswith(self.path):
             return error
@@ -71,7 +71,7 @@ class Source:
         return self.at_line(line, message)
 
     def of_toml(self, message: str) -> BadInput:
-        """The error for a message of the TOML parser, its position in front."""
+        """BadInput from a message of the TOML parser, with file and line in front and a hint behind."""
         position = _TOML_POSITION.search(message)
         line = int(position[1]) if position and position[1] else None
         message = f"not valid TOML: {_TOML_POSITION.sub('', message)}"
@@ -82,12 +82,12 @@ class Source:
         return self.at_line(line, message)
 
     def at_line(self, line: int | None, message: str) -> BadInput:
-        """An error with file and line; None: the line is not known."""
+        """BadInput with file and line in front; None: the line is unknown."""
         return BadInput(f"{self.path}, line {line}: {message}" if line else f"{self.path}: {message}")
 
 
 def line_of(text: str, key: str) -> int | None:
-    """Line, from 1, of a dotted key in a TOML text, else of the innermost table that contains it, else None."""
+    """Line (from 1) of a dotted key in a TOML text, else of the innermost table around the key, else None."""
     lines: dict[str, int] = {}
     table = ""
     for number, whole_line in enumerate(text.splitlines(), 1):

@@ -1,13 +1,13 @@
-"""The angular velocity in the body: is it constant, or on a circle as in a regular precession about any axis?
+"""Motions that are steady about any axis: is the angular velocity in the body constant, or on a circle?
 
-A body that turns at the rate m about an axis s at rest in it, while s turns at the rate n about an axis z at rest in the frame,
-has the angular velocity u = n z + m s. In the body z turns about s at the rate -m, so that u moves on a circle about s at
-constant speed: u' = -m s x u. The converse holds as well. The radius of the circle, n sin(nutation), the height of its plane,
-u . s = m + n cos(nutation), and the speed determine m, n and the nutation, the angle between s and z.
+A body that turns at the rate m about a body-fixed axis s, while s turns at the rate n about an axis e fixed in the frame, has
+the angular velocity u = n e + m s. In the body e turns about s at the rate -m, so u moves on a circle about s at constant
+speed: u' = -m s x u. The converse holds as well. The radius of the circle, n sin(nutation), the height of its plane,
+u . s = m + n cos(nutation), and the speed determine m, n and the nutation, the angle between s and e.
 
-Sums over the nodes give the best plane through the angular velocities, and their distance from a circle in it. So that no
-digits cancel, the sums count from the start, along axes x, y, z: z is the axis about which the angular velocity turns at the
-start, along which its changes on a circle vanish but for rounding.
+Sums over the nodes give the plane nearest to the angular velocities, and their distance from a circle in this plane. To avoid
+cancellation, differences from the start are summed, along body axes x, y, z; about z the angular velocity turns at the start,
+so that on a circle the differences along z are rounding errors.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
 from .rates import existing, relative_error, steady_label
 from .rates import label as label_of_third_axis
 
-# Time step of the differences that give the derivatives at the start, times the bound of the fastest frequency. On a circle the
-# error of the second derivative lies in its plane.
+# Time step of the finite differences at the start, times the bound of the fastest frequency. On a circle the error of the second
+# derivative lies in the plane of the circle.
 DIFFERENCE_TIME = 1e-2
 # Sweeps of Jacobi's method for the axes of a 3 x 3 matrix; it converges quadratically.
 SWEEPS = 6
 
 
 class Axis(IntEnum):
-    """Constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
+    """Rows of the constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
-    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
-    # The angular velocity along x, y and z, the square of its derivative, the derivative itself, the vertical.
+    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # angular velocity: u + FRAME_RATE g
+    # Along x, y, z: the angular velocity, the square of its derivative, the derivative, the vertical.
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Sums over the nodes, the first and last with weight 1/2, of changes of u (x, y, z), u^2 (l), u'^2 (s), and their products."""
+    """Trapezoidal sums over the nodes of differences from the start: u (x, y, z), u^2 (l), u'^2 (s), and their products."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -89,7 +89,7 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Rows of `Axis`, for a frame in which frame_rate times the vertical is added to the system's angular velocity."""
+    """Constants in one frame, (len(Axis), points); frame_rate times the vertical is added to the system's angular velocity."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
@@ -101,8 +101,8 @@ def circle_axes(
         )
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
-        du = np.where(np.isfinite(du), du, 0.0)  # where it overflows, the run is not resolved
-        # u' = u x m s and u'' = u' x m s give u'' x u' = |u'|^2 m s: z is along it, or arbitrary where it vanishes.
+        du = np.where(np.isfinite(du), du, 0.0)  # a run that overflows is not resolved
+        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s: z has this direction, or any where this is 0.
         direction = cross(ddu, du)
         size = np.sqrt(dot(direction, direction))
         exists = np.isfinite(size) & (size > 0)
@@ -115,14 +115,14 @@ def circle_axes(
 
 
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
-    """The circle nearest to the angular velocities of runs in one frame, and their distance from it.
+    """The circle nearest to the angular velocities u of each run in one frame, and their distance from it, (points,) each.
 
-    Rates are in rad per time unit: `spread`, the standard deviation of the angular velocity; `height` and `height_std`, its
-    component along the normal s of the best plane; `radius` (root mean square) and `radius_std`, its distance from s; `extent`,
-    its standard deviation along the shorter axis in the plane; `spin` and `spin_std`, the rate about s of a motion on the
-    circle; `rate_1` to `rate_3`, its mean in body axes. `spin_axis_1` to `spin_axis_3` are s in body axes, of either sign.
-    Angles, in rad, are from the vertical at the start: `precession_inclination` of the fixed axis (by s and spin),
-    `rotation_inclination` of the angular velocity, `tilt` of the third axis.
+    In rad per time unit: `spread`, standard deviation of u; `height` and `height_std`, of u along s, the normal of the best
+    plane; `radius` (root mean square) and `radius_std`, distance of u from the line along s; `extent`, standard deviation of u
+    along the shorter axis in the plane; `spin` and `spin_std`, rate about s of a motion on the circle; `rate_1` to `rate_3`,
+    mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of either sign. Angles in rad from
+    the vertical at the start: `precession_inclination` of the axis fixed in the frame (from s and spin), `rotation_inclination`
+    of u, `tilt` of the third body axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -172,7 +172,7 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
             # Turn the axes p and q so that the element (p, q) vanishes.
-            with np.errstate(all="ignore"):  # of elements that are 0 already
+            with np.errstate(all="ignore"):  # division by an element (p, q) that is 0
                 r = 3 - p - q
                 ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
                 tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
@@ -193,21 +193,21 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Angles of vectors, rad."""
+    """Angles between vectors (3, points), rad."""
     perpendicular = cross(a, b)
     return np.asarray(np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(a, b)))
 
 
 AXIS_RATES = ("precession_rate", "spin_rate")
 ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
-# The measurements of a circle from which a label is decided.
+# The measurements of a circle that decide its label.
 STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
-# Variables that need the sums about the circle, in the frame and in inertial space.
+# Variables that need the sums of a circle, in the system's frame or in inertial space.
 ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
     "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
 )  # fmt: skip
-# Variables from theory, the last from the measured label as well.
+# Variables that need theory; agreement_any_axis needs the measured label as well.
 ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreement_any_axis")
 _NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
 _SPIN_AXIS = (
@@ -220,9 +220,9 @@ _SPIN_AXIS = (
 class Circle(Instrument):
     """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
 
-    A point that is steady about the third axis and the vertical keeps its label. Elsewhere an angular velocity constant in the
-    body is a permanent rotation, one on a circle at constant speed a regular precession. Rates and angles are in the system's
-    frame.
+    A point that is steady about the third axis and the vertical keeps this label. Elsewhere an angular velocity that is constant
+    in the body is a permanent rotation, and one that moves on a circle at constant speed is a regular precession. Rates and
+    angles are in the system's frame.
     """
 
     name: str = "label_any_axis"  # or label_any_axis_inertial
@@ -235,7 +235,7 @@ class Circle(Instrument):
         return self.name == "label_any_axis_inertial"
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables of both frames, all from the instrument of the system's frame."""
+        """The variables of both frames; the inertial instrument has none of its own."""
         if self.inertial:
             return ()
         labels, predicted = [], []
@@ -285,7 +285,7 @@ class Circle(Instrument):
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Statistics of the circles by name, "label:statistic", and AXIS_RATES and ANGLES."""
+        """Statistics of the circles, named "label:statistic"; in the system's frame also AXIS_RATES and ANGLES."""
         circle = circle_statistics(*run.plugged(self), run.integration.intervals)
         with np.errstate(all="ignore"):
             circle["precession"] = np.hypot(circle["radius"], circle["height"] - circle["spin"])
@@ -294,7 +294,7 @@ class Circle(Instrument):
         return own | {f"{self.name}:{key}": value for key, value in circle.items()}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """The label about any axis, given the label about the third axis and the vertical."""
+        """Rule of the label about any axis; a steady label about the third axis and the vertical is kept."""
         own_label = rules[self.name.replace("_any_axis", "")].decide(run.measured)
 
         def label_of(measured: Measured) -> Flags:
@@ -319,7 +319,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Of angular velocities as large as the bound; a small circle has that of their components that its axis mixes."""
+        """Rounding errors for angular velocities as large as the bound; a small circle about no body axis amplifies them."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)
@@ -329,14 +329,14 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": each for key, each in sizes.items()}
 
     def _amplification(self, run: Run) -> Array:
-        """Errors of the rates about the axes of a circle over errors of the angular velocity, (points,)."""
+        """Error of the spin and precession rates over the error of the angular velocity, (points,)."""
         radius, height, extent = (
             run.measured[f"{self.name}:{key}"] for key in ("radius", "height", "extent")
         )
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 where they are not measured on a circle."""
+        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 of drifts and of regular precessions about the third axis."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -352,15 +352,15 @@ class Circle(Instrument):
             return np.minimum(error, 1.0)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of one of AXIS_RATES over the bound."""
+        """Largest difference of AXIS_RATES in two runs, in units of the bound."""
         return self._change(run, other, AXIS_RATES) / run.bound
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Largest difference of one of ANGLES, or of AXIS_RATES over the bound."""
+        """Largest difference of ANGLES, and of AXIS_RATES in units of the bound, in two runs."""
         return np.fmax(self._change(run, coarse, AXIS_RATES) / run.bound, self._change(run, coarse, ANGLES))
 
     def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
-        """Largest difference of one of these values; 0 without a difference."""
+        """Largest difference of the named values in two runs; 0 where all are nan."""
         changes = [np.abs(run.measured[name] - other.measured[name]) for name in names if not self.inertial]
         return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
 
@@ -370,7 +370,7 @@ class Circle(Instrument):
         return {name: np.where(ok, columns[name], np.nan) for name in names}
 
 
-# In the system's frame, and in inertial space: where the second is wanted, so is the first.
+# In the system's frame, and in inertial space; a scene that wants the second has the first as well.
 CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
@@ -379,7 +379,7 @@ def is_steady(label: Flags) -> Mask:
 
 
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
-    """Values of flags.Label about any axis, whatever the status; own_label: about the third axis and the vertical, kept if steady."""
+    """Values of flags.Label about any axis, whatever the status; own_label, about the third axis and the vertical, is kept if steady."""
     rate = tolerances.rate
     constant = circle["spread"] <= rate
     varies = (
@@ -393,7 +393,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """AXIS_RATES and ANGLES, nan for motions that are not steady; of a regular precession about the third axis, if it is one."""
+    """AXIS_RATES and ANGLES, nan for unsteady motions; a regular precession about the third axis has the rates |psi'| and phi'."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)
@@ -401,7 +401,7 @@ def values(
         reversed_axis = measured["psi_dot_mean"] < 0
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
-        # The last component above the tolerance of the spin axis of a regular precession is made positive.
+        # Of a regular precession, the last component of the spin axis above the tolerance is made positive.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
@@ -414,7 +414,7 @@ def values(
         zero_or_nan = np.where(size > tolerances.rate, 0.0, np.nan)
         lean = np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"]))
         inclination = circle["rotation_inclination"] + zero_or_nan
-        # Regular precession about the third axis and the vertical, about other axes, permanent rotation; 0.0 makes -0.0 positive.
+        # Regular precession about the third axis and the vertical, about other axes, permanent rotation; adding 0.0 removes -0.0.
         choices = {
             "precession_rate": (np.abs(measured["psi_dot_mean"]), circle["precession"], zero),
             "spin_rate": (measured["phi_dot_mean"], sign * circle["spin"], size),

@@ -21,16 +21,16 @@ from ..kernel.statistics import Row
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
-# Least turn of a body in a run, rad: the frequency bound, a divisor, is never 0.
+# Least product of frequency bound and duration, rad; the bound is a divisor.
 LEAST_TURN = 1e-80
 
-# Measurements by name, (points,) each; names with a colon are not in atlases.
+# Measurements by name, (points,) each; those with a colon in their name are not in atlases.
 Measured = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of an atlas, with the dimensions of its points."""
+    """A variable of an atlas, with a value for each point."""
 
     name: str
     dtype: str  # NumPy dtype in the file
@@ -39,10 +39,10 @@ class Variable:
     flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
-    missing: int = 0  # of integers: the value where a point is not computed
+    missing: int = 0  # value of an integer variable where a point is not computed
     # names of the flags of positions in a list: of -1, which is none and the missing value, and of the members 0, 1, ...
     positions: tuple[str, str] | None = None
-    beside: str = ""  # name of a variable that an atlas with this one always holds
+    beside: str = ""  # name of a variable that every atlas with this one holds
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
@@ -58,7 +58,7 @@ class Variable:
 
     @staticmethod
     def table(*variables: Variable) -> dict[str, dict[str, object]]:
-        """Name -> CF attributes."""
+        """CF attributes of variables by their names."""
         return {variable.name: variable.attributes() for variable in variables}
 
 
@@ -66,10 +66,10 @@ class Variable:
 class Tolerances:
     """Largest variations of a motion that counts as steady."""
 
-    # Largest root mean square of theta' and standard deviation of psi' and phi', and largest mean rate that counts as zero, rad
-    # per time unit
-    rate: Array | float  # of each point, or one of all
-    angle: float  # radius of the cylinder: where sin(theta) is below it, the third axis counts as vertical
+    # Of the root mean square of theta', of the standard deviations of psi' and phi', and of a mean rate that counts as zero, in
+    # rad per time unit
+    rate: Array | float  # (points,), or one number for all points
+    angle: float  # radius of the cylinder: the third axis counts as vertical where sin(theta) is smaller
 
     def subset(self, where: Any) -> Tolerances:
         """The tolerances of some of the points, by a mask, their indices or a slice."""
@@ -78,7 +78,7 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class RunSettings:
-    """What runs of some points and their measurements depend on: see `scene.model.Settings`."""
+    """Settings of runs and of their measurements, see `scene.model.Settings`."""
 
     method: str
     tolerance: float
@@ -88,7 +88,7 @@ class RunSettings:
     drift_tolerance: float
     std_tolerance: Mapping[str, float] | None
     check_half_step: str
-    transient: Array | float = 0.0  # time before the runs, of each point, or one of all
+    transient: Array | float = 0.0  # time before the runs, (points,), or one number for all points
 
     @property
     def rate_tolerance(self) -> Array | float:
@@ -96,7 +96,7 @@ class RunSettings:
 
     @property
     def cylinder(self) -> float:
-        """Radius in rad of the cap about the vertical."""
+        """Radius of the cylinder about the vertical, as the sine of an angle."""
         return self.tolerances.angle
 
     def subset(self, where: Any) -> RunSettings:
@@ -109,18 +109,18 @@ class RunSettings:
 class Rule:
     """How a label follows from measurements."""
 
-    label: Callable[[Measured], Flags]  # whatever the status
-    statistics: tuple[str, ...]  # the measurements that it reads, which have errors where they are not exact
-    # Means among them -> a rate: the label depends on the magnitude of their sum
+    label: Callable[[Measured], Flags]  # the labels, whatever the status
+    statistics: tuple[str, ...]  # measurements that decide the label; each has an error unless it is exact
+    # Statistic that is a mean -> rate; the label depends on the magnitude of mean + rate
     means: Mapping[str, Array | float] = field(default_factory=dict)
-    # What rounding alone may add to some of the statistics of a steady motion, in their units
+    # Statistic -> largest value that rounding alone can give it in a steady motion, in its unit
     rounding: Mapping[str, Array] = field(default_factory=dict)
-    # Flags of its variable by name: where a run ended early, because it was certain to drift; where the status is not ok
+    # Flags of the label's variable: for a run that ended early, certain to drift, and for one whose status is not ok
     drifting: str = "drifting"
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """The measurements, of which those that may be rounding alone count as none; the same object where there are none."""
+        """The measurements, with the value of no motion where they may be rounding alone; the same object if none is changed."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -130,11 +130,11 @@ class Rule:
         return {**measured, **changed} if changed else measured
 
     def decide(self, measured: Measured) -> Flags:
-        """The label by measurements `without_rounding`."""
+        """The labels that follow from the measurements `without_rounding`."""
         return self.label(self.without_rounding(measured))
 
     def column(self, name: str, registry: Mapping[str, Variable], run: Run, resolved: Mask) -> Flags:
-        """Its variable; resolved: where the status is ok. BadInput for what is no flag of the variable."""
+        """The label's variable; resolved: where the status is ok. BadInput if a value is no flag of the variable."""
         flags, rule = list(registry[name].flags or ()) if name in registry else [], f"the rule of {name}"
         for flag in (self.drifting, self.unresolved):
             if flag not in flags:
@@ -147,7 +147,7 @@ class Rule:
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label changes where every measurement changes by its error, in its unit."""
+    """Whether the label changes if the motion is larger, or smaller, by the errors of all its measurements."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -166,7 +166,7 @@ def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
 
 @dataclass(frozen=True)
 class Run:
-    """Points, integrated by steps of some sizes, and the measurements of instruments; arrays (points,)."""
+    """Integrated points, their step sizes and the measurements of instruments; arrays (points,)."""
 
     system: System
     settings: RunSettings
@@ -174,11 +174,11 @@ class Run:
     ensemble: Ensemble
     step_sizes: StepSizes
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    # Growth of a distance from the family's motion over the run, as a logarithm; 0 where it is unknown
+    # Logarithm of the growth of a distance from the family's steady motion over the run; 0 where it is unknown
     log_growth: Array
     integration: Integration
     points: Points = field(default_factory=dict)  # every parameter of the points
-    measured: Measured = field(default_factory=dict)  # by all instruments
+    measured: Measured = field(default_factory=dict)  # measurements of all instruments
     # Logarithm of the largest growth of a tangent vector in the run; nan where no instrument needs it, (points,)
     growth: Array = field(default_factory=lambda: np.empty(0))
 
@@ -191,7 +191,7 @@ class Run:
 
     @property
     def bound(self) -> Array:
-        """Bound of the fastest frequency, rad per time unit, positive also where nothing moves."""
+        """Bound of the fastest frequency, rad per time unit, positive even if nothing moves."""
         return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
 
     def measure(self) -> Run:
@@ -204,7 +204,7 @@ class Run:
 
     @cached_property
     def rules(self) -> dict[str, Rule]:
-        """Rules of all labels by the names of their variables."""
+        """Rule of each label by the name of its variable."""
         rules: dict[str, Rule] = {}
         rounding: dict[str, Array] = {}
         for instrument in self.instruments:
@@ -214,7 +214,7 @@ class Run:
         return rules
 
     def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
-        """The sums of an instrument in the kernel, and its constants."""
+        """The rows of the kernel's sums and constants that belong to an instrument."""
         before = self.instruments[: self.instruments.index(instrument)]
         row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
         sums, given = self.integration.sums[row:], self.ensemble.given[first:]
@@ -275,8 +275,8 @@ class Run:
 class Instrument:
     """A measurement: variables of an atlas, and how they follow from runs.
 
-    A subclass must implement `variables`, or `every_variable` if they are those of every system, and what they follow from:
-    `measurements` of numbers, `rules` of labels, or else `columns`. All else may be overridden, and by default contributes nothing:
+    A subclass must implement `variables`, or `every_variable` if all systems have the same, and one source of their values:
+    `measurements` for numbers, `rules` for labels, or `columns`. The other members contribute nothing unless they are overridden:
 
     Where it measures
         `wanted`, by a scene; in its kernel `sums`, `given`, `add_node`, `constants`; `needs_whole_run`; without a run `proofs_of`,
@@ -285,51 +285,51 @@ class Instrument:
         Of numbers `relative_error`, `pair_error`, `rate_change`; of the statistics of rules `errors`, `rounding`, `outcome_differs`.
     """
 
-    # Of instruments that add to the sums of the kernel: see `kernel.ensemble.Plug`.
+    # Numbers of sums and constants, and the function, that the instrument adds to the kernel, see `kernel.ensemble.Plug`.
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
-    needs_whole_run = False  # whether no run may end before its duration
-    # Where its variables need `Run.growth`, by the run and the status, (points,); None: nowhere, and without a tangent kernel.
+    needs_whole_run = False  # whether runs may not end before their duration
+    # From run and status: the points whose variables need `Run.growth`, (points,); None: no point, and no tangent kernel.
     needs_growth: Callable[[Run, Flags], Mask] | None = None
-    # Label variable -> the variable of flags that is not 0 where the label is proved for every duration.
+    # Label variable -> variable whose flag is not 0 where the label is proved for every duration.
     proofs_of: Mapping[str, str] = MappingProxyType({})
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """Its variables in any system: no parameter may have such a name."""
+        """The variables of all systems; no parameter may have one of these names."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """Its variables of a system, none if it cannot measure it."""
+        """The variables of one system; none if the instrument cannot measure it."""
         return self.every_variable(system)
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
-        """Whether a scene with these outputs needs it."""
+        """Whether a scene with these outputs needs the instrument."""
         return not {variable.name for variable in self.variables(system)}.isdisjoint(outputs)
 
     def proofs(
         self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
     ) -> dict[str, NDArray[Any]]:
-        """Its variables that need no run, and of `proofs_of` the proved labels by their predicted names, 0 elsewhere."""
+        """Variables that need no run, and the proved labels, 0 elsewhere, under the names of the predicted ones."""
         return {}
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Measurements from the sums of a run; measured: by earlier instruments."""
+        """Measurements from the sums of a run; measured: measurements of earlier instruments."""
         return {}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rules of its labels; rules: of earlier instruments."""
+        """Rules of the instrument's labels; rules: the rules of earlier instruments."""
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected errors of the statistics of its rules; relative: the largest `relative_error` of the instruments up to it."""
+        """Expected errors of the statistics of its rules; relative: largest `relative_error` of this and earlier instruments."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """What rounding alone may add to statistics of its rules, in their units; relative: to the sizes of their quantities."""
+        """Largest values that rounding alone can give to statistics of its rules; relative: rounding error over the size of a quantity."""
         return {}
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error to expect of its values, (points,)."""
+        """Expected relative error of the instrument's values, (points,)."""
         return np.zeros(run.ensemble.size)
 
     def rate_change(self, run: Run, other: Run) -> Array:
@@ -341,11 +341,11 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Relative error of its values by a second run with fewer steps, (points,); expected: without that run."""
+        """Relative error of its values, (points,), from a second run with fewer steps; expected: the error expected of `run` alone."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Its variables where they differ from the measurements; columns: the status and earlier instruments' variables."""
+        """Variables that are not simply measurements; columns: the status and the variables of earlier instruments."""
         return {}
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
@@ -360,7 +360,7 @@ class MainInstrument(Instrument):
     """
 
     has_theory = False  # whether theory predicts its labels
-    quantity = ""  # name of its quantities in one word
+    quantity = ""  # one word for all that it measures
     unsteadiness_text = ""  # meaning of `unsteadiness`
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
@@ -372,7 +372,7 @@ class MainInstrument(Instrument):
         return ()
 
     def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
-        """The largest of the statistics that make a point drift; of settings only the tolerances are used."""
+        """Largest of the statistics that make a point drift, (points,); only the tolerances of settings are used."""
         raise NotImplementedError
 
     def steady_below(self, settings: RunSettings) -> Array | float:
@@ -388,7 +388,7 @@ class MainInstrument(Instrument):
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """See `kernel.ensemble.Ensemble.integrate`, for an instrument that may stop early."""
+        """Rate above which a point drifts, whatever the expected error, see `kernel.ensemble.Ensemble.integrate`."""
         raise NotImplementedError
 
     def step_sizes(
@@ -398,15 +398,15 @@ class MainInstrument(Instrument):
         return StepSizes.of(settings, bound, duration, step)
 
     def resolved(self, run: Run) -> Mask | bool:
-        """Where the nodes show the motion."""
+        """Where the nodes are dense enough to show the motion."""
         return True
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Where the atlas shows the measurements; resolved: where the steps suffice for them and for tangent vectors."""
+        """Where the atlas holds the measurements; resolved: where the steps suffice for measurements and tangent vectors."""
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs of the same points; relative: the largest relative difference."""
+        """Differences of the statistics of all rules in two runs; relative: used by instruments that measure relative differences."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

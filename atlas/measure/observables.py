@@ -19,7 +19,7 @@ from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Variab
 from .rates import END_TIME, INTEGRAL_DRIFT, STATUS, rounding_error, step_variables
 
 _T = TypeVar("_T")
-# Suffix of a statistic in the atlas -> its meaning, with the name of the observable in place of {}.
+# Suffix of a statistic in the atlas -> its meaning; {} stands for the name of the observable.
 STATISTICS = {
     "mean": "mean of the {}",
     "std": "standard deviation of the {}",
@@ -27,16 +27,16 @@ STATISTICS = {
     "max": "largest {}",
     "drift": "change of the {} over the run along the straight line fitted to it by least squares",
 }
-# Overtones of the motion's frequencies in observables count up to this multiple of the bound.
+# Highest frequency of an observable, overtones included, in units of the frequency bound.
 OVERTONE = 3.0
-# Largest distance of two nodes in rad of the frequency bound.
+# Largest product of frequency bound and distance of two nodes, rad.
 MAX_NODE_RADIANS = 0.4
-# Share of the last period of a run that may be missing; largest number of periods.
+# Fraction of the last period of a run that may be missing; largest number of periods.
 MISSING, MAX_PERIODS = 1e-3, 10**9
-MAX_HALVINGS = 8  # of steps, and of steps between nodes
-# Share of the range of an observable by which it may jump between two nodes.
+MAX_HALVINGS = 8  # how often step size and steps between nodes may be halved
+# Largest jump of an observable between two nodes over its range in the run.
 MAX_ROUGHNESS = 0.3
-# Least order in the step of the errors of statistics: the order of rk4; quadrature and interpolation have 8.
+# Least order of the errors of statistics in the step size: the order of rk4; quadrature and interpolation have order 8.
 STATISTICS_ORDER = 4
 # Rounding error of a statistic in units of the largest value of its observable.
 STATISTIC_ROUNDING = 1e-15
@@ -81,7 +81,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Largest error of a statistic over the largest magnitude of its observable."""
+        """Largest error of a statistic divided by the largest magnitude of its observable."""
         shares = [
             errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
             for name, size in sizes(system, measured).items()
@@ -99,7 +99,7 @@ class Observables(MainInstrument):
         for _ in range(MAX_HALVINGS):
             radians = bound * step_sizes.sample_spacing
             far = radians > MAX_NODE_RADIANS
-            # With several steps between two nodes the error of the interpolation is within the phase error.
+            # Several steps between two nodes are halved until the interpolation error is within the phase error.
             several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
             per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
             halve = far & ~several & may_halve & step_sizes.resolved
@@ -108,11 +108,11 @@ class Observables(MainInstrument):
         return step_sizes
 
     def resolved(self, run: Run) -> Mask:
-        """Where no observable jumps between nodes, as it does if the steps are too long for the motion."""
+        """Where no observable jumps between nodes; jumps show that the steps are too long for the motion."""
         from ..kernel import observe
 
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
-        # An oscillation at the bound is within radians^4 / 24, relative, of the cubic through a node's neighbours.
+        # An oscillation at the bound has a relative distance of radians^4 / 24 from the cubic through a node's neighbours.
         allowed = MAX_ROUGHNESS + radians**4 / 12
         rough = np.zeros(run.ensemble.size, bool)
         for first in range(observe.FIRST_ROW, len(sums), len(observe.Field)):
@@ -148,7 +148,7 @@ class Observables(MainInstrument):
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of states, and of statistics over the largest magnitude of their observable."""
+        """Relative error of states, and error of statistics divided by the largest magnitude of their observable."""
         step_sizes = run.step_sizes
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -158,7 +158,7 @@ class Observables(MainInstrument):
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Errors of the standard deviations: as large as the errors of the ranges of the observables."""
+        """Errors of the standard deviations: the relative error times the range of each observable, and rounding."""
         measured = run.measured
         return {
             f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"])
@@ -168,7 +168,7 @@ class Observables(MainInstrument):
 
     @np.errstate(all="ignore")
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Of observables as large as they are, and what rounding of each state at the start changes, in case terms cancel."""
+        """Rounding of the observables' own values, or the effect of rounding the states at the start, if terms cancel."""
         equations, state, constants = run.system.equations, run.ensemble.state, run.ensemble.constants
         slope = np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
         shifts = np.eye(len(state))[..., None] * relative * (np.abs(state) + np.abs(slope) / run.bound)
@@ -183,7 +183,7 @@ class Observables(MainInstrument):
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
-        """Largest difference of a statistic over the size of its observable; order: divisor of differences of integrals."""
+        """Largest difference of a statistic divided by the size of its observable and, except for extremes, by `order`."""
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:
@@ -194,7 +194,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(changes))
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Differences by their order, and at least three tenths of the expected error: two runs may agree by chance."""
+        """Richardson estimates of the errors, at least 0.3 of the expected error, because two runs may agree by chance."""
         ratio = run.step_sizes.steps / coarse.step_sizes.steps
         state, other = run.integration.final_state, coarse.integration.final_state
         size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
@@ -212,7 +212,7 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Number of periods in each run, at least one of any duration, which is theirs; None if no observable is measured once a period."""
+    """Whole periods in each run, at least one if it has a duration, and their time; None if no observable is measured once a period."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
@@ -227,7 +227,7 @@ def whole_periods(
 def std_tolerances(
     system: System, settings: Mapping[str, float] | None, rate_tolerance: _T
 ) -> dict[str, float | _T]:
-    """Largest standard deviation of each observable that counts as constant, in its unit: of the settings, else its own."""
+    """Standard deviation up to which each observable counts as constant, in its unit: from the settings, else its own."""
     limits = {
         o.name: rate_tolerance if o.tolerance is None else float(o.tolerance) for o in system.observables
     }

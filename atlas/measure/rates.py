@@ -1,5 +1,5 @@
-"""The rates of the body's third axis: labels about it and the vertical, and their errors, expected from the step sizes or
-measured by a second run. The statistics are in `kernel.statistics`.
+"""Labels of motions about the third axis and the vertical, and errors of rates, expected from the step sizes or measured by a
+second run. The statistics are in `kernel.statistics`.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ END_TIME = Variable("end_time", "float64", "s", "time at which the integration e
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-# Of a start in the cylinder: the sine of theta from which the samples follow the axis; the turn of its path between two nodes,
-# in rad, beyond which they miss how it leaves.
+# For starts in the cylinder: sin(theta) above which the nodes follow the third axis; turn of its path between two nodes, rad,
+# above which the nodes miss how the axis leaves.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
@@ -102,7 +102,7 @@ class Rates(MainInstrument):
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
     def steady_below(self, settings: RunSettings) -> Array | float:
-        """The largest rate that counts as none."""
+        """Largest rate that counts as zero, rad per time unit."""
         return settings.rate_tolerance
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
@@ -110,7 +110,7 @@ class Rates(MainInstrument):
         return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """The bound, infinite where it does not hold."""
+        """The bound, infinite where it does not hold for the whole run."""
         return np.where(settled, bound, np.inf)
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
@@ -118,12 +118,12 @@ class Rates(MainInstrument):
         return run.step_sizes.resolved
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
-        """Whether no statistic is wanted, which only a whole run gives."""
+        """Whether the outputs hold no statistic; statistics need the whole run."""
         return {statistic.name for statistic in STATISTICS}.isdisjoint(outputs)
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Rate beyond which no expected error can bring a drifting label back, (points,), rad per time unit."""
-        # Over 0.1 and less it is no smaller than what `Run.rules` takes for rounding.
+        """Rate above which a point drifts, whatever the expected error, (points,), rad per time unit."""
+        # A divisor of at most 0.1 makes this no smaller than the rounding error in `Run.rules`.
         rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps) / np.minimum(tolerances.angle, 0.1)
         absolute = step_sizes.rate_error + rounding
         return np.asarray(
@@ -135,14 +135,14 @@ class Rates(MainInstrument):
         return finish(integration.sums[: len(Row)], integration.intervals, integration.duration)
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Labels in the system's frame and, if that turns, in inertial space."""
+        """Rules of the labels in the system's frame and, if the frame turns, in inertial space."""
         return {name: rule(run.settings.tolerances, rate) for name, rate in run.frame_rates.items()}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
         """Expected error of each measurement that decides a label, in its unit, (points,) each."""
         step_sizes, bound, measured = run.step_sizes, run.bound, run.measured
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
-        # psi' and phi' divide by sin theta: near the vertical rounding counts more.
+        # psi' and phi' contain 1 / sin(theta): near the vertical rounding errors grow.
         near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(
             step_sizes.whole_steps
         ) / np.maximum(_least_sine(measured), 1e-300)
@@ -157,13 +157,13 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes, or one of each oscillation, whose passages of the rim the nodes may meet in the same phase.
+        # Two nodes may lie on the wrong side of the rim, or one in each oscillation if the nodes meet all in the same phase.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Of rates as large as the bound; psi' and phi' divide by sin theta, outside the cylinder."""
+        """Rounding errors of rates as large as the bound; for psi' and phi' divided by sin(theta) outside the cylinder."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -171,7 +171,7 @@ class Rates(MainInstrument):
         return sizes | dict.fromkeys(names, of_angles)
 
     def relative_error(self, run: Run) -> Array:
-        """Error of an oscillation at the frequency bound, amplified to 1 at most by the instability."""
+        """Relative error of an oscillation at the frequency bound, amplified by an instability to at most 1."""
         step_sizes, log_growth = run.step_sizes, run.log_growth
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -185,11 +185,10 @@ class Rates(MainInstrument):
         return np.asarray(np.fmax.reduce(_differences(run, other, RATES)) / run.bound)
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Error of the states from the difference of the final states by the order of the method, and of the statistics.
+        """Relative error of the states, from their final difference and the order of the method, and of the statistics.
 
-        The statistics have no clean order: their errors are their differences, and at least three tenths of the error that the
-        states imply, because two runs may agree by chance. Where the second run is not resolved, the expected error counts if
-        it is larger.
+        Statistics converge at no clear order: their errors are their differences, at least 0.3 of the error that follows from
+        the states, because two runs may agree by chance. Where the second run is not resolved, a larger expected error counts.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -204,7 +203,7 @@ class Rates(MainInstrument):
         return np.where(trusted, error, np.fmax(error, expected))
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The geometry, and psi' and phi' where they have a meaning."""
+        """The geometry, and the statistics of psi' and phi', nan in the cylinder."""
         tolerances, ok = run.settings.tolerances, columns["status"] == Status.OK
         cylinder = in_cylinder(run.measured, tolerances.angle)
         steady = ok & (columns["label"] != Label.DRIFTING)
@@ -217,7 +216,7 @@ class Rates(MainInstrument):
 def geometry(
     system: System, measured: Measured, steady: Mask, cylinder: Mask, tolerances: Tolerances
 ) -> Flags:
-    """Flag of the first of the system's geometries that each steady motion has, 0 of others, (points,)."""
+    """Flag of the first geometry of the system that holds for each motion, 0 if none does or it is not steady, (points,)."""
     kinds = [
         kind.holds(measured, cylinder, tolerances.rate, tolerances.angle)
         for kind in system.geometries.values()
@@ -226,7 +225,7 @@ def geometry(
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """The variables of a body, as far as the system has them."""
+    """Those of the variables of bodies that this system has."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}
@@ -263,7 +262,7 @@ def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Arr
     nutates = measured["theta_dot_rms"] > rate
     # A run that enters or leaves the cylinder has no usable psi': theta decides.
     entered = _least_sine(measured) < tolerances.angle
-    # psi' is then measured on a part of the run alone, so that the rate about the vertical must be steady as well.
+    # psi' is then measured in a part of the run only, so the rate about the vertical must be steady as well.
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))
     unsteady = (measured["psi_dot_std"] > rate) | (measured["phi_dot_std"] > rate)
@@ -281,15 +280,15 @@ def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
 def steady_label(
     n: Array, m: Array, cylinder: Mask, tolerance: Array | float, drifting: Mask | bool = False
 ) -> Flags:
-    """Label of a motion with the mean rates n = psi' and m = phi', steady but where `drifting`; rates up to the tolerance are zero."""
+    """Labels by the mean rates n = psi' and m = phi', steady unless `drifting`; rates up to the tolerance count as zero."""
     zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
     steady = np.where(cylinder | zero_rate, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
     return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
 
 
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
-    """Whether the third axis counts as vertical: sin theta stayed below the tolerance (rad) through the run or, where theta
-    changes by no more than that, at most nodes."""
+    """Whether the third axis counts as vertical: sin(theta) is below the tolerance at all nodes, or at half of the nodes or more
+    while theta varies by less than the tolerance (rad)."""
     inside = np.asarray(measured["sine_max"] < cylinder_tolerance)
     at_most_nodes = ~inside & (measured.get("outside", np.ones(1)) <= 0.5)
     if at_most_nodes.any():
@@ -305,9 +304,9 @@ def _least_sine(measured: Measured) -> Array:
 def _with_statistics(state_error: Array, run: Run) -> Array:
     """Relative error of states and statistics, from the error of the states.
 
-    The interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is
-    as large as they are where the axis passed through the cylinder. A run that starts there has samples close to its start: they
-    miss how the axis leaves only if it is slow, so that its path turns much between two nodes.
+    Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at
+    least 1 where the axis passed through the cylinder. A run that starts in the cylinder has nodes close to its start: they miss
+    how the axis leaves only if the axis is so slow that its path turns much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)
@@ -332,7 +331,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
 
 
 def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
-    """Sizes of the differences of the statistics of two runs."""
+    """Absolute differences of the named statistics in two runs."""
     with np.errstate(invalid="ignore"):
         return [np.abs(run.measured[name] - other.measured[name]) for name in names]
 
@@ -343,7 +342,7 @@ def rounding_error(step_sizes: StepSizes) -> Array:
 
 
 def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array) -> Array:
-    """Relative error of the states that settings allow: the tolerance, or what is expected where that is more or a step is given."""
+    """Relative error of the states that settings allow: the expected error, and without a given step at least the tolerance."""
     expected = relative_error(step_sizes, bound) + rounding_error(step_sizes)
     return expected if settings.step is not None else np.fmax(expected, settings.tolerance)
 

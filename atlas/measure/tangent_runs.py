@@ -1,4 +1,4 @@
-"""Runs with a tangent vector, which give the indicators of chaos; imported only where a plan has them."""
+"""Runs with a tangent vector, which give the indicators of chaos; imported only by plans that have such runs."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from ..kernel.tableaux import TANGENT_METHOD as METHOD
 from ..systems.base import Array, Flags, Mask, Points, System, shape_of
 from .rates import tolerated_error
 
-# Least number of nodes of a run, the instants at which the tangent vector is divided by its norm and the sums grow.
+# Least number of nodes of a run; at each node the tangent vector is divided by its norm and its growth added to the sums.
 NODES = 1024
 # Largest number of steps between two nodes: a tangent vector grows by less than e^700 there, and cannot overflow.
 MAX_STEPS_PER_NODE = 1000
 # Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
 # motions by less than 0.01.
 MAX_RADIANS_PER_STEP = 0.3
-# Largest loss of an amplitude by dissipation during a run: it lowers MEGNO.
+# Largest relative loss of amplitude by numerical dissipation during a run; the loss lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# Runs for the growth alone follow the run that they accompany until an error of its size has grown to some per cent: their steps
-# are so many times as long as rk8 needs for that error at the frequency bound, which few motions reach, and at most so long, rad.
+# A tangent run for the growth alone need follow the main run only until the error of the latter has grown to some per cent. Its
+# step is GROWTH_STEP times that which gives rk8 this error at the frequency bound; step times bound is at most the second, rad.
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
-# Time of a step with a tangent vector over a step with statistics, see bench_engine.py.
+# Run time of a step with a tangent vector over that of a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
-# A tangent vector grows in chaos, and in one passage of an unstable motion, from nearby and back. A regular motion that returns
-# to a distance d of an unstable one has a tangent vector along its own velocity, which falls by a factor d: the logarithm L of
-# the growth has a drawdown of ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix and
-# cause the growth: drawdowns of 14 to 22 were measured, against at most 7 along chaotic motions.
+# Largest fall of L, the logarithm of the growth of a tangent vector. The vector grows in chaos, but also while a regular motion
+# leaves the neighbourhood of an unstable one. If the motion returns to a distance d, a vector along its velocity shrinks by d and
+# L falls by ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix and cause the growth:
+# falls of 14 to 22 were measured, against at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Before the return L grows by ln(1/d^2) or less, d^2 at least the rounding errors of 1e-16: 39 was measured.
+# Largest growth of L in one passage of an unstable motion: at most ln(1/d^2) with d^2 >= 1e-16 (rounding); 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO below the first is regular, above the second chaotic. It tends to 2 or less, or grows as lambda T / 2.
+# Mean MEGNO below the first means regular (it tends to 2 or less), above the second chaotic (it grows as lambda T / 2).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# A chaotic run goes on for at most so many durations, until it exceeds one of these two limits.
+# A chaotic run is continued until it exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, for at most so many durations.
 MAX_DURATIONS = 16
 
 
@@ -60,9 +60,9 @@ class TangentSteps:
     def of(
         cls, bound: Array, duration: Array, step: float | None, max_steps: int, error: Array | None = None
     ) -> TangentSteps:
-        """Steps for frequency bounds (rad per time unit) and durations; `step`: the largest, if given.
+        """Steps for frequency bounds (rad per time unit) and durations; step: the largest step size, if given.
 
-        error: for the growth alone, the relative error of the runs that they accompany, see GROWTH_STEP.
+        error: relative error of the main runs, if tangent runs give the growth alone, see GROWTH_STEP.
         """
         radians = bound * duration
         finite = np.isfinite(radians)
@@ -104,14 +104,14 @@ class TangentArrays(NamedTuple):
     state: Array
     constants: Array
     vectors: Array  # in the kernel's units, (kernel.TANGENT, points)
-    weights: Array  # factors of their components in their norm, (kernel.TANGENT, points)
+    weights: Array  # factors of the vectors' components in the norm, (kernel.TANGENT, points)
     sums: Array  # (len(tangent.Growth), points)
 
 
 def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
-    """Unit in which angular velocities enter the norm of a tangent vector, rad per time unit: the rate of the frame, or another.
+    """Unit of angular velocities in the norm of a tangent vector, rad per time unit: the rate of the frame, else without_frame.
 
-    A finite Lyapunov exponent depends a little on it, its limit does not.
+    The Lyapunov exponent of a finite run depends a little on this unit, its limit does not.
     """
     rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
     return np.where(rate > 0, rate, without_frame)
@@ -127,10 +127,10 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            # Weights of the components of a tangent vector, in the kernel's units, in its norm.
+            # Factors of the components of a tangent vector, which are in the kernel's units, in its norm.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # The state changes its units by factors, which are the result for ones.
+            # The result for a state of ones is the factors by which its units change.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]
@@ -143,7 +143,7 @@ class Separation:
             self.weights = np.ascontiguousarray(rows)
             start = augmented.tangent_start(equations, self.state)
             self.vectors = np.ascontiguousarray(start / self.weights)
-        self.durations = np.zeros(ensemble.size, np.int64)  # integrated until now
+        self.durations = np.zeros(ensemble.size, np.int64)  # number of durations integrated so far
         self.sums = np.empty((len(tangent.Growth), ensemble.size))
 
     @property
@@ -165,7 +165,7 @@ class Separation:
         *,
         threads: blocks.Threads = blocks.ALL_THREADS,
     ) -> None:
-        """Integrate points, which have run equally long, for one more duration."""
+        """Integrate points that have equal numbers of durations behind them for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -189,7 +189,7 @@ class TangentRuns:
     ensemble: Ensemble
     steps: TangentSteps
     rate_unit: Array  # see `rate_unit`
-    share: float  # of these runs in the work of all runs of the points
+    share: float  # work of these runs over that of all runs of the points
 
     @classmethod
     def of(
@@ -204,19 +204,19 @@ class TangentRuns:
         *,
         has_chaos: bool,
     ) -> TangentRuns:
-        """The runs of points that are integrated without a tangent vector as well, with step_sizes; has_chaos: for the indicators."""
+        """Tangent runs beside main runs with step_sizes; has_chaos: for the indicators of chaos, not for the growth alone."""
         bound = ensemble.frequency_bound
         with np.errstate(all="ignore"):
             error = None if has_chaos else tolerated_error(settings, step_sizes, bound)
             steps = TangentSteps.of(bound, duration, settings.step, settings.max_steps, error)
-            # The growth decides words, which depend on no unit of time.
+            # The growth decides flags, which must not depend on the unit of time.
             unit = rate_unit(system, points, 1.0 if has_chaos else system.natural_rate(points))
         own = METHODS[settings.method].step_cost * float(step_sizes.without_unresolved().whole_steps.sum())
         work = RELATIVE_COST * METHOD.step_cost * float(steps.steps[steps.resolved].sum())
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
     def _separation(self, where: NDArray[np.int64], threads: blocks.Threads) -> Separation:
-        """Tangent vectors of some points after their runs; the threads tell `share` of all points."""
+        """Tangent vectors of some points after their runs; progress advances by `share` of all points."""
         steps = self.steps.subset(where)
         separation = Separation(
             self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
@@ -226,8 +226,8 @@ class TangentRuns:
         return separation
 
     def growth(self, where: Mask, threads: blocks.Threads) -> Array:
-        """Logarithm of the largest growth of a tangent vector, infinite where that is not resolved, nan elsewhere; the
-        threads tell `share` of the points in all."""
+        """Logarithm of the largest growth of a tangent vector: infinite where the steps do not resolve it, nan outside `where`;
+        progress advances by `share` of all points."""
         result = np.where(where, np.inf, np.nan)
         resolved = np.flatnonzero(where & self.steps.resolved)
         if resolved.size:
@@ -243,7 +243,7 @@ class TangentRuns:
         unstable: Mask,
         threads: blocks.Threads,
     ) -> dict[str, np.ndarray]:
-        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; the threads tell `share` of the points in all."""
+        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; progress advances by `share` of all points."""
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
         flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
@@ -256,13 +256,13 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Errors may decide how a motion leaves an unstable one, once a vector has grown; not while all neighbours approach.
+        # Once a vector has grown, errors may decide how a motion leaves an unstable one; not while all neighbours approach.
         highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
         # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
-        log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view, as `drawdown` is
+        log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view of the sums, as `drawdown` is
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
             if duration < MAX_DURATIONS and active.size:
@@ -275,7 +275,8 @@ class TangentRuns:
 
 
 def regularity(label: Flags, megno: Array, unstable: Mask) -> Flags:
-    """Values of flags.Regularity by mean MEGNO (nan: not computed), label (unresolved if not ok) and starts on unstable motions."""
+    """Values of flags.Regularity; label: unresolved if the status is not ok; megno: nan if not computed; unstable: whether the
+    start is on an unstable motion."""
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
     conditions = {

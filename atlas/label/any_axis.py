@@ -15,16 +15,16 @@ from ..theory.motions import predict_circles
 from .plan import Plan
 from .theory import Prediction, frame_motion, on_other_axes, predicted_frames
 
-# Rates that change at first by more tolerances than this leave every circle.
+# A start whose rates at first change by more than so many tolerances is far from every circle.
 _FAR_CIRCLE = 10.0
 
 
 @np.errstate(all="ignore")
 def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
-    """Labels about any axes of runs from theory alone, in the system's frame and, if that turns, in space.
+    """Labels of runs about any axes from theory alone, in the system's frame and, if the frame turns, in inertial space.
 
-    Axes within the tolerance of angles count as parallel. Labels of starts that are no steady motion are drifting where they are
-    far from every circle of the angular velocity, else not_computed.
+    Axes within the angle tolerance count as parallel. A start that is no steady motion drifts if its angular velocity is far
+    from every circle, else its label is not_computed.
     """
     system, base, theory = plan.system, tile.base, prediction.variables
     frames = predicted_frames(system, base)
@@ -33,7 +33,7 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
         membership = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
         return {name: np.where(membership, theory[own], 0).astype(np.int8) for own, name in names.items()}
     tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
-    # What rounding allows of the equations is an error of the spin rate, over the rate across its axis.
+    # The equations hold to rounding; divided by the rate across the spin axis, this is an error of the spin rate.
     s, m, fixed, n = prediction.motion
     across, error = np.abs(n) * length(cross(s, fixed)), TERM_ROUNDING * (np.abs(n) + np.abs(m)) ** 2
     rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
@@ -53,13 +53,13 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
 def _circle(
     system: System, points: Points, axes: TwoAxes, frame_rate: Array, duration: Array
 ) -> dict[str, Array]:
-    """Statistics of the angular velocity of exact motions in a frame that turns at a rate about the vertical.
+    """Statistics of the angular velocity of exact motions in a frame that turns about the vertical at frame_rate.
 
-    In a turning frame the axes must be that of the body and the vertical: a motion with a third rate has none, nan.
+    nan if the frame turns and the axis fixed in space is not the vertical: the motion is then composed of three rotations.
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]
-    # One rotation is about an axis at rest in the body, so that the fixed axis is any, such as the vertical.
+    # A single rotation counts as about an axis at rest in the body; the fixed axis is then arbitrary, such as the vertical.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
     n = np.where(single, 0.0, n)
@@ -67,7 +67,7 @@ def _circle(
     rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
     sine = length(cross(s, np.where(turning & single, vertical, fixed)))
     zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # The angular velocity runs along an arc of m T on its circle; one that is as small as the tolerance is a point.
+    # The angular velocity runs along an arc of m T on its circle; an arc as small as the tolerance counts as a point.
     arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
     return {
         "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
@@ -78,11 +78,11 @@ def _circle(
 def near_circle(
     system: System, points: Points, duration: Array, rate_tolerance: Array | float, frame_rate: Array
 ) -> Mask:
-    """Whether the angular velocity of a start may stay on a circle in the body, as it does along steady motions about any axes.
+    """Whether the angular velocity of a start may stay on a circle in the body, as along steady motions about any axes.
 
-    These have no linear theory. A start is far from all of them where in a radian of the bound the angular velocity changes by
-    more than it is allowed to, and deviates as much from the circle of its first derivatives: there v.v' = 0 and
-    v'' = -(|v'| / |v|)^2 v for v, the derivative of the angular velocity.
+    No linear theory covers these motions. A start is far from all of them if, within a radian of the frequency bound, the angular
+    velocity changes by more than _FAR_CIRCLE tolerances, and also leaves the circle given by its first derivatives by so much. On
+    a circle v, the derivative of the angular velocity, has v.v' = 0 and v'' = -(|v'| / |v|)^2 v.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

@@ -1,4 +1,4 @@
-"""A sample of a scene's points integrated again at half the step, and the changes."""
+"""Changes of labels and rates in a sample of a scene's points that is integrated again at half the step."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from .pipeline import evaluate
 from .plan import Plan
 
 CONFIDENCE = 0.95
-# Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), within these limits.
+# Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), from MIN_SAMPLE to MAX_SAMPLE points.
 MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 
 
 def upper_bound(events: int, draws: int, population: int | None = None) -> float:
-    """Upper 95 % confidence bound of a probability; the observed share if the whole population is drawn.
+    """Upper 95 % confidence bound of a probability; the observed fraction if the whole population is drawn.
 
     C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
@@ -40,7 +40,7 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """Ascending indices, one from each of `count` equal parts of range(size), by a hash that follows no period of the grid."""
+    """Ascending indices, one pseudorandom index from each of `count` equal parts of range(size)."""
     count = min(size, count)
     fraction = (mixed(np.arange(count, dtype=np.uint64)) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]
@@ -56,7 +56,7 @@ def half_step_sample(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     plan = (plan or Plan.of(scene)).without_derived()
-    # Both runs of each point at once, because theory of few points takes as long as theory of one.
+    # Both runs of each point in one call, because theory takes as long for one point as for a few.
     both = grid.points_at_indices(scene, np.tile(indices, 2))
     columns = evaluate(plan, both, halved=np.repeat([False, True], indices.size), threads=threads)
     first, second = slice(indices.size), slice(indices.size, None)

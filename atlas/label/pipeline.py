@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # check_half_step = "sample" measures the error of one point in so many.
 POINTS_PER_HALF_STEP = 64
-# Largest difference of a statistic in runs with two steps, over its size; an error in both may be ten times as large.
+# Largest relative difference of a statistic in runs with two steps; an error that both runs share may be ten times as large.
 LARGEST_CHANGE = 0.01
 
 
@@ -41,16 +41,16 @@ def evaluate(
     halved: Mask | bool = False,
     threads: Threads = ALL_THREADS,
 ) -> dict[str, np.ndarray]:
-    """Integrate, measure, label and compare points; the arrays have names of the registry of variables.
+    """Integrate, measure, label and compare points; returns arrays (points,) by the names of variables.
 
-    Points with a reason are not computed: their flags are 0, but for the status, and their numbers nan. Statistics that the plan
-    does not want may be missing or cover a part of the run, because a point ends once its label is certain; of points that the
-    settings let a proof decide all are. `halved`: whether points run at half the step of the settings, all or each. The threads
-    tell the number of points done.
+    Points with a reason not to exist are not computed: their numbers are nan, their flags 0 except for the status. Statistics
+    that the plan does not want may be missing or cover only a part of the run, because a run may end once its label is certain;
+    points whose labels are proved have no statistics. `halved`: whether points run at half the step of the settings, one value
+    for all or (points,). Progress counts points.
     """
 
     def of_part(plan: Plan, where: Mask) -> dict[str, np.ndarray]:
-        """The variables of some points, missing values at the others."""
+        """The variables, computed at the points `where` and missing at the others."""
         columns, registry = {}, variables(plan.system)
         if where.any():
             part, half = tile.subset(where), np.broadcast_to(halved, where.shape)[where]
@@ -108,8 +108,8 @@ def label_status(
 ) -> Flags:
     """Status of each computed point: the first that applies, in the order of `flags.Status`.
 
-    rounding_growth: growth rate times duration where the start is, to rounding, on an unstable motion, else 0; step_sensitive:
-    whether the step decides the label or the size of a statistic, see `_recheck` and `_step_decides`; rounding_decides: see `Run`.
+    rounding_growth: growth rate times duration if the start is, to rounding, on an unstable motion, else 0; step_sensitive:
+    whether the step size decides a label or a statistic, see `_recheck` and `_step_decides`; rounding_decides: see `Run`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,
@@ -135,14 +135,14 @@ class _Runs:
     theory: Theory
     tangent: TangentRuns | None  # after the transient, for the indicators of chaos
     growth: TangentRuns | None  # from the start, for the growth of errors
-    threads: Threads  # they tell numbers of points
+    threads: Threads  # progress counts points
 
     def check(self) -> None:
-        """Call the progress of the threads, which may end the run, without points done."""
+        """Report no progress; the call ends an interrupted run."""
         self.threads.progress(0.0)
 
     def integrate(self) -> Run:
-        """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until that is certain."""
+        """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until the drift is certain."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
         further = self.tangent or self.growth
@@ -165,7 +165,7 @@ class _Runs:
         ).measure()  # fmt: skip
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
-        """The points of a run integrated by other steps."""
+        """The points of a run, integrated with other step sizes."""
         threads = self.threads.scaled(0.0)
         ensemble = after_transient(self.plan, run.points, run.ensemble, step_sizes, threads)
         integration = ensemble.integrate(self.plan.kernel, step_sizes, run.settings.cylinder, threads=threads)
@@ -184,7 +184,7 @@ class _Runs:
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
         if self.growth is None or not needed:
             return run
-        # With chaos, the runs for it count as the work.
+        # In plans with chaos, progress counts the tangent runs of chaos instead.
         threads = self.threads.scaled(0.0) if self.tangent else self.threads
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 
@@ -197,7 +197,7 @@ class _Runs:
 
 
 def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _Runs:
-    """The ensemble, its step sizes and its theory. Points whose parameters overflow are unresolved."""
+    """The ensemble, its step sizes and its theory; points whose parameters overflow are unresolved."""
     system, settings, main = plan.system, plan.settings.at(tile.rate_tolerance), plan.main
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
@@ -213,7 +213,7 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
         step_sizes = step_sizes.after(transient, duration).in_periods(periods, method)
         if np.any(halved):
             step_sizes = step_sizes.halved(method, halved)
-        starts = replace(tile, points=points)  # not kept, so that the shared values do not stay in memory
+        starts = replace(tile, points=points)  # temporary: the shared values are freed after use
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = growth = None
         if plan.has_tangent:
@@ -229,12 +229,12 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
 
 @np.errstate(all="ignore")
 def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, threads: Threads = ALL_THREADS) -> Ensemble:  # fmt: skip
-    """The ensemble at the end of transients from its origin; the threads tell the point-steps done."""
+    """The ensemble at the end of transients from its origin; progress counts steps of points."""
     where, start = np.flatnonzero(step_sizes.transient_steps), replace(ensemble, state=ensemble.origin)
     if not where.size:
         return start
     steps, state, change = step_sizes.transient_steps[where], start.state.copy(), np.zeros(start.size)
-    # Two nodes are enough; at others a long run may be interrupted.
+    # A transient needs no nodes inside; more of them let a long run be interrupted.
     intervals = -(-steps * WIDTH // blocks.CHUNK)
     strides = -(-steps // intervals)
     step_size = step_sizes.transient[where] / (strides * intervals)
@@ -246,24 +246,24 @@ def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: 
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
-    """Relative errors, and where the step decides labels, by further runs with other steps where needed."""
+    """Relative errors, and whether the step size decides a label, from further runs with other steps where needed."""
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
-        # Integration errors may cause a departure from an unstable motion; they do where the start is on it to rounding.
+        # Integration errors may cause a departure from an unstable motion, and do if the start is on the motion to rounding.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
             theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.whole_steps)
         )
         errors, error = run.errors()
         unsure = run.unsure(errors)
-        # With a numeric bound all errors are measured, because the expected ones miss frequencies that the bound has not seen.
-        # Measured errors decide the status only where all points have them, so that it does not depend on the sample.
+        # With a numeric bound all errors are measured, because expected errors ignore frequencies that the bound misses. Measured
+        # errors decide the status only if all points have them, so that the status does not depend on the sample.
         is_numeric = run.system.has_numeric_bound
         every = is_numeric or run.settings.check_half_step == "all"
         sample = np.flatnonzero(usable & (every or _sample(run)))
         if sample.size:
-            # The second run has fewer steps: its overflow could change a label as well.
+            # The second run has fewer steps; if it overflows, the label is unsure.
             part, expected = run.subset(sample), error[sample]
             sizes = part.step_sizes
             coarser = sizes.incommensurate(method) if is_numeric else sizes.coarsened(method)
@@ -305,9 +305,9 @@ def _sample(run: Run) -> Mask:
 
 
 def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
-    """Where another step changes a statistic by more than LARGEST_CHANGE of its size, and the expected errors do not explain it.
+    """Whether another step changes a statistic by a fraction above LARGEST_CHANGE that the growth of errors does not explain.
 
-    Errors grow like the distance from a run with a neighbouring start: in chaos so much that no step would do.
+    Errors grow like the distance of runs with neighbouring starts: in chaos so fast that no step size would suffice.
     """
     change = run.change(coarse)
     decides = change > LARGEST_CHANGE
@@ -324,7 +324,7 @@ def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
-    """The variables from measurements and predictions, to which `evaluate` adds others."""
+    """The variables from measurements and predictions; `evaluate` adds the others."""
     integration, main = run.integration, run.main
     resolved = main.shown(run, runs.resolved(run))
     columns: dict[str, np.ndarray] = {

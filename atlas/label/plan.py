@@ -1,4 +1,4 @@
-"""The plan of an integration and its measurements, made once from system, settings and the variables wanted."""
+"""The plan of an integration and its measurements, made once from system, settings and wanted variables."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..variables import default_variables, instruments, main_instrument
 
 @dataclass(frozen=True)
 class Plan:
-    """The instruments and the kernels of some points, the same for all points of a scene."""
+    """The instruments and kernels of a set of points, such as all points of a scene."""
 
     system: System
     settings: Settings
@@ -52,13 +52,13 @@ class Plan:
         given: Collection[str],
         size: int = 1,
     ) -> Plan:
-        """The plan of so many points with some parameters of any values, the other parameters at their defaults."""
+        """The plan of `size` points; given: names of the parameters that may have any value, the others have their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
         terms = Specialization.of(system, *zero_and_equal(defaults))
         return cls(system, settings, outputs, terms, in_machine_code=size > FEW_POINTS)
 
     def without_derived(self) -> Plan:
-        """The plan without the variables from theory alone, which may take long."""
+        """The plan without variables that need no run, which may take long."""
         if self.outputs is None:
             return self
         derived = derived_variables(self.system)
@@ -70,7 +70,7 @@ class Plan:
 
     @property
     def names(self) -> Collection[str]:
-        """The variables wanted by name, among which an optional one is sought."""
+        """Names of the wanted variables, empty if the plan has the default ones; no optional variable is a default."""
         return self.outputs or ()
 
     @cached_property
@@ -89,7 +89,7 @@ class Plan:
         return tuple(each for each in self.instruments if each.sums)
 
     def proofs(self, tile: Grid) -> dict[str, NDArray[Any]]:
-        """What the instruments say of points without a run, see `Instrument.proofs`."""
+        """Variables that instruments give without a run, see `Instrument.proofs`."""
         tolerances = self.settings.at(tile.rate_tolerance).tolerances
         each = (
             i.proofs(self.system, tile.points, tolerances, self.in_machine_code) for i in self.instruments
@@ -118,14 +118,14 @@ class Plan:
 
     @cached_property
     def without_statistics(self) -> Plan | None:
-        """The plan without statistics of the rates, if its runs may then stop early; None where they may now, or never."""
+        """The plan without statistics of the rates, if only this lets runs stop early, else None."""
         statistics = {statistic.name for statistic in STATISTICS}
         names = default_variables(self.system) if self.outputs is None else self.outputs
         plan = replace(self, outputs=[name for name in names if name not in statistics])
         return plan if plan.may_stop_early and not self.may_stop_early else None
 
     def relative_costs(self, bound: Array, points: Grid) -> dict[str, float]:
-        """Processor time expected of each other method over that of the plan's method; none for a given step: errors would differ."""
+        """Expected processor time of each other method over that of the plan's method, for equal errors; none for a given step."""
         if self.settings.step is not None:
             return {}
         costs = dict[str, float]()
@@ -147,7 +147,7 @@ class Plan:
 
     @property
     def kernel_hash(self) -> str:
-        """Hash of the kernel, and of the kernel with tangent vectors if there are any."""
+        """Hash of the kernel and, if the plan has one, of the kernel with tangent vectors."""
         source, terms = specialization.source, self.specialization
         texts = [source(self.system, self.settings.method, terms, self.plugs)]
         if self.has_tangent:

@@ -33,9 +33,9 @@ from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan, method_lines
 
-# Points, and steps of rk4 of all of them (about a second), from which on a call is told of a faster method.
+# A call with more points, and more steps of rk4 in all (about a second), is told of a faster method.
 MANY_POINTS, MANY_STEPS = 100, 1e8
-_advised = False  # whether this process was
+_advised = False  # whether a call of this process was told
 OTHER_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
@@ -63,11 +63,11 @@ def label_points(
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     points : mapping, list of mappings, Dataset, DataFrame or path
-        Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; parameters that are
-        left out take their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point",
-        and so do the variables of a Dataset of one dimension that is no parameter. The index of a DataFrame is the coordinate
-        of "point" in the result, or a parameter if it has its name. A path names a .csv or .nc file. DataFrames of polars,
-        lazy ones too, and tables of pyarrow are read like those of pandas.
+        Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; omitted parameters take
+        their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point", and so do the
+        variables of a Dataset whose only dimension is no parameter. The index of a DataFrame becomes the coordinate of "point",
+        or a parameter if it is named like one. A path names a .csv or .nc file. DataFrames of polars (also lazy) and tables of
+        pyarrow are read like those of pandas.
     duration : float, array_like, DataArray or str
         In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
         rate of each point.
@@ -78,27 +78,27 @@ def label_points(
     method : str
         "rk4" or "rk8".
     rate_tolerance : float or str
-        Variation of a rate that counts as none, rad per time unit: a number, or arithmetic as in `duration`.
+        Largest variation of a rate that counts as constant, rad per time unit: a number, or arithmetic as in `duration`.
     transient : float or str
-        Time before the run, in which motions may settle: statistics, labels and indicators of chaos begin after it.
+        Time before the run in which motions may settle: statistics, labels and indicators of chaos begin after it.
     variables : sequence of str, optional
-        Names of the variables wanted; default: every one that is measured or predicted.
+        Names of the wanted variables; default: all that are measured or predicted, except optional ones.
     threads : int, optional
-        Default: all processors; of a lazy result one for each chunk.
+        Default: all processors; one for each chunk of a lazy result.
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
-        Columns of `points` that are no parameters, to be coordinates of the result. Columns of text, and columns named
-        id, index, name, number or point, are kept anyhow.
+        Columns of `points`, other than parameters, that become coordinates of the result. Columns of text, and columns named
+        id, index, name, number or point, are always kept.
     **other_settings
         cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
 
     Returns
     -------
     xarray.Dataset
-        Over the dimensions of the arrays with their coordinates, or over "point" for numbers alone. The parameters are
-        coordinates along the dimensions that they were given with. A dimension along which a single parameter was given
-        has its values as coordinate, unless it has one of its own.
+        Variables over the dimensions of the given arrays, or over "point" if only numbers were given. Parameters are
+        coordinates along their own dimensions. If a single parameter was given along a dimension without a coordinate, its
+        values become the coordinate of this dimension.
 
     Raises
     ------
@@ -107,17 +107,15 @@ def label_points(
 
     Notes
     -----
-    Points with moments of inertia that no body can have, points at rest where the duration is a number of turns, and points
-    where arithmetic has no value above 0 are not computed: their label is not_computed, and the status of the first
-    impossible_body. A logged warning, which the attribute `atlas_warnings` repeats, counts them. It is an error if no point
-    is computed.
+    Three kinds of points are not computed (label not_computed): moments of inertia that no body can have (status
+    impossible_body), points at rest if the duration is a number of turns, and points at which arithmetic gives no value above
+    0. A logged warning, repeated in the attribute `atlas_warnings`, counts them. It is an error if no point is computed.
 
-    If an array is one of dask, the result is lazy, computed chunk by chunk with the bits of a call in memory. Values out of
-    range are then errors of the computation, and there are no warnings and no attributes that depend on values.
+    If an array is a dask array, the result is lazy: it is computed chunk by chunk, bit for bit as in memory. Values out of range
+    are then found only in the computation, and there are no warnings and no attributes that depend on values.
 
-    Terms that vanish or are equal by the defaults of parameters that are left out are no part of the kernel. It depends on
-    which parameters are given and not on their values, so that no point depends on others; with or without a term that
-    vanishes, results differ by rounding.
+    Parameters that are not given are compiled away where their defaults make terms vanish or equal. A parameter that is given
+    as 0 is computed, so results may differ by rounding. Points never affect each other.
     """
     description = systems.get(system)
     for key in set(other_settings) - set(OTHER_SETTINGS):
@@ -158,7 +156,7 @@ def label_points(
         if name in outputs:
             raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     lazy = any(array.chunks is not None for array in (*arrays, lengths))
-    if lazy:  # numbers are checked now
+    if lazy:  # only numbers can be checked now
         single = {name: array.values for name, array in zip(names, arrays, strict=True) if not array.ndim}
         flat_columns(description, [*single], [*single.values()], (), source)
     sizes = {dim: n for array in (*arrays, lengths) for dim, n in array.sizes.items()}
@@ -186,23 +184,23 @@ def label_points(
 
 @dataclass(frozen=True)
 class _Labels:
-    """A function of arrays: the parameters and, last, the durations of points; sent to other processes if they are lazy."""
+    """A function of the parameters and, last, the durations of points (arrays); dask may send it to other processes."""
 
     system: str
     settings: Settings
     variables: Collection[str] | None  # see `Plan.outputs`
-    outputs: Sequence[str]  # variables that it returns
-    names: Sequence[str]  # of the parameters
-    size: int  # number of all points, of which the arrays may be a part
-    duration: Duration | None  # in place of the last array
+    outputs: Sequence[str]  # names of the returned variables
+    names: Sequence[str]  # names of the parameters
+    size: int  # number of points in all chunks
+    duration: Duration | None  # replaces the last array
     transient: Duration
     threads: int | None
     progress: bool
     source: Any  # table of the points, for messages
-    warnings: list[str] | None  # gets the warnings about the points
+    warnings: list[str] | None  # warnings about the points are appended
 
     def __call__(self, *arrays: Array) -> tuple[np.ndarray, ...] | np.ndarray:
-        """The outputs at the points."""
+        """The outputs at the points, in the shape of the arrays."""
         system, shape = systems.get(self.system), np.broadcast_shapes(*(array.shape for array in arrays))
         points = flat_columns(system, self.names, arrays[:-1], shape, self.source)
         durations = np.broadcast_to(arrays[-1], shape).ravel()
@@ -240,7 +238,7 @@ def warnings_of(system: System, outputs: Sequence[str], points: grid.Grid, durat
 
 
 def _advise(plan: Plan, points: grid.Grid) -> None:
-    """Log once a process by which other method a call that takes long would save time."""
+    """Log, once in a process, which other method would save time in a long call."""
     global _advised
     exists = np.flatnonzero(points.exists)
     if _advised or exists.size < MANY_POINTS:

@@ -1,4 +1,4 @@
-"""Points whose labels are proved for every duration, and need no run."""
+"""Points whose labels are proved for every duration, so that they need no run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .theory import predict_runs
 
 
 def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """Where all labels of a plan that can be proved are, and what its instruments say without a run, (points,)."""
+    """Whether all provable labels of a plan are proved, (points,), and the variables that its instruments give without a run."""
     columns = plan.proofs(tile)
     proofs = [
         proof for label, proof in proofs_of_labels().items() if label in plan.names and proof in columns
@@ -28,7 +28,10 @@ def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]
 def by_proof(
     plan: Plan, tile: Grid, progress: Callable[[float], None]
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """Where labels are proved, and there labels, status and what follows from theory; progress: gets the number of these points."""
+    """Whether labels are proved, (points,), and labels, status and variables from theory of the proved points.
+
+    progress: called with the number of proved points.
+    """
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}

@@ -41,11 +41,11 @@ from ..theory.prediction import ROUNDING_RESIDUAL, rounding_limit
 from ..theory.steady import Existence
 from .plan import Plan
 
-MAX_LOG_GROWTH = 700.0  # exp of more overflows
-# A start near an unstable motion departs by its nudge, not by integration errors, where theta' at half the
-# step is the same within this share.
+MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
+# Largest relative change of theta' at half the step for which a start near an unstable motion departs by its nudge, not by
+# integration errors.
 HALF_STEP_RTOL = 0.05
-# Instants at which exact motions about other axes are sampled, and the relative error of their statistics.
+# Number of samples of an exact motion about other axes, and error of their statistics over the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 
@@ -54,28 +54,25 @@ class Prediction:
     """What theory predicts of a set of runs; arrays of shape (points,)."""
 
     variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
-    # Of the start before the nudge, and the answers of the equations that `predict` leaves; None where the equations do not decide
-    motion: TwoAxes | None
+    motion: TwoAxes | None  # axes and rates before the nudge; None if the equations do not decide
     test: SteadyTest
-    answer: Flags
-    family_residual: Array  # of the conditions of the family, at the start before the nudge
-    # Of the conditions of a steady motion at the start that is integrated, about any axes or in the plane where `log_growth` is
-    # about such a motion
+    answer: Flags  # values of `Existence`, after `predict`
+    family_residual: Array  # residual of the family's conditions at the start before the nudge
+    # Residual, at the start of the run, of the conditions of the steady motion to which `log_growth` belongs
     start_residual: Array
-    # Whether `log_growth` is about a motion about other axes than the third and the vertical
-    about_other_axes: Mask
+    about_other_axes: Mask  # whether that motion is about other axes than the third and the vertical
     pushed: Mask  # whether a nudge moved the start off its motion
-    # Growth of a distance from the motion until the end of the run, as a logarithm; 0 where it is unknown
+    # Logarithm of the growth of a distance from the motion until the end of the run; 0 where it is unknown
     log_growth: Array
-    may_settle: Mask  # whether a transient comes before the run, from a start that is no steady motion
+    may_settle: Mask  # whether the run begins after a transient from a start that is no steady motion
 
 
 @np.errstate(all="ignore")
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     """Predictions for the runs of a plan, in the order of `theory.prediction`.
 
-    Where no labels about any axes are measured, the growth of a motion about other axes than the third and the vertical does not
-    matter: it drifts.
+    Motions about other axes than the third and the vertical have a growth only if labels about any axes are measured: for the
+    other labels they drift anyway.
     """
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
@@ -123,9 +120,9 @@ def _tests_and_families(
     nudged: bool,
     in_machine_code: bool,
 ) -> tuple[TwoAxes | None, SteadyTest, Flags, Array]:
-    """What the equations say of starts, and their families with the residuals of their conditions.
+    """Steady motions and tests of starts by the equations, and families of the starts with the residuals of their conditions.
 
-    Of a system of which the theorem says nothing the families decide: a start on one is exact, others have no label.
+    If the theorem does not cover a system, its families decide: a start on a family is exact, others have no label.
     """
     size = duration.size
     family, residual = np.zeros(size, np.int8), np.full(size, np.inf)
@@ -149,7 +146,7 @@ def _tests_and_families(
 def forget_drifting(
     system: System, labels: dict[str, np.ndarray], where: Mask, constants: Array, *states: Array
 ) -> None:
-    """Take predictions of drifting from points where volumes of states change at one of these states: the motion may settle."""
+    """Remove predictions of drifting where the flow changes volumes at one of the states, because the motion may settle."""
     if where.any():
         changes = [changes_volume(system.equations, state, constants) for state in states]
         unknown = where & np.any(changes, axis=0)
@@ -160,14 +157,12 @@ def forget_drifting(
 
 @dataclass(frozen=True)
 class Theory:
-    """What theory says of runs; arrays of shape (points,). Of systems without theory nothing grows."""
+    """Theory of runs; arrays of shape (points,), with zero growth for systems without theory."""
 
     prediction: Prediction
     rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
-    growth_about_vertical: (
-        Array  # as a logarithm, of runs whose third axis never leaves the vertical by a bit
-    )
-    unstable: Mask  # whether the start is, to rounding, an unstable steady motion or one in the plane
+    growth_about_vertical: Array  # its logarithm, for runs whose third axis stays exactly on the vertical
+    unstable: Mask  # whether the start is, to rounding, on an unstable steady motion or motion in the plane
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     unknown_growth: Mask  # whether only a missing extension could give the growth
 
@@ -181,7 +176,7 @@ class Theory:
             nothing = Prediction({}, None, test, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
-        # The growth of an offset in one step is rounded: where that is a per cent of it or more, rounding decides.
+        # The growth of an offset in one step is rounded; where rounding is a per cent of the growth or more, it decides.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmin(
             np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDING / growth_in_step), FAMILY_TOLERANCE
@@ -200,25 +195,25 @@ class Theory:
         )
 
     def error_amplified(self, step_sizes: StepSizes, settings: StepSettings) -> Mask:
-        """Whether an unstable motion amplifies the method's own error beyond the rate tolerance."""
+        """Whether an unstable motion amplifies the error of the method beyond the rate tolerance."""
         growth = np.where(self.prediction.pushed, 0.0, self.prediction.log_growth)
         amplified = step_sizes.rate_error * np.exp(growth) > settings.rate_tolerance
         return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
-        """Logarithms of the growth of rounding errors: in a run, and up to a tolerance."""
-        # No tilt can grow where the third axis never left the vertical by a bit.
+        """Logarithms of the growth of rounding errors: during the run, and from rounding to a tolerance."""
+        # A third axis that is exactly on the vertical has no tilt that could grow.
         sine = run.measured.get("sine_max", np.ones(run.ensemble.size))
         residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
-        measured = np.log(sine / np.fmax(residual, ROUNDING))  # of a tilt by as much as the residual
+        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth of a tilt as large as the residual
         growth = np.where(self.unknown_growth, measured, growth)
         tolerances = run.settings.tolerances
         return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)
 
     def departed(self, run: Run) -> Mask:
-        """Which drifting motions may have left an unstable one by integration errors."""
+        """Whether a motion drifts and may have left an unstable motion by integration errors."""
         kinds = run.labels()
         kind = np.where(
             self.prediction.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"]
@@ -228,7 +223,7 @@ class Theory:
 
 
 def departure_changes(run: Run, fine: Run) -> Mask | bool:
-    """Whether a motion leaves an unstable one otherwise at half the step."""
+    """Whether a motion leaves an unstable motion differently at half the step."""
     rms, fine_rms = (each.measured.get("theta_dot_rms", np.zeros(1)) for each in (run, fine))
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
@@ -241,7 +236,7 @@ def predict(
     duration: Array | float = np.inf,
     rough: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Labels of starts by their families alone, without a nudge, with family, stable and growth_rate.
+    """Labels of starts from their families alone, without a nudge, and family, stable and growth_rate.
 
     rough: whether growth_rate may have fewer digits.
     """
@@ -264,9 +259,10 @@ def exact_labels(
     duration: Array,
     tolerances: Tolerances,
 ) -> dict[str, Flags]:
-    """Labels of exact motions by their statistics, of which those about other axes are samples: none where their errors count.
+    """Labels of exact motions from their statistics.
 
-    elsewhere: motions about other axes, which drift where they are not known.
+    elsewhere: whether a motion is about other axes. Its statistics are sampled; if their error could change the label, the label
+    is not_computed. Without `motion` it drifts.
     """
     others = np.flatnonzero(elsewhere)
     sine, n, m = system.steady_rates(points)
@@ -299,8 +295,8 @@ def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
 def _statistics(
     system: System, points: Points, axes: TwoAxes, duration: Array, cylinder: float
 ) -> tuple[Measured, Measured]:
-    """Measurements of exact motions from which labels are decided, from samples, and their errors."""
-    # Multiples of the golden section, which are even and resonate with no period.
+    """Sampled measurements of exact motions that decide labels, and the errors of sampling."""
+    # Multiples of the golden section: evenly spread, and in resonance with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
     u, g = motion_about_axes(axes, frame_motion(system, points)[1], times)
     sine = np.hypot(g[0], g[1])
@@ -319,13 +315,13 @@ def _statistics(
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
-    """Family of each start and the residual of its conditions, as System.identify_family; none beyond its range."""
+    """Family of each start and the residual of its conditions, see `System.identify_family`; 0, no family, out of range."""
     family, residual = system.identify_family(points)
     return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 
 
 def predicted_frames(system: System, points: Points) -> dict[str, Array]:
-    """Rate of each frame, which is added to psi', by the names of the predicted labels."""
+    """Name of a predicted label -> rate of its frame, which is added to psi', rad per time unit."""
     frames = {"predicted": np.zeros(shape_of(points))}
     if system.frame_rate is not None:
         frames["predicted_inertial"] = system.frame_rate(points)

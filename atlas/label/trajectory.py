@@ -26,14 +26,14 @@ from ..systems.base import Array, Points, System, check_possible, time_units
 from ..variables import main_instrument
 from .plan import Plan
 
-# Most instants of a trajectory: some gigabytes.
+# Largest number of instants of a trajectory, which takes some gigabytes.
 MAX_SAMPLES = 10**7
-# psi and phi are continued from node to node, SIDE_BY_SIDE nodes at a time. Nodes are the instants of the trajectory; fewer than
-# NODES of them get more in between, at least STEPS_PER_NODE steps apart.
+# psi and phi are continued from node to node, SIDE_BY_SIDE nodes at a time. The instants of the trajectory are nodes; if they are
+# fewer than NODES, nodes at least STEPS_PER_NODE steps apart are added between them.
 NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
-# A step in which the axis passes the vertical is halved until it does so within the distance AT_VERTICAL, which is rounding, or
-# until the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than the sum of its distances
-# from the third axis over MARGIN.
+# psi and phi are continued over a step in which the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body
+# by less than d / MARGIN, where d is the sum of its distances from the third axis at the two ends. Longer steps are halved, until
+# d < AT_VERTICAL, which is rounding.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
 # Components of the first axis of the frame along the body axes.
@@ -69,30 +69,29 @@ def trajectory(
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     point : mapping of str to float, or Series
-        Parameters; omitted ones take their defaults. A row of the DataFrame that `label_points` takes is one.
+        Parameters; omitted parameters take their defaults. A row of a DataFrame for `label_points` may be given.
     duration : float or str
         In time units, or a text as in `label_points`.
     samples : int
-        Instants from 0 to `duration`, evenly spaced, at least 2.
+        Number of evenly spaced instants from 0 to `duration`, at least 2.
     step : float, optional
-        Time units, or the next shorter one that divides the distance of two instants; default: as `label_points`, or shorter.
+        Largest step in time units; the step divides the distance of two instants. Default: as in `label_points`, or shorter.
     method : str
         "rk4" or "rk8".
     tolerance : float
         Phase error of the fastest frequency at the end of the run, rad.
     rate_tolerance : float or str
-        Variation of a rate that counts as none, rad per time unit, or arithmetic as in `label_points`.
+        Largest variation of a rate that counts as constant, rad per time unit, or arithmetic as in `label_points`.
 
     Returns
     -------
     xarray.Dataset
-        Over the dimension "time", float64: the state by the names of the equations; theta, psi, phi (rad);
-        theta_dot, psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body
-        axis in the frame: for the satellite along radius, velocity and normal); frame_axis_1, _2, _3 (the first axis of
-        the frame along the body axes, where the state does not have it); integral_drift. Of a system
-        with observables: the states, the observables and integral_drift. Without a dimension: `step`, and the
-        parameters (a start value that has the name of one of the variables has the suffix _start). The
-        attributes are as in an atlas.
+        Over the dimension "time", float64: the states by their names in the equations; theta, psi, phi (rad); theta_dot,
+        psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the
+        satellite along radius, velocity and normal); frame_axis_1, _2, _3 (the first axis of the frame along the body axes,
+        unless the state contains it); integral_drift. For a system with observables: the states, the observables and
+        integral_drift. Without a dimension: `step` and the parameters (with the suffix _start if a variable over "time" has
+        the same name). Attributes as in an atlas.
 
     Raises
     ------
@@ -101,11 +100,11 @@ def trajectory(
 
     Notes
     -----
-    psi and phi begin at psi0 and phi0 (of a system without such parameters psi begins at 0) and are unwrapped along the
-    steps of the integration, so that they and the axis do not depend on `samples`. The axis comes from a vector at rest in
-    the frame, which is integrated with the motion and is regular on the vertical. There psi and phi do not exist and are
-    nan. Where the axis passes it, each turns by half a turn, so that psi + phi is continuous (psi - phi at theta = pi);
-    where it passes exactly through it, phi turns forward.
+    psi and phi begin at psi0 and phi0 (psi at 0 if the system has no psi0) and are unwrapped along the steps of the
+    integration, so that their values, and the axis, do not depend on `samples`. The axis comes from a vector at rest in the
+    frame, which is integrated with the motion and is regular on the vertical. On the vertical psi and phi do not exist and are
+    nan. If the third axis passes close to the vertical, psi and phi both change by half a turn, so that psi + phi is
+    continuous (psi - phi at theta = pi); if it passes exactly through the vertical, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     description = systems.get(system)
@@ -177,7 +176,7 @@ def trajectory_of_point(
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Motion of one point of a scene by a value of every axis; BadInput for another axis, or if there is no motion."""
+    """Motion of the point of a scene with the given value of each axis; BadInput if an axis is wrong or there is no motion."""
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
             problem = "is no axis of the scene" if name in places else "has no value"
@@ -200,7 +199,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 def _states(
     module: Any, ensemble: Ensemble, steps: NDArray[np.int64], step_size: Array
 ) -> tuple[Array, dict[str, Array]]:
-    """States at the start and after each of these numbers of steps, (nodes, states), and the losses of first integrals until then."""
+    """States at the start and after each number of steps, (nodes, states), and the losses of first integrals up to each node."""
     count, arrays = len(ensemble.state), ensemble.arrays(module, step_size)
     schedules = {n: blocks.pack_blocks(np.array([n]), np.array([n])) for n in set(steps.tolist())}
     states = np.empty((steps.size + 1, len(arrays.state)))
@@ -259,7 +258,7 @@ def _dataset(
 
 
 def attributes_of(system: System) -> dict[str, dict[str, str]]:
-    """Attributes of the quantities of a motion by name; the units of states that are no rates are unknown."""
+    """Attributes of the quantities of a motion by name; only states that are rates have known units."""
     attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
     for name in system.rate_states:
         attributes[name]["units"] = _RATE
@@ -275,14 +274,14 @@ def attributes_of(system: System) -> dict[str, dict[str, str]]:
 def _path(
     system: System, points: Points, motion: _Motion, states: Array, steps: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis in the frame, at every node; states: (nodes, states); steps between nodes."""
+    """psi and phi, unwrapped, and the third axis in the frame at every node; states: (nodes, states); steps: between nodes."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
         turns, _ = motion.turns(state[:, :-1], steps)
     else:
-        # The motions from all nodes are computed side by side, each with three known vectors: the first is horizontal, and the
-        # vector of the frame is a sum of the three, because its equation is linear.
+        # The motions from all nodes are computed side by side, each with three known vectors, the first of them horizontal. The
+        # first axis of the frame is a combination of the three, because its equation is linear.
         unit = vertical / np.linalg.norm(vertical, axis=0)
         body_axis = np.argmin(np.abs(unit), axis=0)
         first = np.eye(3)[:, body_axis] - unit * np.take_along_axis(unit, body_axis[None], 0)
@@ -307,7 +306,7 @@ def _path(
 
 
 def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
-    """First axis of the frame in body axes at the start, from psi0, on the vertical from phi0 (default 0)."""
+    """First axis of the frame along the body axes at the start, from psi0 and, if the third axis is vertical, phi0 (default 0)."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
     psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # theta is positive
@@ -320,7 +319,7 @@ def frame_vector(system: System, points: Points, state: Array, constants: Array)
 
 
 def _branch(angle: Any, near: Any) -> Any:
-    """The angle with the multiple of a turn added that brings it nearest to another."""
+    """The angle plus the number of whole turns that brings it nearest to `near`."""
     return angle + 2 * np.pi * np.rint((near - angle) / (2 * np.pi))
 
 
@@ -334,7 +333,7 @@ class _Motion:
     step_size: float
 
     def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the rates of the vertical in the body and of the body."""
+        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), speed of the vertical in the body, angular speed of the body."""
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
         x, y = self.equations.axis_in_frame(state, self.constants)
         speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)
@@ -349,7 +348,7 @@ class _Motion:
         return np.asarray(self.method.step(slope, state, self.step_size))
 
     def turns(self, state: Array, steps: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Changes of psi and phi, (2, motions), in so many steps of each, and the states at their end."""
+        """Changes of psi and phi, (2, motions), in the given number of steps of each motion, and the final states."""
         numbers = [np.flatnonzero(steps == number) for number in np.unique(steps)]
         groups = [group for each in numbers for group in np.array_split(each, -(-each.size // SIDE_BY_SIDE))]
         if len(groups) > 1:
@@ -376,14 +375,14 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in a step to `turns`, unless the step is too long; returns the motions where it is."""
+        """Add the changes of psi and phi in a step to `turns`; returns both ends and numbers of motions whose step is too long."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
         too_long = ((distance <= MARGIN * path) | (angle >= LARGEST_TURN)) & (distance >= AT_VERTICAL)
         turn = z1 * z0.conj()
         phi = np.angle(turn)
-        # An axis exactly through the vertical leaves half a turn: forward, whatever the rounding.
+        # An axis that passes exactly through the vertical turns by half a turn: forward, whatever the rounding.
         phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
         # Near the vertical psi + phi is regular, near its opposite psi - phi.
         regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))

@@ -1,4 +1,4 @@
-"""Inertia tensors, attitudes and angular velocities of users as points, and attitudes along motions."""
+"""Points from inertia tensors, attitudes and angular velocities, and attitudes along motions."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ Attitude: TypeAlias = "ArrayLike | Rotation"
 STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
-LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # of velocity, minus normal, nadir
-# Frame of a satellite -> what turns components in it, at the start, into those along radius, velocity and normal.
+LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # axes: velocity, minus normal, nadir
+# Frame of a satellite -> rotation of components at the start to components along radius, velocity and normal.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
-# Of a tensor: relative difference of elements, and of moments that count as equal; of components that are equally near.
+# Relative differences that are tolerated: of mirrored elements of a tensor, of equal moments, of equal components of axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
-ROUNDING = 1e-14  # of an angular velocity
-NO_ROTATION = 1e-6  # by which products of the rows of a rotation may differ from 0 and 1
+ROUNDING = 1e-14  # relative rounding error of an angular velocity
+NO_ROTATION = 1e-6  # largest difference of products of the rows of a rotation matrix from 0 and 1
 
 
 @typed
@@ -44,19 +44,19 @@ def principal(tensor: ArrayLike, order: str = "nearest") -> tuple[dict[str, Any]
     ----------
     tensor : array_like, shape (3, 3) or (points, 3, 3)
         About the centre of mass, or the fixed point of a top, in the given axes of the body. The elements off the diagonal are minus
-        the integrals of x y, y z and z x over the mass. Who calls these integrals products of inertia gives the other signs,
-        which nothing can tell from the numbers.
+        the integrals of x y, y z and z x over the mass. If your products of inertia are these integrals themselves, change their
+        signs: a wrong sign cannot be detected.
     order : str, optional
-        "nearest": A, B and C belong to the axes that the least turn makes of the given ones, also where moments are equal.
-        "ascending": A <= B <= C.
+        "nearest": A, B and C belong to the principal axes that the smallest rotation takes the given axes to, also if moments
+        are equal. "ascending": A <= B <= C.
 
     Returns
     -------
     moments : dict
         A, B and C, numbers or arrays (points,), for `label_points`. Moments that agree to rounding are made equal.
     axes : numpy.ndarray, shape (3, 3) or (points, 3, 3)
-        Its rows are the principal axes in the given ones, right-handed: ``axes @ v`` takes the components of a vector, such as
-        a rotor or a dipole, from the given axes to the principal ones.
+        The rows are the principal axes along the given axes, right-handed: ``axes @ v`` turns the components of a vector, such
+        as a rotor or a dipole, along the given axes into components along the principal axes.
     """
     choice("order", order, ("nearest", "ascending"))
     array = _array("tensor", tensor, (3, 3))
@@ -83,10 +83,10 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Moments (points, 3) and rows of axes (points, 3, 3) in the order and with the signs that turn the axes least."""
+    """Moments (points, 3) and axes as rows (points, 3, 3), in the order and with the signs of the smallest rotation."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
-    # Signs of the solver must not decide: the largest component, of equal ones the first, is positive.
+    # So that the solver's signs do not matter, the largest component (the first of equal ones) is made positive.
     main = (np.abs(rows) >= np.abs(rows).max(2, keepdims=True) - TIE).argmax(2)
     rows = rows * np.sign(np.take_along_axis(rows, main[..., None], 2))
     orders = np.array([*permutations(range(3))] if nearest else [range(3)])
@@ -101,7 +101,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # of all axes the least turn to that of symmetry
+    if k.size:  # of all axes of a symmetric body, those of the smallest rotation to its axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -135,23 +135,25 @@ def start(
     system : str
         "satellite", "fixed_point", or a system with the same start values.
     attitude : scipy.spatial.transform.Rotation or array_like
-        Turns components in the body into components in `frame`, as ``attitude.apply(v)`` does. An array is a matrix, whose columns
-        are the axes of the body in the frame, or a quaternion, scalar last: (3, 3), (4,), (points, 3, 3), (points, 4).
+        Rotation from body to `frame`: ``attitude.apply(v)`` turns components along body axes into components in the frame. An
+        array is a matrix whose columns are the body axes in the frame, (3, 3) or (points, 3, 3), or a quaternion, scalar last,
+        (4,) or (points, 4).
     rates : array_like, shape (3,) or (points, 3)
         Components of the angular velocity.
     frame : str, optional
         Of a satellite "orbital" (radius, velocity, orbit normal; the default), "lvlh" (velocity, minus the normal, nadir) or
         "inertial" (the orbital axes at the start); about a fixed point "space", with the vertical, down, as its third axis.
     rates_in : str, optional
-        Axes of these components: "body" or "frame".
+        Axes of the components of `rates`: "body" or "frame".
     relative_to : str, optional
-        "orbit" (default), the orbital frame, which turns, whatever `frame` is; or "inertial", as always about a fixed point.
+        "orbit" (default of satellites): rates relative to the turning orbital frame, whatever `frame` is; or "inertial", the only
+        choice about a fixed point.
     units : str, optional
         "rad/s" (rad per time unit), "deg/s" or "rpm".
     Omega : float or array_like (points,), optional
-        Angular velocity of the orbit, for inertial rates: the one of the points. Without it 1, the default of the satellite.
+        Angular velocity of the orbit, needed for inertial rates; use the Omega of the points. Default: 1, as for the satellite.
     axes : array_like, optional
-        Principal axes from `principal`, where attitude and rates are those of the given axes of the body.
+        Principal axes from `principal`, if attitude and rates refer to the axes given to `principal`.
 
     Returns
     -------
@@ -160,8 +162,8 @@ def start(
 
     Notes
     -----
-    With the third axis on the vertical, to 1e-10, only the sum or difference of psi0 and phi0 has a meaning: phi0 is 0 or, where
-    the axis leaves the vertical, such that theta_dot0 is its rate; n is 0 and m the rate about the axis.
+    If sin(theta0) <= 1e-10, the third axis counts as vertical and only psi0 + phi0 (psi0 - phi0 at theta0 = pi) has a meaning.
+    Then n is 0, m is the rate about the axis, and phi0 is 0 or, if the axis leaves the vertical, such that theta_dot0 is its rate.
     """
     description = systems.get(system)
     frame, to_own = _frame(description, frame)
@@ -185,7 +187,7 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """STARTS of principal axes in the system's frame, which turns about its vertical; rates along principal axes."""
+    """Values of STARTS; attitude: of the principal axes in the system's frame; rates: along them; turning: rate of the frame."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
     total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi, psi - phi
@@ -195,7 +197,8 @@ def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Arr
     p, q, r = np.moveaxis(rates, -1, 0)
     rounding = ROUNDING * np.sqrt(p**2 + q**2 + r**2 + turning**2)
     p, q = p - turning * sine * np.sin(phi), q - turning * sine * np.cos(phi)
-    leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)  # its node is where the axis turns
+    # phi at which theta' is the whole rate of the axis
+    leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)
     phi = np.where(vertical, leaving, phi)
     psi = np.where(cosine > 0, total - phi, difference + phi)
     across = np.where(vertical, 0.0, p * np.sin(phi) + q * np.cos(phi))
@@ -268,7 +271,7 @@ def attitude(
     if euler is not None:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # the first and the third turn about one axis
+                warnings.simplefilter("ignore", UserWarning)  # gimbal lock
                 angles = turn.as_euler(euler)
         except ValueError as error:
             raise BadInput(f"euler = {shown(euler)}: {one_line(error)}") from None
@@ -278,7 +281,7 @@ def attitude(
 
 
 def _frame(system: System, frame: str | None) -> tuple[str, Rotation]:
-    """A frame, by default the system's own, and what turns components in it into those in the own one."""
+    """Name of a frame, by default the system's own, and the rotation of components from it to the system's own frame."""
     needed = [*STARTS, *["Omega"] * (system.frame == ORBITAL)]
     if not system.frame or not system.parameters.keys() >= {*needed}:
         raise BadInput(f"attitude: the system {system.name} has no start by {', '.join(needed)}")
@@ -288,7 +291,7 @@ def _frame(system: System, frame: str | None) -> tuple[str, Rotation]:
 
 
 def _rotation(key: str, value: Attitude) -> Rotation:
-    """One rotation, or one for each point, of SciPy, of a matrix or of a quaternion."""
+    """One rotation, or one for each point, from a SciPy rotation, matrices or quaternions."""
     array = _array(key, value.as_matrix() if isinstance(value, Rotation) else value, (3, 3), (4,))
     if array.shape[-2:] != (3, 3):
         size = np.abs(array).max(-1, keepdims=True)
@@ -305,7 +308,7 @@ def _rotation(key: str, value: Attitude) -> Rotation:
 
 
 def _array(key: str, value: object, *shapes: tuple[int, ...]) -> Array:
-    """Finite numbers as floats, of one of these shapes or, for several points, with one more dimension before it."""
+    """Finite numbers as floats, of one of the shapes or, for several points, of (points, *shape)."""
     check_written(key, value)
     try:
         array = np.asarray(value)

@@ -22,10 +22,11 @@ from ..scene.model import About, Duration, Scene, Settings
 from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables, is_measured
 
-HISTORY = "atlas_history"  # attribute of an atlas: the numbers of points from earlier atlases
-HASH = "atlas_sha256"  # attribute of a finished atlas: a hash of its content, written last
-VERSION = "atlas_version"  # attribute of every atlas
-TRANSIENT = "atlas_transient"  # attribute of an atlas: its transient, if it has one
+# Attributes of an atlas
+HISTORY = "atlas_history"  # numbers of points that earlier atlases gave
+HASH = "atlas_sha256"  # hash of the content of a finished atlas, written last
+VERSION = "atlas_version"
+TRANSIENT = "atlas_transient"  # absent without a transient
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
 # A parameter with more values is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000
@@ -35,12 +36,12 @@ Block: TypeAlias = tuple[Box, Mapping[str, np.ndarray]]
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
-    """Names of the dimensions."""
+    """Names of the dimensions of a scene's atlas."""
     return tuple(axis.dim for axis in scene.axes.values())
 
 
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
-    """The atlas of a scene from its outputs and solved parameters; `chunks` make large ones dask arrays."""
+    """The atlas of a scene from its outputs and solved parameters; with `chunks`, large parameters become dask arrays."""
     dimensions, system = dims(scene), scene.system
     variables, coordinates = dict[str, Any](), dict[str, Any]()
     for name in (*scene.outputs, *({COMPUTED.name} & columns.keys())):
@@ -65,7 +66,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
-    """Attributes of a data variable in a dataset with some variables; a label refers to status and error."""
+    """Attributes of a data variable; a label refers to status and error if these are among the `present` variables."""
     attributes = data_variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
@@ -74,7 +75,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter or its offset; for another axis its name."""
+    """long_name and units of a parameter or of its offset; of an axis that is no parameter, its name and 1."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -112,7 +113,7 @@ def with_parameters(
 
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
-    """Numbers of the axes that a fixed or tied parameter depends on, and its values along them; chunks: see `dataset`."""
+    """Numbers of the axes on which a fixed or tied parameter depends, and its values along these axes; chunks: see `dataset`."""
     names, pending = {name}, {name}
     while pending:
         sources = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
@@ -142,14 +143,14 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
 
 
 def without_fill_values(ds: xr.Dataset) -> xr.Dataset:
-    """The dataset itself, whose coordinates `to_netcdf` writes without _FillValue, as CF demands."""
+    """The same dataset, changed so that `to_netcdf` writes its coordinates without _FillValue, as CF demands."""
     for name in ds.coords:
         ds.variables[name].encoding["_FillValue"] = None
     return ds
 
 
 def classic(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes with integers as the classic forms of NetCDF and R have them: of 32 bits or, where one is larger, as floats."""
+    """Attributes for the classic forms of NetCDF and for R: integers have 32 bits, or become floats if one of them is larger."""
     values = {name: np.asarray(value) for name, value in attributes.items()}
     large = {name: value for name, value in values.items() if value.dtype == np.int64}
     kinds = {name: np.int32 if (abs(v) < 2**31).all() else np.float64 for name, v in large.items()}
@@ -163,7 +164,7 @@ def log_warnings(warnings: list[str]) -> None:
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute with the numbers of points from earlier atlases; none without such points."""
+    """The attribute HISTORY from numbers of points by earlier atlas; empty if `reused` is empty."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
 
@@ -172,7 +173,7 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
     title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Attributes of an atlas, by CF, by ACDD-1.3 and of its own: of a scene, or of points with a title and variables.
+    """Attributes of an atlas, of CF, of ACDD-1.3 and its own, for a scene, or for points with a title and outputs.
 
     timing: number of points and wall-clock time in seconds, if known.
     """

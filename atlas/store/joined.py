@@ -1,4 +1,4 @@
-"""Atlases joined along a new dimension of names, each part with its own attributes, and so its own scene."""
+"""Atlases joined along a new dimension of names; each part keeps its attributes and so its scene."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..scene.checks import typed
 from ..variables import POINT
 from .dataset import VERSION, without_fill_values
 
-PARTS = "atlas_parts"  # attribute of JSON: {dimension: {name: attributes of this part}}
+PARTS = "atlas_parts"  # attribute, in JSON: {dimension: {name: attributes of this part}}
 COMMON = ("Conventions", "atlas_system", "atlas_system_package", "atlas_system_code", VERSION)
 
 
@@ -21,7 +21,7 @@ COMMON = ("Conventions", "atlas_system", "atlas_system_package", "atlas_system_c
 def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
     """Join atlases along a new dimension of names; each keeps its scene.
 
-    `xarray.concat` keeps the scene of the first alone, so that motions and theory of the others are refused.
+    `xarray.concat` keeps only the first scene, so that motions and theory of the other atlases are refused.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        With the new dimension first. Parts that were opened lazily stay lazy. A part, such as ``joined.sel(kind="r")``, answers
-        every question to `ds.atlas` as the atlas did before; the whole answers questions that need no scene, such as
-        `fractions` and `select`. It can be written and opened like an atlas.
+        With the new dimension first. Parts that were opened lazily stay lazy. A part, such as ``joined.sel(kind="r")``, has all
+        methods of `ds.atlas`; the joined dataset has those that need no scene, such as `fractions` and `select`, and can be
+        written and opened like an atlas.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
             raise BadInput(f"parts: {next(iter(parts))} and {name} cannot be joined: {difference}")
         for key, variable in ds.variables.items():
             if key not in ds.xindexes and not variable._in_memory:
-                ds[key] = variable.chunk()  # xarray would read what is no array of dask
+                ds[key] = variable.chunk()  # xarray would load an array that is not a dask array
     if not datasets:
         raise BadInput("parts: must have at least one atlas")
     first = datasets[0]
@@ -78,7 +78,7 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
 
 
 def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
-    """What keeps two atlases from being joined; empty if nothing does."""
+    """Reason why two atlases cannot be joined, empty if they can."""
     for key in COMMON:
         if (values := [each.attrs.get(key) for each in (first, ds)])[0] != values[1]:
             return f"{key} is {' and '.join(map(shown, values))}"
@@ -95,7 +95,7 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
 
 
 def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
-    """A part of joined atlases as it was before; any other dataset as it is, BadInput for the whole if a part is needed."""
+    """A part of joined atlases with its own attributes, any other dataset unchanged; BadInput for all parts if one is needed."""
     if PARTS not in ds.attrs:
         return ds
     try:
@@ -116,7 +116,7 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
 
 
 def subject_of(ds: xr.Dataset) -> xr.Dataset:
-    """The dataset that questions to another are about: a part of joined atlases, points along "point", or the same."""
+    """The dataset to which methods of `ds.atlas` apply: a part of joined atlases, points along "point", or the same dataset."""
     ds = part_of(ds)
     dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
     if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):

@@ -1,7 +1,7 @@
-"""The finished atlas as a NetCDF file, with one hash of all that it holds.
+"""The finished atlas as a NetCDF file, with one hash of its content.
 
-Any program that reads the file compares the Fletcher checksums of its chunks and headers; the index tables of chunks, and scalars,
-have none. The attribute HASH, written last, is a hash of dimensions, attributes and values, in C order, as they read back, for `verify`.
+Any program that reads the file compares the Fletcher checksums of chunks and headers; index tables of chunks, and scalars, have no
+checksum. `verify` compares the attribute HASH, written last: a hash of dimensions, attributes and values (in C order) as read back.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
 
 @contextmanager
 def _file_with_hash(path: Path) -> Iterator[Path]:
-    """Give a temporary name for a file that gets its hash; it appears at `path` whole or not at all."""
+    """Temporary path of a file, which then gets its hash and appears at `path`, whole or not at all."""
     with atomic_write(path) as temporary:
         try:
             yield temporary
@@ -61,13 +61,13 @@ def _file_with_hash(path: Path) -> Iterator[Path]:
 
 
 def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
-    """Cache two chunks of a variable: each is used once, and the library's own cache is up to 64 MB for every variable."""
+    """Cache two chunks of a variable: each is used once, and by default the library caches up to 64 MB for every variable."""
     if isinstance(chunks := variable.chunking(), list):
         variable.set_var_chunk_cache(size=16 * math.prod(chunks))
 
 
 def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
-    """Hash of the dimensions, attributes (HASH apart) and variables of a file, values in C order or chunk by chunk."""
+    """Hash of the dimensions, attributes (except HASH) and variables of a file, with values in C order or chunk by chunk."""
     digest = hashlib.sha256()
 
     def add(*facts: Any) -> None:
@@ -82,12 +82,12 @@ def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
         blocks = Tiling.of(shape, ROW_VALUES)
         if isinstance(chunks, list):
             lengths = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
-            if not by_chunks:  # the chunks side by side are one range of the C order
+            if not by_chunks:  # read a whole row of chunks, which is one range of the C order
                 first = next((i for i, length in enumerate(lengths) if length > 1), len(shape) - 1)
                 lengths[first + 1 :] = (max(n, 1) for n in shape[first + 1 :])
             if by_chunks or math.prod(lengths) <= MAX_ROW_VALUES:
                 blocks = Tiling(shape, tuple(lengths))
-            else:  # each chunk is read once for every MAX_ROW_VALUES of its row
+            else:  # a row too large for memory: its chunks are read once for every MAX_ROW_VALUES
                 blocks = Tiling.of(shape, MAX_ROW_VALUES)
         _limit_cache(variable)
         for box in blocks:
@@ -106,7 +106,7 @@ def _attributes(owner: Any) -> dict[str, Any]:
 
 
 class _Store(xr.backends.NetCDF4DataStore):
-    """A NetCDF file for xarray, in which damage that the library finds is BadInput."""
+    """A NetCDF file for xarray that raises BadInput where the library finds damage."""
 
     def open_store_variable(self, name: str, var: Any) -> xr.Variable:
         """Variable of the file, read through `_Array`."""
@@ -116,7 +116,7 @@ class _Store(xr.backends.NetCDF4DataStore):
 
 
 class _Array(NetCDF4ArrayWrapper):
-    """A variable; BadInput where it cannot be read."""
+    """A variable that raises BadInput where it cannot be read."""
 
     def _getitem(self, key: Any) -> Any:
         try:
@@ -166,7 +166,7 @@ class NetCDF(Format):
             with ExitStack() as stack:
                 store = _Store.open(str(path))
                 stack.callback(store.close)
-                file = store.ds  # this takes the lock as well
+                file = store.ds  # acquires NETCDF_LOCK itself
                 with NETCDF_LOCK:
                     variables = [v for g in (file, *file.groups.values()) for v in g.variables.values()]
                     claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)
@@ -194,7 +194,7 @@ class NetCDF(Format):
             raise BadInput(f"{path}: changed or damaged: its hash differs")
 
     def has_hash(self, path: Path | str) -> bool:
-        # One damaged name raises any error.
+        # A damaged attribute name may raise any error.
         with suppress(Exception), NETCDF_LOCK, netCDF4.Dataset(Path(path)) as file:
             return HASH in file.ncattrs()
         return False

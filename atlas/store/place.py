@@ -1,6 +1,6 @@
 """Places of runs and atlases: contents by name in a folder of the file system, or below an address of an object store.
 
-Both have the same methods. A content appears whole or not at all; claims rest on `create`, which never replaces one.
+Both have the same methods. A content appears whole or not at all. `create` never replaces a content, which claims need.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..errors import BadInput, one_line
 from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
-# Seconds: limit of a request without an answer, first pause, longest pause, delay of the warning.
+# Seconds: limit of a request without an answer, first and longest pause between attempts, delay of the warning.
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
 # Final answers of a server, which another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
@@ -30,7 +30,7 @@ CLOCK = "clock"  # content whose time shows the clock of the storage
 
 
 def located(path: str | Path) -> Path | str:
-    """An absolute path, or the address of an object store as it is."""
+    """An absolute path, or the unchanged address of an object store."""
     text = str(path)
     if text.startswith("file://"):
         path = unquote(text.removeprefix("file://"))
@@ -40,7 +40,7 @@ def located(path: str | Path) -> Path | str:
 
 
 def place_at(path: Path | str) -> Place:
-    """The place of a result of `located`."""
+    """The place at a path or address (a result of `located`)."""
     return Folder(path) if isinstance(path, Path) else Objects(path)
 
 
@@ -51,27 +51,27 @@ class Folder:
         self.path = path
 
     def inside(self, name: str) -> Folder:
-        """The part of the place below a name."""
+        """The place inside this one with the given name."""
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """A content, else FileNotFoundError; ValueError if it is longer than allowed or no regular file."""
+        """A content; FileNotFoundError if it is missing, ValueError if it is longer than allowed or no regular file."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
-        """Write a content, or replace it."""
+        """Write or replace a content."""
         with atomic_write(self._file(name), durable=durable) as temporary:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """Write a content unless there is one, and return whether there was none."""
+        """Write a content unless the name exists, and return whether it was written."""
         path = self._file(name)
         try:
             with atomic_write(path, durable=False, new=True) as temporary:
                 temporary.write_bytes(content)
         except FileExistsError:
             return False
-        except OSError:  # of a file system without hard links, where a kill may leave an empty file
+        except OSError:  # a file system without hard links; a kill may leave an empty file there
             with suppress(FileExistsError), path.open("xb", buffering=0) as file:
                 try:
                     file.write(content)
@@ -83,7 +83,7 @@ class Folder:
         return True
 
     def _file(self, name: str) -> Path:
-        """Path of a content; its folder is made, but not the place itself, which another process may have removed."""
+        """Path of a content. Its folder is made, but not the folder of the place: another process may have removed the place."""
         path = self.path / name
         if not path.parent.is_dir() and self.path.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,8 +116,8 @@ class Folder:
             shutil.rmtree(removed, ignore_errors=True)
 
     def stamp(self, name: str) -> object:
-        """A value that changes when a content is replaced; None without one."""
-        with suppress(OSError):  # also one for a path that is too long
+        """A value that changes when a content is replaced; None if it is missing."""
+        with suppress(OSError):  # also of a path that is too long
             status = os.stat(self.path / name)
             return status.st_ino, status.st_mtime_ns
         return None
@@ -137,7 +137,7 @@ class Folder:
 
 @lru_cache
 def _store(address: str) -> Any:
-    """The object store of an address, one for a process; `Objects._answer` repeats its requests."""
+    """The object store at an address, one in a process; without retries, because `Objects._answer` repeats requests."""
     try:
         from obstore.store import MemoryStore, from_url
     except ImportError:
@@ -223,7 +223,7 @@ class Objects:
     def _answer(
         self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
     ) -> Any:
-        """The result of a function of obstore, which is repeated while the store does not answer; or an OSError, such as FileNotFoundError."""
+        """Result of a function of obstore, repeated while the store does not answer; may raise OSError, such as FileNotFoundError."""
         import obstore
 
         path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False

@@ -16,25 +16,25 @@ from ..files import is_recent
 from ..kernel import compiling
 from ..process import is_running, process_name
 
-# Seconds between two plain lines, two updates of the live line, two writes of the file.
+# Seconds between two plain lines, between two updates of the live line, between two writes of the file.
 PLAIN_INTERVAL = 10.0
 LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
-# Seconds without a write after which a process of another machine counts as dead.
+# Seconds without a write after which a process on another machine counts as dead.
 SILENCE = 600.0
-# Share of the points, or seconds of computing, after which the speed says how much time is left.
+# Fraction of the points, or seconds of computing, after which the time left is shown.
 KNOWN_SHARE, KNOWN_TIME = 0.05, 60.0
 AT_WORK, ENDED = "at work", "ended"
 
 
 @dataclass(eq=False)
 class Progress:
-    """Counter of finished points for all threads: reports points per second and the time left, without compilation of kernels."""
+    """Counter of finished points of all threads, with points per second and time left; compilation of kernels does not count."""
 
     points: int
     _: KW_ONLY
     show: bool = True
-    save: Callable[[bytes], object] | None = None  # takes JSON for people, which no computation reads
+    save: Callable[[bytes], object] | None = None  # gets JSON for users; no computation reads it
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class Progress:
         self._save(running=True)
 
     def advance(self, points: float) -> None:
-        """Add finished points, maybe a fraction: a tile reports after each block of its points."""
+        """Add finished points, also fractions: a tile reports after each block of its points."""
         with self._lock:
             self._done = min(
                 self._done + float(points), self.points
@@ -74,7 +74,7 @@ class Progress:
                 self._save(running=True)
 
     def skip(self, points: float) -> None:
-        """Add points that were not computed here, which do not count for the speed."""
+        """Add points that were not computed here; they do not count for the speed."""
         with self._lock:
             self._done_at_no_cost += points
             self._done += points
@@ -108,7 +108,7 @@ class Progress:
 
 
 def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
-    """AT_WORK, or why the writer of a progress file ended; the age of the file decides where it runs on another machine."""
+    """AT_WORK, or why the writer of a progress file ended; if the writer is on another machine, the age of the file decides."""
     if not content["running"]:
         return ENDED
     running = is_running(str(content["process"]))

@@ -1,4 +1,4 @@
-"""Numbers for the summary of a run, added or compared tile by tile."""
+"""Counts and largest values for the summary of a run, collected tile by tile."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..flags import LABELS, Label, Stability
 COUNTED = (*LABELS, "regularity", "status", "agreement", "computed")
 # Groups of points with separate histograms of errors: drifting motions amplify errors, steady ones do not.
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
-# Histogram of errors: quarters of a decade from 1e-20 on.
+# Histogram of errors: BINS of a quarter of a decade each, from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
@@ -22,8 +22,8 @@ class Tally:
     """Counts of flags and of errors, and largest values."""
 
     def __init__(self) -> None:
-        # Points by flag variable and flag, or by group of GROUPS and bin of errors; largest values by variable or group,
-        # and errors by whether theory finds the motion unstable.
+        # Numbers of points by flag variable and flag, or by group of GROUPS and bin of errors. Largest errors by group and for
+        # motions that theory finds unstable and for others, and the largest integral_drift.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
@@ -61,17 +61,17 @@ class Tally:
 
 @dataclass
 class Totals:
-    """Sums over some tiles."""
+    """Sums over a set of tiles."""
 
     points: int = 0
     seconds: float = 0.0
-    by: Counter[str] = field(default_factory=Counter)  # tiles by the processes that computed them
-    cpu: Counter[str] = field(default_factory=Counter)  # tiles by the processor
-    reused: Counter[str] = field(default_factory=Counter)  # points by the earlier atlas
+    by: Counter[str] = field(default_factory=Counter)  # numbers of tiles by process
+    cpu: Counter[str] = field(default_factory=Counter)  # numbers of tiles by type of processor
+    reused: Counter[str] = field(default_factory=Counter)  # numbers of points by earlier atlas
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:
-        """Add a tile by its header, or other totals by `table`."""
+        """Add the header of a tile, or the `table` of other totals."""
         self.points += header["points"]
         self.seconds += header["seconds"]
         for name, tiles in {"by": self.by, "cpu": self.cpu}.items():
@@ -80,6 +80,6 @@ class Totals:
         self.tally.add(**header["tally"])
 
     def table(self) -> dict[str, Any]:
-        """The sums as entries of JSON."""
+        """The sums in the form of a JSON object."""
         counts = {name: dict(sorted(number.items())) for name, number in sorted(self.tally.counts.items())}
         return vars(self) | {"tally": {"counts": counts, "largest": dict(sorted(self.tally.largest.items()))}}

@@ -1,10 +1,10 @@
-"""The tile, a part of a run in one object: some columns, and a line of facts about them.
+"""The tile, a part of a run in one file or object: a header in JSON, columns of values, and a hash.
 
     {"key": ..., "tile": 12, "points": 8192, ..., "columns": {"label": ["|i1", 371], ...}}
-    the columns, each compressed by itself: the first bytes of all values, then the second bytes, and so on
-    SHA-256 of these
+    columns, each compressed by itself: the first bytes of all values, then the second bytes, and so on
+    SHA-256 of header and columns
 
-A tile exists as a whole or not at all, and each reader checks whether it is as it was written.
+A tile exists as a whole or not at all, and each reader compares the hash.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from .tally import Tally, Totals
 from .tiling import Tiling
 
 SUFFIX = ".tile"
-LEVEL = 1  # of zlib: higher levels take much time and save little room
+LEVEL = 1  # compression level of zlib; higher levels take much time and save little space
 HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# Number of points with a motion, seconds, processes and processor that computed the tile, numbers of points by their earlier atlas.
+# computed: number of points with a motion; by and cpu: process and processor; reused: numbers of points by earlier atlas.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
-# Tiles of fewer points in a folder are read one by one: threads would wait for each other.
+# Smaller tiles in a folder are read one by one, because threads would wait for each other.
 MIN_PARALLEL_POINTS = 4096
 
 
@@ -47,7 +47,7 @@ class DamagedTile(Exception):
 
 
 def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: int = LEVEL) -> bytes:
-    """The content of a tile of flat columns of one length, compressed at a level of zlib."""
+    """The bytes of a tile from flat columns of equal length, compressed at a level of zlib."""
     parts, table = list[bytes](), {}
     for name, values in columns.items():
         planes = np.ascontiguousarray(values).view(np.uint8).reshape(values.size, -1).T
@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header, and columns of these types; DamagedTile if the tile was changed, has other facts in its header or too many points."""
+    """Header, and the columns in `types` (name -> dtype); DamagedTile if the tile was changed, lacks `facts` or has over `most` points."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -90,15 +90,15 @@ def decode(
 
 @dataclass(eq=False)
 class Tiles:
-    """The tiles of a run, or of one of its levels. Of two processes that write the same tile the last one wins."""
+    """The tiles of a run, or of one of its levels. If two processes write the same tile, the last write stays."""
 
     place: Place
     key: str
     types: Mapping[str, str]
     tiling: Tiling
     points: np.ndarray | None = None  # flat indices in the grid, if the tiles cover a part of it
-    level: int = LEVEL  # of zlib
-    listing: tuple[int, set[int]] | None = None  # number of a folder, and the tiles in it
+    level: int = LEVEL  # compression level of zlib
+    listing: tuple[int, set[int]] | None = None  # number of the folder last listed, and the tiles in it
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
         """Name of a tile, or of its claim."""
@@ -111,7 +111,7 @@ class Tiles:
         return indices if self.points is None else self.points[indices]
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
-        """Write a tile with facts of HEADER_TYPES, and return its header; OSError if it reads back otherwise."""
+        """Write a tile with facts of HEADER_TYPES, and return its header; OSError if the bytes read back differ."""
         from ..kernel.machine_code import cpu
 
         columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
@@ -127,7 +127,7 @@ class Tiles:
     def read(
         self, tile: int, names: Collection[str] | None = None
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Header and variables of a tile, by default all; else FileNotFoundError or DamagedTile."""
+        """Header and variables of a tile, by default all variables; FileNotFoundError or DamagedTile if it cannot be used."""
         types = self.types if names is None else {name: self.types[name] for name in names}
         size = self.tiling.size_of(tile)
         facts = {"key": self.key, "tile": tile, "points": size}
@@ -144,7 +144,7 @@ class Tiles:
         return header, {name: column.reshape(shape) for name, column in columns.items()}
 
     def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
-        """Read tiles: totals of the sound ones, and the reasons why others are damaged; missing tiles do not count."""
+        """Totals of the sound tiles, and damaged tile -> reason; missing tiles are ignored."""
         totals, damaged = Totals(), dict[int, str]()
 
         def header(tile: int) -> dict[str, Any] | None:
@@ -175,7 +175,7 @@ class Tiles:
         return self.place.stamp(self.name(tile)) is not None
 
     def was_written(self, tile: int) -> bool:
-        """Whether a tile was in the last listing of its folder, which spares a look at each tile."""
+        """Whether a tile was in the last listing of its folder; faster than `is_written` for many tiles."""
         part = tile // TILES_PER_FOLDER
         if self.listing is None or self.listing[0] != part:
             names = self.place.names(self.name(tile).rpartition("/")[0])

@@ -1,8 +1,9 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
-Each object has a CRC-32C, which any program compares when it reads. The attribute HASH is written last, so that a part of a store
-is never taken for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other
-objects by their names, for `verify`: other programs read a lost object as fill values, and a misplaced one as data.
+Each object has a CRC-32C, which any program that reads the object compares. The attribute HASH is written last, so that an
+unfinished store is never taken for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a
+hash of all other objects and their names, compared by `verify`, because a reader takes a lost object for fill values and a misplaced
+one for data.
 """
 
 from __future__ import annotations
@@ -49,11 +50,11 @@ try:
 except ImportError:
     raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
 
-# Names in a store; the group `atlas` is of version 0.1.0.
+# Names in a store; version 0.1.0 wrote the group `atlas`.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
-MAX_WHOLE = 1 << 20  # values of a coordinate in one object: a store with a long axis opens at once
-# Codecs that do not pack by themselves, shards are of version 0.1.0; and those whose unpacked bytes are known before.
+MAX_WHOLE = 1 << 20  # most values of a coordinate in one object: one object opens faster than many
+# Codecs that do not compress (version 0.1.0 wrote shards), and compressors whose unpacked size can be found before unpacking.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
@@ -76,8 +77,8 @@ class PlaceStore(WrapperStore[Any]):
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
         self.is_whole, self.has_checksums = is_whole, has_checksums  # of every object
-        self.stamp = stamp  # of the metadata of a whole store
-        # Array -> codec that packs its objects, and the least and most bytes that one may unpack to.
+        self.stamp = stamp  # stamp of the metadata of a whole store
+        # Array -> codec that compresses its objects, and the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed
         self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
 
@@ -98,7 +99,7 @@ class PlaceStore(WrapperStore[Any]):
         if "/c" in key:
             if self.is_whole:
                 await asyncio.to_thread(self.check_stamp)
-            # Checked here, because errors of codecs would not name the object, and come after all of it is unpacked.
+            # Checked here, because codecs report errors only after unpacking, and without the name of the object.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)
             if name in self.packed:
@@ -115,7 +116,7 @@ class PlaceStore(WrapperStore[Any]):
         return prototype.buffer.from_bytes(content)
 
     def check_stamp(self) -> None:
-        """Raise BadInput if another store has replaced this one; new objects come after new metadata, so this follows a read."""
+        """Raise BadInput if another store replaced this one. Call it after a read: a new store writes metadata before objects."""
         if self.stamp != self.place.stamp(METADATA):
             raise BadInput(f"{self.place}: was replaced or removed after it was opened; open it again")
 
@@ -126,7 +127,7 @@ class PlaceStore(WrapperStore[Any]):
 
 
 class _Store(ZarrStore):
-    """A Zarr store for xarray, in which whatever the values of an array raise is BadInput that names it."""
+    """A Zarr store for xarray that raises BadInput, with the name of the array, for any error in its values."""
 
     def open_store_variable(self, name: str) -> xr.Variable:
         """Variable of the store, read through `_Array`."""
@@ -137,22 +138,22 @@ class _Store(ZarrStore):
 
 
 class _Array(ZarrArrayWrapper):
-    """An array; BadInput where it cannot be read."""
+    """An array that raises BadInput where it cannot be read."""
 
     __slots__ = ("what",)
-    what: str  # of the store it is, for messages
+    what: str  # array and store, for messages
 
     def __getitem__(self, key: Any) -> Any:
         try:
             return super().__getitem__(key)
         except BadInput:
             raise
-        except Exception as error:  # of a codec, or of numbers that do not fit
+        except Exception as error:  # from a codec, or because shapes do not fit
             raise BadInput(f"{self.what} are damaged: {one_line(error)}") from None
 
 
 def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
-    """Bytes that an object unpacks to, as its header says or, of gzip, as they are counted up to `most`; -1 if that is not known."""
+    """Unpacked size of an object in bytes, from its header or, for gzip, counted up to most + 1; -1 if unknown."""
     if codec == "blosc":
         return int.from_bytes(content[4:8], "little")
     if codec == "gzip":
@@ -168,8 +169,8 @@ def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
 
 
 def _codec(array: zarr.Array[Any]) -> str:
-    """Name of the codec that packs the objects of an array, empty without one; ValueError where it may unpack to any size."""
-    codecs = getattr(array.metadata, "codecs", ())  # none of format 2
+    """Name of the codec that compresses the objects of an array, or empty; ValueError if the unpacked size has no limit."""
+    codecs = getattr(array.metadata, "codecs", ())  # format 2 has none
     names = [str(codec.to_dict()["name"]) for codec in codecs]
     packing = [name for name in names if name not in PLAIN]
     if len(packing) > 1 or not PACKING.issuperset(packing):
@@ -186,12 +187,12 @@ def _root_hash(metadata: dict[str, Any]) -> str:
 
 
 def _objects_hash(hashes: Mapping[str, str]) -> str:
-    """Hash of all objects by their names, the root metadata apart."""
+    """Hash of the hashes of all objects, by their names, except the root metadata."""
     return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
 def _attributes_of(place: Place) -> dict[str, Any]:
-    """Attributes of a Zarr store, empty if there is none, or if they cannot be read."""
+    """Attributes of a Zarr store, empty if there is no store or they cannot be read."""
     try:
         return dict(json.loads(place.read(METADATA))["attributes"])
     except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
@@ -202,17 +203,17 @@ class Zarr(Format):
     """Atlases as Zarr stores, in folders and on object stores."""
 
     def write(self, content: Content, path: Path | str) -> None:
-        """As `Format.write`; on an object store a part of an atlas is recognised as unfinished."""
+        """As `Format.write`, but a kill may leave a part of an atlas on an object store, which is marked as unfinished."""
         ds, names, chunk = content.ds, content.names, content.chunk
         with (
             atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
             warnings.catch_warnings(),
             zarr.config.set({"array.write_empty_chunks": True}),
         ):
-            # Consolidated metadata are no part of version 3 yet.
+            # The specification of Zarr 3 does not have consolidated metadata yet.
             warnings.simplefilter("ignore", ZarrUserWarning)
             place = place_at(where)
-            # The mark of an unfinished atlas comes first, before earlier objects are removed: this process may end at any time.
+            # Mark the atlas as unfinished before earlier objects are removed: this process may be killed at any time.
             unfinished: dict[str, Any] = {VERSION: __version__}
             metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": unfinished}
             place.write(METADATA, json.dumps(metadata).encode())
@@ -247,7 +248,7 @@ class Zarr(Format):
             place.write(METADATA, json.dumps(metadata).encode())
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open a store of any program lazily; BadInput if it is none, unfinished, damaged, or claims more than its objects can hold."""
+        """Open any Zarr store lazily; BadInput if it is unfinished, damaged, no store, or claims more than its objects can hold."""
         place = place_at(path)
         try:
             stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))
@@ -337,7 +338,7 @@ class Zarr(Format):
         place, contents = place_at(path), place_at(path).walk()
         is_own = not contents or f"atlas/{METADATA}" in contents
         with suppress(FileNotFoundError, ValueError):
-            # Damaged metadata contain the name of this attribute as well.
+            # A search in the bytes finds this attribute in damaged metadata, too.
             is_own = VERSION.encode() in place.read(METADATA)
         if not is_own or not all(
             OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents

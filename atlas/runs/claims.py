@@ -1,4 +1,4 @@
-"""Claims, by which processes that share a run without a server divide its work."""
+"""Claims on tiles, by which processes that share a run divide its work without a server."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..files import is_recent
 from ..process import PROCESS_NAME, is_running, process_name
 from ..store.place import Place
 
-SUFFIX = ".claim"  # of the name of a claimed tile
+SUFFIX = ".claim"  # suffix of the name of a claim
 POLL = 0.5  # seconds between two attempts to claim
-# Seconds without a sign of life after which a claim expires, and between two signs of life of this process.
+# Seconds without a sign of life after which a claim expires; seconds between two signs of life.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
-NAMELESS_AGE = 10.0  # seconds after which a claim that names no process, as a full disk left it, expires
-NAMED_AFTER = 5.0  # seconds of waiting after which a line says for whom
-TAKEOVER = 0.2  # seconds until it is decided which of several processes has taken over an expired claim
+NAMELESS_AGE = 10.0  # seconds after which a claim without a process, written on a full disk, expires
+NAMED_AFTER = 5.0  # seconds of waiting after which a message names the process that is waited for
+TAKEOVER = 0.2  # seconds after which the last of several processes that took over an expired claim holds it
 
 
 def claim(place: Place, name: str) -> bool:
-    """Whether this process has made a claim, or taken over an expired one."""
+    """Make a claim, or take over an expired one, and return whether this process now holds it."""
     process = process_name().encode()
     if place.create(name, process):
         return True
@@ -31,14 +31,14 @@ def claim(place: Place, name: str) -> bool:
         return False
     place.write(name, process, durable=False)
     time.sleep(TAKEOVER)
-    with suppress(OSError):  # the process that wrote last may have released it
+    with suppress(OSError):  # the process that wrote last may have released the claim
         return place.read(name) == process
     return False
 
 
 def claimant(place: Place, name: str) -> str:
-    """The process that holds a claim, unless it is this one, has ended, or has not renewed it for CLAIM_AGE: then an empty text."""
-    with suppress(OSError, ValueError):  # it has been removed
+    """Name of another process that holds a claim; empty if it has ended, or has not renewed the claim for CLAIM_AGE."""
+    with suppress(OSError, ValueError):  # the claim has been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False:
             is_named = PROCESS_NAME.fullmatch(process)
@@ -49,7 +49,7 @@ def claimant(place: Place, name: str) -> str:
 
 @contextmanager
 def held(place: Place, name: str) -> Iterator[None]:
-    """Give signs of life for a claim while the context is open, and release it."""
+    """Renew a claim while the context is open, and release it at the end."""
     ended = Event()
 
     def keep() -> None:
@@ -69,26 +69,26 @@ def held(place: Place, name: str) -> Iterator[None]:
 
 
 def claimants(place: Place) -> Iterator[tuple[str, str]]:
-    """Names of the claims of a place and of its folders, each with its process, or with an empty text if the process has ended."""
+    """Names of all claims in a place and its folders, each with its `claimant`."""
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)
 
 
 def named(process: str, hosts: Mapping[str, str]) -> str:
-    """A process as messages name it, with its host where that is known."""
+    """Text for a process in messages, with its host if `hosts` has it."""
     match = PROCESS_NAME.fullmatch(process)
     return f"{f'process {match[3]}' if match else process} on {hosts.get(process, 'this or another machine')}"
 
 
 class Wait:
-    """The wait for a claim, about which a line is logged once it has been long; `hosts`: of processes, as far as they are known."""
+    """A wait for a claim, with one log message if it is long; hosts: gives the known hosts, process -> host."""
 
     def __init__(self, place: Place, hosts: Callable[[], Mapping[str, str]] = dict):
         self.place, self.hosts, self.due = place, hosts, time.monotonic() + NAMED_AFTER
 
     def announce(self, name: str) -> None:
-        """Say once, after NAMED_AFTER, for whom."""
+        """Log once, after NAMED_AFTER seconds, which process holds the claim."""
         if time.monotonic() >= self.due and (process := claimant(self.place, name)):
             self.due = math.inf
             logging.getLogger("atlas").warning(

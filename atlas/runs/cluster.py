@@ -1,4 +1,4 @@
-"""Tasks on many machines by dask.distributed: few at a time, and repeated when a worker dies."""
+"""Tasks on many machines by dask.distributed, few at a time; a task is repeated if its worker dies."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
-TASKS_PER_THREAD = 2  # submitted at a time, so that no thread waits for its next task
-# Memory that a worker of `connect` frees stays with it, in bytes: by the default of dask, 65536, each large temporary array is mapped
-# anew, page by page.
+TASKS_PER_THREAD = 2  # number of submitted tasks for each thread, so that no thread waits for its next task
+# Bytes of freed memory that a worker of `connect` keeps: with dask's default, 65536, each large temporary array is mapped page by
+# page again.
 ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
-MAX_ATTEMPTS = 3  # at a task that dask gives up, because several workers died during it
+MAX_ATTEMPTS = 3  # how often a task is submitted if dask gives it up because several workers died
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"
 
 
@@ -37,7 +37,7 @@ def check(scheduler: str) -> None:
     try:
         scheme, address = parse_address(scheduler)
         with socket.create_connection(parse_host_port(address), CONNECT_TIMEOUT) as connection:
-            # A dask server sends first; for any other server the client of dask would wait for ever.
+            # A dask server sends first; with another server the client of dask would wait for ever.
             if scheme == "tcp" and not connection.recv(1):
                 raise OSError("this is no dask server")
     except (OSError, ValueError) as error:
@@ -47,7 +47,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of a scheduler, or of processes here with one thread each; BadInput for wrong TLS, OSError for a lost scheduler."""
+    """A client of a scheduler, or of local processes with one thread each; BadInput for wrong TLS, OSError for a lost scheduler."""
     import dask
     import distributed
     from distributed.comm.core import CommClosedError
@@ -68,7 +68,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
-                # Not the default of the session, as which a client would stay after a failure.
+                # A default client of the session would remain after a failure.
                 client = distributed.Client(server, set_as_default=False)
         except (TypeError, RuntimeError) as error:  # wrong settings of TLS
             raise BadInput(f"the dask scheduler cannot be used: {one_line(error)}") from None
@@ -79,7 +79,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 try:
                     yield client
                 except OSError:
-                    if client.status == "running":  # an error of a task
+                    if client.status == "running":  # the error of a task
                         raise
                     raise OSError(SCHEDULER_LOST) from None
         except (CancelledError, CommClosedError):
@@ -87,7 +87,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
 
 
 def check_workers(client: Client, check: Callable[..., None], arguments: tuple[Any, ...]) -> None:
-    """Raise BadInput if a present worker has another dask or fails `check`."""
+    """Raise BadInput if a worker has another version of dask or fails `check`."""
     versions: Any = client.get_versions()
     servers = {"the scheduler": versions["scheduler"]}
     servers |= {f"worker {address}": info for address, info in versions["workers"].items()}
@@ -113,7 +113,7 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call a task, which may run twice, on the workers for all tuples of arguments, and `on_result` here with each result."""
+    """Call `task` on workers, maybe more than once, for each tuple of arguments, and `on_result` here with each result."""
     from distributed import wait
 
     source = iter(arguments)
@@ -154,7 +154,7 @@ def for_each(
 
 
 def _has_result(future: Future[Any], attempt: int) -> bool:
-    """Whether a task has a result; without one it is to be submitted again. Raises the error of a task that failed."""
+    """Whether a task has a result, else it must be submitted again; raises the error of a task that failed."""
     from distributed import KilledWorker
 
     if future.status == "finished":

@@ -29,43 +29,43 @@ from ..systems.base import derived_values, derived_variables
 from .plan import LONG, ScenePlan
 from .refine import expected_points
 
-# Steps of all points in the measurement, for each thread: about half a second.
+# Number of steps, summed over points, that each thread computes in the measurement: about half a second.
 CALIBRATION_STEPS = 1e8
-# Steps of whole runs of the points whose runs end once their labels are certain, at most 0.2 s, and the fewest of these points.
+# Largest number of steps (at most 0.2 s) and least number of points from which the saving by early ends of runs is measured.
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
-HEADER_BYTES = 1000  # of a tile
+HEADER_BYTES = 1000  # bytes of the header of a tile
 
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Measured cost of a tile, or of a part of it if it takes long."""
+    """Measured cost of a tile, or of a part of a tile that takes long."""
 
-    seconds_per_step: float  # wall-clock time of a step of one point, by all threads
+    seconds_per_step: float  # wall-clock time of a step of one point if all threads work
     theory_seconds: float  # wall-clock time of the predictions of one point
     compile_seconds: float
-    memory: float  # most bytes of the process
-    bytes_per_tile: float  # of memory
-    stored_bytes_per_point: float  # of measured variables and parameters
+    memory: float  # peak memory of the process, bytes
+    bytes_per_tile: float  # memory of a tile at work, bytes
+    stored_bytes_per_point: float  # compressed measured variables and parameters
 
 
 @dataclass(frozen=True)
 class _Cost:
     """Expected cost of a scene."""
 
-    points: float  # to integrate
-    proved: float  # points that are not integrated
+    points: float  # number of points to integrate
+    proved: float  # number of proved points, which are not integrated
     tile: _Measurement
     seconds: float
-    theory_seconds: float  # of these
+    theory_seconds: float  # part of `seconds`
 
 
 def _cost(plan: ScenePlan, processors: int) -> _Cost:
-    """The expected cost of a scene on so many processors, from a tile of it."""
+    """The expected cost of a scene on a number of processors, measured on one of its tiles."""
     scene, exists = plan.scene, plan.sample.exists
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     tile = _measure(plan, processors)
-    # The derived variables of one point, from as many points as take a few tenths of a second.
+    # Time of the derived variables of one point, averaged over points that take a few tenths of a second.
     has_derived = not derived_variables(scene.system).keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
     while has_derived and derived_seconds < 0.2 and count < existing_points.size:
@@ -89,7 +89,7 @@ def _cost(plan: ScenePlan, processors: int) -> _Cost:
 
 
 def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
-    """A sentence about the expected time of this share of a scene, empty if it is below LONG."""
+    """A sentence about the expected time of a fraction of a scene, empty if it is below LONG."""
     seconds = share * _cost(plan, processors).seconds
     if seconds < LONG:
         return ""
@@ -100,7 +100,7 @@ def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
 
 
 def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
-    """Text about the expected cost of running a scene into a file, folder or store; BadInput as `run`."""
+    """Text about the expected cost of running a scene into a file, folder or store; BadInput as from `run`."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -144,7 +144,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
 
 
 def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
-    """A sentence on the share of the integration that is left without statistics, measured on some points unless whole runs take long."""
+    """A sentence on the fraction of the integration that labels alone need, measured on some points; none if whole runs take long."""
     labels = plan.runs.without_statistics
     if labels is None:
         return []
@@ -176,8 +176,9 @@ def check_memory(scene: Scene) -> None:
 
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
-    """Bytes on the disk of so many integrated points, compressed."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # not in the measurement
+    """Compressed bytes of a number of integrated points on the disk."""
+    # The measurement does not contain derived variables.
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
@@ -185,13 +186,13 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
 def _folder_bytes(
     plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
 ) -> float:
-    """Bytes on the disk of the tiles of so many points, which are compressed unless they are to be joined."""
+    """Bytes of the tiles of a number of points on the disk; tiles to be joined are not compressed."""
     stored = points * bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
     return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
-    """Raise BadInput if the missing points of a run do not fit onto a disk, together with its joined file if it gets one."""
+    """Raise BadInput if the missing points of a run, and the joined file if there will be one, do not fit onto the disk."""
     if surely_fits(plan.scene, folder):
         return
     free = shutil.disk_usage(folder).free
@@ -206,7 +207,7 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
 
 
 def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
-    """The plan of a tile from the middle of the grid, with runs so short that they take about CALIBRATION_STEPS."""
+    """The plan of a tile from the middle of the grid, with runs shortened to about CALIBRATION_STEPS in all."""
     outputs = tuple(name for name in plan.scene.outputs if name not in derived_variables(plan.scene.system))
     settings = replace(plan.scene.settings, prove=False)
     scene, tile = replace(plan.scene, outputs=outputs, settings=settings), plan.tiling.count // 2
@@ -217,9 +218,9 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
         schedule = blocks.schedule_of(plan.step_sizes.without_unresolved())
         work = plan.mean_work / plan.mean_steps * schedule.point_steps
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
-        if fraction > 0.8:  # counts of steps are rounded
+        if fraction > 0.8:  # close enough, because numbers of steps are rounded
             return plan
-        # A limited number of steps does not depend on the duration: shorten both.
+        # Shorten both duration and max_steps: a number of steps that max_steps limits does not depend on the duration.
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
         duration, transient = fraction * plan.sample.duration, fraction * plan.sample.transient
         sample = replace(plan.sample, duration=duration, transient=transient)
@@ -227,10 +228,10 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
 
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Integrate a tile from the middle of the grid, after one point, for which the kernel is compiled."""
+    """Compile the kernel by integrating one point, then measure a tile from the middle of the grid."""
 
     def most_memory() -> float:
-        """Most bytes of this process until now."""
+        """Peak memory of this process so far, bytes."""
         unit = 1 if sys.platform == "darwin" else 1024
         return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
 
@@ -238,7 +239,7 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     points, started = plan.sample, time.perf_counter()
     evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=Threads(1))
     compile_seconds, memory = time.perf_counter() - started, most_memory()
-    began = time.process_time()  # independent of other programs
+    began = time.process_time()  # not disturbed by other programs
     predict_runs(plan.runs, points)
     theory_seconds = time.process_time() - began
     columns = evaluate(plan.runs, points, threads=Threads(threads)) | points.base

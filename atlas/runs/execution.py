@@ -1,4 +1,4 @@
-"""Running a scene: its options checked, then its points computed in memory or in a folder."""
+"""`atlas.run`: checks the options, then computes the points of a scene in memory or in a folder."""
 
 from __future__ import annotations
 
@@ -39,46 +39,46 @@ def run(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        A scene from `load_scene`, or what `load_scene` reads.
+        A scene from `load_scene`, or an argument of `load_scene`.
     out : str or Path, optional
-        NAME.nc for one file, NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr. It is computed in
-        the run folder NAME.nc.run, or NAME.zarr.run; the folder is joined and removed in the end. If a run was killed between the
-        two, the same call finishes it. Extensions may add suffixes. Or a run folder: a text that ends in /, such as
-        s3://BUCKET/NAME/, or a Path without suffix. A run folder that exists is continued.
+        NAME.nc for one file, or NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr; extensions may
+        add suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed.
+        Otherwise a run folder: a text that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix. An existing run
+        folder is continued.
     threads : int, optional
-        Default: all processors of this process. Results do not depend on it.
+        Default: all processors of this process. Results do not depend on the number of threads.
     progress : bool
         Print progress to stderr.
     force : bool
-        Replace an existing file or store, or another run in the folder that no process computes. The run of this scene is
-        continued, because its values are the same.
+        Replace an existing file or store, or another scene's run in the folder unless a process is computing it. An unfinished
+        run of this scene is always continued.
     shard : (int, int), optional
-        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. Of a refined scene a shard computes
-        its part of each level first and then what others have not.
+        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. In each level of a refined scene a shard
+        computes its own part first, then tiles that the other shards have left.
     scheduler : str, optional
         Address of a dask scheduler, whose workers compute the tiles.
     workers : int, optional
         Number of processes on this machine that compute the tiles.
     stop_after : float, optional
-        Seconds after which no tile begins; tiles at work are finished. Needs `out`.
-    reuse : str, Path or sequence of them, optional
-        Earlier atlases, also unfinished run folders, on processors alike by the same programs: points that they share
-        with the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states
-        which points were taken from where.
+        Seconds after which no new tile begins; tiles that have begun are finished. Needs `out`.
+    reuse : str, Path or sequence of str or Path, optional
+        Earlier atlases or unfinished run folders, computed by the same programs on the same kind of processor. Their points that
+        are in the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states how many
+        points come from which atlas.
 
     Returns
     -------
     xarray.Dataset
-        The scene's axes as dimensions, the variables it asks for, every parameter as a coordinate, and
-        provenance in the attributes. Opened lazily if `out` is given.
+        The scene's axes as dimensions, its [outputs] as variables, every parameter as a coordinate, and provenance in the
+        attributes. Opened lazily if `out` is given.
 
     Raises
     ------
     BadInput
-        If no point can be computed, or if `out` cannot be written or contains something else, or if an atlas to be
-        reused shares no point with the scene. Nothing has then been computed.
+        If no point can be computed, if `out` cannot be written or contains something else, or if an atlas in `reuse` shares no
+        point with the scene. BadInput is raised before anything is computed.
     interruption.Stopped
-        If `stop_after` is over before the run is; the same call continues it.
+        If the run takes longer than `stop_after`; the same call continues it.
     """
     scene = load_scene(scene)
     began, on_cluster = time.monotonic(), bool(scheduler or workers)

@@ -1,4 +1,4 @@
-"""A run that is kept: its tiles computed in a folder or a bucket, by threads or on a cluster, and joined into one file."""
+"""Runs in a folder or bucket: tiles are computed by threads or on a cluster, and joined into one file."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MAX_DAMAGE_WARNINGS = 5
-# Most seconds between two checks of the tiles that other processes compute; the first pause is claims.POLL.
+# Longest pause, in seconds, between two checks of the tiles that other processes compute; the first pause is claims.POLL.
 MAX_CLAIM_POLL = 10.0
 Source: TypeAlias = (
     "tuple[RunFolder, Tiles, Plan, list[Earlier]]"  # all that a process needs to compute a tile
@@ -67,7 +67,7 @@ def run_kept(
     if options["shard"] and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and format_of(file).stamp(file) is not None:
-        left = folder_of(file)  # maybe of a run that was killed during its removal
+        left = folder_of(file)  # may be the rest of a run that was killed during its removal
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return finished_atlas(ScenePlan.of(scene), file)
@@ -87,7 +87,7 @@ def run_kept(
 
 
 def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
-    """The place of a run, and the path of its atlas if that is one file or store; BadInput if it cannot be written."""
+    """The place of a run, and the path of its atlas if this is a file or store; BadInput if one of them cannot be written."""
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
@@ -120,13 +120,13 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
 
 
 def folder_of(path: Path | str) -> Path | str:
-    """Run folder in which an atlas of one file or store is computed."""
+    """Run folder in which the atlas for a file or store is computed."""
     return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
 
 
 @contextmanager
 def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
-    """Compute the missing tiles of a run or shard; this process counts as at work while the context is open."""
+    """Compute the missing tiles of a run or shard; the progress file says "at work" while the context is open."""
     explain_kept(folder.progress_text)
     part, parts = execution.shard
     is_missing = any(tile % parts == part - 1 for tile in folder.tiles.missing())
@@ -158,7 +158,7 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
 
 
 def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | None) -> None:
-    """Write the notes of a run if it has all its tiles; totals: sums over all tiles, None after a shard."""
+    """Write the notes of a run if no tile is missing; totals: sums over all tiles, None after a shard."""
     if folder.tiles.missing():
         return
     if totals is None:
@@ -181,13 +181,13 @@ def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | No
 
 
 def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> None:
-    """Compute the levels of a refined scene one by one, then the tiles of its finest grid from them."""
+    """Compute the levels of a refined scene one by one, and from them the tiles of its finest grid."""
     from . import refine
     from .levels import Level
 
     plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
     _warn_and_remove(tiles, tiles.check(tiles.written())[1])
-    with suppress(BadInput):  # damaged notes are written anew
+    with suppress(BadInput):  # damaged notes are written again below
         if folder.is_complete:
             bar.add(plan.scene.size, done=plan.scene.size)
             return
@@ -220,11 +220,11 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> N
 
 
 def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
-    """Compute an atlas in its run folder, join it, and remove the folder, unless another process did."""
+    """Compute an atlas in its run folder, join it and remove the folder, or open the atlas that another process finished."""
     before, plan, is_joined = format_of(path).stamp(path), execution.plan, False
 
     def is_open() -> bool:
-        """Whether no other process has finished the atlas in the meantime."""
+        """Whether the atlas is still to be written: no other process has finished it."""
         return format_of(path).stamp(path) in (before, None)
 
     try:
@@ -232,7 +232,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
         if is_open():
             with complete(folder, execution) as bar:
                 wait = claims.Wait(folder.place, folder.hosts)
-                # One process joins: on an object store a second one would remove the objects of the first.
+                # Only one process may join: on an object store a second one would remove the objects of the first.
                 while not is_joined and is_open():
                     if not claims.claim(folder.place, JOINING):
                         execution.check_time(folder.progress_text())
@@ -244,7 +244,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
                             folder.join(path)
                             is_joined = True
                 if is_joined:
-                    bar.close()  # so that it leaves nothing where the run was
+                    bar.close()  # else it would write into the removed folder
                     folder.remove()
                     explain_kept(None)
     except (BadInput, OSError):
@@ -254,7 +254,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
 
 
 def _is_result(plan: ScenePlan, path: Path | str) -> bool:
-    """Whether a file or store, which may be damaged, is the result of running this scene by these programs."""
+    """Whether a file or store, maybe damaged, is the result of this scene and these programs."""
     expected = result_hash(plan.scene.toml(), identity(plan.runs))
     with suppress(BadInput), open_atlas(path) as ds:
         # A user's own dataset may have the attributes of an atlas, but not its hash.
@@ -263,10 +263,10 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
 
 
 def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
-    """Open a finished atlas, and remove the rest of its run; BadInput if it is the result of another run."""
+    """Open a finished atlas and remove what is left of its run; BadInput if it is the result of another run."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
-    try:  # a run that was killed after it moved the file into place
+    try:  # the run may have been killed after it moved the file into place
         folder = RunFolder.open(folder_of(path))
         folder.check_same(plan)
     except BadInput:
@@ -279,19 +279,19 @@ def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
 
 @dataclass(eq=False)
 class _Job:
-    """Some tiles of a run that this process computes unless others do."""
+    """Tiles of a run, computed by this process unless another process computes them."""
 
     run: RunFolder
     tiles: Tiles
-    share: range  # tiles of the shard; of a level all tiles, which every shard completes before the next one
+    share: range  # tiles of the shard, but all tiles of a level, because all must exist before the next level
     execution: Execution
     level: int | None = None
     stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
     own: set[int] = field(default_factory=set)  # tiles that this process wrote and read back
-    totals: Totals = field(default_factory=Totals)  # of these tiles
+    totals: Totals = field(default_factory=Totals)  # sums over the tiles in `own`
 
     def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
-        """Claimed tiles among the unfinished ones, from a random one on, so that parallel processes share the work."""
+        """Claim unfinished tiles one by one, beginning at a random tile so that parallel processes share the work."""
         first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
         files, size_of = self.tiles, self.tiles.tiling.size_of
         tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
@@ -305,7 +305,7 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        # It was written since the folder was listed, maybe with other tiles.
+                        # Written after the folder was listed, maybe with other tiles.
                         files.place.remove(files.name(tile, claims.SUFFIX))
                         bar.skip(size_of(tile))
                         files.listing = None
@@ -321,7 +321,7 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute missing and damaged tiles; Stopped if the time is up before."""
+        """Compute missing and damaged tiles; Stopped if the time is up before all are done."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.share if tile not in written]
         done = sum(size_of(tile) for tile in self.share if tile in written)
@@ -364,7 +364,7 @@ class _Job:
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
         def seconds() -> float:
-            """Seconds since the end of the tile before, because tiles overlap."""
+            """Seconds since the last tile ended: the durations of tiles overlap and must not be summed."""
             nonlocal last_end
             with lock:
                 before, last_end = last_end, stopwatch.seconds()
@@ -396,7 +396,7 @@ class _Job:
 
 
 def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
-    """Remove damaged tiles, so that they are missing, and say so."""
+    """Remove damaged tiles, with a warning, so that they are computed again."""
     warn = logging.getLogger("atlas").warning
     for tile, reason in list(damaged.items())[:MAX_DAMAGE_WARNINGS]:
         warn("%s: tile %d is computed again: %s", tiles.place, tile, reason)
@@ -409,7 +409,7 @@ def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
 def _compute_tile(
     source: Source, tile: int, threads: blocks.Threads, by: str, seconds: Callable[[], float]
 ) -> dict[str, Any]:
-    """Compute and write a tile; its header."""
+    """Compute and write a tile, and return its header."""
     run, tiles, plan, earlier = source
     with claims.held(tiles.place, tiles.name(tile, claims.SUFFIX)):
         columns, computed, reused = evaluate_at(plan, run.scene, tiles.indices(tile), earlier, threads)
@@ -418,12 +418,12 @@ def _compute_tile(
 
 
 def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
-    """Raise BadInput unless this worker computes the bits of the run with this key."""
+    """Raise BadInput unless this worker would compute the same bits as the run with the given key."""
     _open_cached(path, level, key, reuse)
 
 
 def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
-    """Compute and write one tile with one thread, the task of a dask worker; BadInput as `check_worker`."""
+    """The task of a dask worker: compute and write one tile with one thread; BadInput as from `check_worker`."""
     source = _open_cached(path, level, key, reuse)
     _compute_tile(source, tile, blocks.Threads(1), "dask workers", Stopwatch().seconds)
     return tile
@@ -431,7 +431,7 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 
 @lru_cache(maxsize=8)
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
-    """The source of the tiles of a run or level; BadInput unless this process computes its bits."""
+    """The source of the tiles of a run or level; BadInput unless this process would compute the same bits."""
     run = RunFolder.open(path)
     tiles = run.tiles
     if level is not None:

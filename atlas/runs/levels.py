@@ -3,8 +3,8 @@
     NAME/levels/0003/points.tile    flat indices of its points in the finest grid
     NAME/levels/0003/00000012.tile  as in every run
 
-The points of a level follow from the results of earlier levels, so that a continued run, and every process that shares it, has
-the same levels. The key of a level, in all its tiles, is a hash of the run, the points and the key of the level before.
+The results of earlier levels determine the points of a level, so that a continued run, and every process that shares a run, has
+the same levels. The key of a level, in all its tiles, is a hash of the run, the points and the key of the previous level.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ if TYPE_CHECKING:
 POINTS = "points.tile"
 # Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
-MAX_VALUES = 32  # of integers without flags
-TILES_PER_LEVEL = 64  # if it has enough points, so that many processes can share it
+MAX_VALUES = 32  # largest number of values of an integer variable without flags
+TILES_PER_LEVEL = 64  # number of tiles of a level that has enough points, so that many processes can share it
 # Ascending flat indices of points in the finest grid, and their variables.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 
 
 def traced(scene: Scene) -> list[str]:
-    """Measured flags and integers whose boundaries are traced: the label always, the others where the scene asks for them."""
+    """Names of measured flags and integers whose boundaries are traced: the label, and others that the scene asks for."""
     of_extensions = (v for each in extension.every("instruments") for v in each.variables(scene.system))
     integers = (variable.name for variable in of_extensions if variable.dtype.startswith("int"))
     return [name for name in (*MEASURED, *integers) if name == "label" or name in scene.outputs]
 
 
 class Run(Protocol):
-    """What a level needs of its run."""
+    """The members of a run that its levels use."""
 
     key: str
     scene: Scene
@@ -55,7 +55,7 @@ class Run(Protocol):
 
 
 class Level:
-    """Some points of the finest grid of a run, in tiles."""
+    """Points of the finest grid of a run, in tiles."""
 
     def __init__(self, run: Run, number: int, before: str, points: np.ndarray, length: int):
         self.number, self.before, self.points, self.length = number, before, points, length
@@ -72,7 +72,7 @@ class Level:
 
     @classmethod
     def of(cls, run: Run, number: int, before: str, points: np.ndarray, most: int) -> Level:
-        """A level in tiles of at most so many points; its list of points is written if it is missing."""
+        """A level in tiles of at most `most` points; its list of points is written if it is missing."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         most = min(most, grid.max_points_per_tile())
         level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)
@@ -87,7 +87,7 @@ class Level:
 
     @classmethod
     def open(cls, run: Run, number: int) -> Level:
-        """A level of a run; FileNotFoundError before it has begun, BadInput if it is damaged."""
+        """A level of a run; FileNotFoundError if it has not begun, BadInput if it is damaged."""
         place = run.levels_place.inside(f"{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}
@@ -105,7 +105,7 @@ class Level:
             raise BadInput(damaged_message(place, error)) from None
 
     def read(self, indices: np.ndarray) -> Iterator[Part]:
-        """The points between the first and the last of some flat indices, and their variables, tile by tile."""
+        """Points of the level from the first to the last of the flat indices, and their variables, tile by tile."""
         start, end = np.searchsorted(self.points, (indices[0], indices[-1] + 1))
         for tile in range(start // self.length, -(-end // self.length) if end > start else 0):
             inside = slice(max(start - tile * self.length, 0), end - tile * self.length)
@@ -116,7 +116,7 @@ class Level:
             yield self.tiles.indices(tile)[inside], {name: column[inside] for name, column in values.items()}
 
     def fill(self, columns: Mapping[str, np.ndarray], indices: np.ndarray) -> None:
-        """Write its values into columns of the points between the first and the last of these flat indices."""
+        """Write the level's values into columns that cover the flat indices from the first to the last."""
         for points, values in self.read(indices):
             for name, column in columns.items():
                 column.flat[points - indices[0]] = values[name]

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
 
-MANY_POINTS = 10**6  # of which an atlas may not fit into memory
-# Seconds of a point and of a step on a slow processor with costly equations: only runs that might be LONG are measured.
+MANY_POINTS = 10**6  # number of points from which on an atlas may not fit into memory
+# Seconds of a point and of a step on a slow processor with costly equations; a run is measured if it might be LONG by these.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes a number of finished points
@@ -47,7 +47,7 @@ Advance = Callable[[float], None]  # takes a number of finished points
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """A plan, the earlier atlases that it uses, and the processes and threads that compute its tiles; see `run`."""
+    """A plan, earlier atlases to reuse, and the processes and threads that compute the tiles; see `run`."""
 
     plan: ScenePlan
     earlier: list[Earlier]
@@ -86,7 +86,7 @@ class Execution:
         return cls(plan, earlier, **{**options, "shard": shard})
 
     def name_cheaper_method(self) -> None:
-        """Print, as the first line of the progress, what another method would cost if that is less."""
+        """Print, as the first line of the progress, the costs of the other methods if one is cheaper."""
         costs = {} if self.plan.has_chaos or not self.progress else self.plan.relative_costs
         if min(costs.values(), default=1) < 1:
             with announced(True):
@@ -99,16 +99,16 @@ class Execution:
         return is_late or bool(interruption.stopped_by)
 
     def check_time(self, state: str) -> None:
-        """Raise Stopped, with a text on the run, if no tile may begin any more."""
+        """Raise Stopped, with the state of the run as text, if no tile may begin any more."""
         if self.time_is_up:
             why = interruption.stopped_by or f"after {clock(self.stop_after or 0)}"
             raise interruption.Stopped(f"stopped {why}; {state}")
 
     @cached_property
     def client(self) -> Any:
-        """Client of the dask workers, which start before the first tile."""
+        """Client of the dask workers; the first access starts them."""
         if self.workers:
-            # Compile the kernel here, by one step at one point, or each new process would.
+            # Compile the kernel here by one step at one point, else each new process would compile it.
             sample = self.plan.sample
             points = replace(self.plan.runs.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
@@ -155,10 +155,10 @@ def columns_of(
     earlier: Sequence[Earlier] = (),
     points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
-    """Variables and solved parameters of all points of a scene, or of some by their flat indices, and the counts of reused points."""
+    """Variables and solved parameters of a scene's points (all, or flat indices), and numbers of reused points by earlier atlas."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.max_points_per_tile())
-    # Refinement follows the label, whether the scene asks for it or not.
+    # Refinement needs the label, even if the scene does not ask for it.
     types = ({} if points is None else {"label": "int8"}) | tile_types(scene)
     columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}
 
@@ -182,7 +182,7 @@ def evaluate_at(
     earlier: Sequence[Earlier] = (),
     threads: Threads = ALL_THREADS,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Variables and parameters of points of a scene, the number of points with a motion, and the counts of reused points."""
+    """Variables and parameters of points of a scene, the number of points with a motion, and numbers of reused points by atlas."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)

@@ -1,5 +1,5 @@
-"""The plan of a scene, made once: a sample of its points, their steps, the work and the tiles; and the identity of a computation:
-programs and processor on which the bits of an atlas depend. Imports no compiler.
+"""The plan of a scene (a sample of its points, their steps, the work, the tiles), and the identity of a computation: programs and
+processor on which the bits of an atlas depend. This module imports no compiler.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from ..store.tiling import Tiling
 
 
-# Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound where it does not turn.
+# Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound if the frame does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
-MAX_PREDICTED = 400  # points of a sample whose motion theory predicts before a run
-LONG = 2 * 3600.0  # expected seconds of a run that announces itself
-COSTLY_SHARE = 0.3  # of all steps: if 1 % of the points take more, a warning follows
+MAX_PREDICTED = 400  # number of sample points whose motion theory predicts before a run
+LONG = 2 * 3600.0  # a run that is expected to take more seconds says so
+COSTLY_SHARE = 0.3  # a warning follows if 1 % of the points take a larger fraction of all steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,30 +57,30 @@ class ScenePlan:
 
     @cached_property
     def runs(self) -> Plan:
-        """The plan of the runs of its points."""
+        """The plan of the runs of the scene's points."""
         from ..label.plan import Plan
 
         return Plan.of(self.scene)
 
     def limited(self, max_steps: int) -> Settings:
-        """The settings of the scene with another largest number of steps."""
+        """The settings of the scene with another max_steps."""
         return replace(self.scene.settings, max_steps=max_steps)
 
     @cached_property
     def _bound(self) -> Array:
-        """Frequency bound of the sample, known without integration."""
+        """Frequency bounds of the sample, (points,), found without integration."""
         with np.errstate(all="ignore"):
             return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.until)
 
     def step_sizes_by(self, settings: Settings) -> StepSizes:
-        """Step sizes of the sample by these settings, with their expected errors."""
+        """Step sizes of the sample under given settings, with their expected errors."""
         with np.errstate(all="ignore"):
             settings_at_points = settings.at(self.sample.rate_tolerance)
             return StepSizes.of(settings_at_points, self._bound, self.sample.until)
 
     @cached_property
     def step_sizes(self) -> StepSizes:
-        """Step sizes of the sample by the settings of the scene."""
+        """Step sizes of the sample under the settings of the scene."""
         return self.step_sizes_by(self.scene.settings)
 
     @cached_property
@@ -95,12 +95,12 @@ class ScenePlan:
 
     @cached_property
     def mean_work(self) -> float:
-        """Integration of a point in steps of the scene's method, averaged over the sample, tangent vectors of chaos included."""
+        """Mean work for a point, in steps of the scene's method, with tangent vectors for chaos."""
         return self.mean_steps + (self._tangent_work(self.sample.duration) if self.has_chaos else 0.0)
 
     @cached_property
     def growth_work(self) -> float:
-        """And that of the tangent vectors that ends ask for, if every run settles."""
+        """Mean work for tangent vectors that give the growth of errors, if every run settles, in steps of the scene's method."""
         from ..measure.rates import tolerated_error
 
         if not self.runs.needs_growth:
@@ -110,7 +110,7 @@ class ScenePlan:
         return self._tangent_work(self.sample.until, error)
 
     def _tangent_work(self, duration: Array, error: Array | None = None) -> float:
-        """Integration of a point with a tangent vector, in steps of the scene's method, averaged over the sample."""
+        """Mean work for a point with a tangent vector, in steps of the scene's method."""
         from ..measure.tangent_runs import RELATIVE_COST, TangentSteps
 
         settings = self.scene.settings
@@ -121,7 +121,7 @@ class ScenePlan:
 
     @cached_property
     def tiling(self) -> Tiling:
-        """Tiles of similar work, by the scene and ATLAS_TILE_POINTS alone: no time or number of processors changes them."""
+        """Tiles of similar work, which depend only on the scene and ATLAS_TILE_POINTS, not on time or processors."""
         from ..store import tiling
 
         least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
@@ -131,7 +131,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Number of tiles to compute at a time: two keep the processors busy, more if they are too small for all threads."""
+        """Number of tiles to compute at a time: two, or more if tiles are too small to keep all threads busy."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1
@@ -139,7 +139,7 @@ class ScenePlan:
         return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, self.tiling.count)
 
     def step_warnings(self) -> list[str]:
-        """Sentences about points that `max_steps` cuts short, costly points, and points with steps too long for a label."""
+        """Warnings about points limited by `max_steps`, costly points, and points with steps too long for a label."""
         exists, sizes, warnings = self.sample.exists, self.step_sizes, list[str]()
         limited = float((sizes.steps < self.step_sizes_by(self.limited(MAX_STEPS)).steps)[exists].mean())
         unresolved = float((~sizes.resolved)[exists].mean())
@@ -171,7 +171,7 @@ class ScenePlan:
         return [*grid.warnings(self.scene, self.sample), *self.chaos_warnings()]
 
     def chaos_warnings(self) -> list[str]:
-        """A sentence about runs too short to tell regular motions from chaotic ones."""
+        """A warning about runs too short to tell regular motions from chaotic ones."""
         exists, system = self.sample.exists, self.scene.system
         if not self.has_chaos or not exists.any():
             return []
@@ -192,7 +192,7 @@ class ScenePlan:
 
     @cached_property
     def relative_costs(self) -> dict[str, float]:
-        """Processor time expected of each other method over that of the scene's method; see `label.plan`."""
+        """Expected processor time of each other method over that of the scene's method, see `Plan.relative_costs`."""
         exists = self.sample.exists
         return self.runs.relative_costs(self._bound[exists], self.sample.subset(exists))
 
@@ -204,13 +204,13 @@ class ScenePlan:
 
     @property
     def _few_points(self) -> NDArray[np.int64]:
-        """Indices of points of the sample that are enough for shares of theory."""
+        """Indices of at most MAX_PREDICTED points of the sample, evenly spread."""
         exists = np.flatnonzero(self.sample.exists)
         places = np.linspace(0, exists.size - 1, min(exists.size, MAX_PREDICTED))
         return exists[places.astype(np.int64)]
 
     def proof_lines(self) -> list[str]:
-        """Of a run for labels alone: a sentence on the points whose labels a proof could give without a run, if some are."""
+        """For a run that needs labels alone: a sentence on the points whose labels could be proved, if there are any."""
         scene = self.scene
         every = proofs_of_labels(scene.system)
         proofs = [proof for label, proof in every.items() if label in scene.outputs]
@@ -229,7 +229,7 @@ class ScenePlan:
         ]
 
     def statistics_lines(self) -> list[str]:
-        """A sentence on the runs that by theory would end early without statistics, or on transients, in which none ends."""
+        """A sentence on runs that, by theory, would end early without statistics, or on transients, in which no run ends early."""
         before, until = np.sum(self.sample.transient), self.sample.until.sum()
         if self.runs.may_stop_early and before > 0:
             return [
@@ -239,7 +239,7 @@ class ScenePlan:
             return []
         from ..label.theory import predict_runs
 
-        # `atlas check` loads no compiler.
+        # `atlas check` must load no compiler.
         plan = replace(self.runs, in_machine_code=False)
         drifting = (
             predict_runs(plan, self.sample.subset(self._few_points)).variables["predicted"] == Label.DRIFTING
@@ -253,14 +253,14 @@ class ScenePlan:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Versions, hashes and facts of the processor on which bits depend; BadInput if sources changed since the import."""
+    """Versions, hashes and properties of the processor on which bits depend; BadInput if sources changed since the import."""
     import llvmlite
     import numba
     import scipy
 
     from ..kernel import machine_code
 
-    # The kernel's hash reads source files: it comes before the check whether they have changed.
+    # The kernel's hash reads source files, so it is computed before the check whether the files have changed.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
     extensions = extensions_of(plan.system, plan.names)
     changed: Any = sources.changed(each.folder for each in extensions) or [origin and origin.changed()]
@@ -269,7 +269,7 @@ def identity(plan: Plan) -> dict[str, str]:
             f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
-    # The code of a system of another package, as it was when it was registered.
+    # Code of a system of another package at the time of its registration.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package
@@ -292,7 +292,7 @@ def identity(plan: Plan) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """The different entries in one line with their places, such as "in the run" and "in the worker"."""
+    """Entries that differ, in one line, each with the two places, such as "in the run" and "in the worker"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

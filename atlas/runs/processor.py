@@ -1,4 +1,4 @@
-"""The processor as far as bits depend on it: libraries choose their code by the processor, kernels are compiled for it."""
+"""Dependence of bits on the processor: libraries choose their code by the processor, kernels are compiled for it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-SAMPLE, MATRICES = 1001, 99  # odd, so that no vector of numbers ends with them
+SAMPLE, MATRICES = 1001, 99  # odd, so that the last vector register is filled in part
 
 
 @lru_cache(maxsize=1)
 def library_bits() -> str:
-    """Hash of results of NumPy, LAPACK and libm: what they make of a sample tells whether their code for two processors differs."""
+    """Hash of results of NumPy, LAPACK and libm on a sample; it differs where their code for two processors gives other bits."""
     x = np.arange(1, SAMPLE + 1) / SAMPLE
     reverse = x[::-1]
     matrices = (np.arange(MATRICES * 36) * 7919 % 1009 / 1009 - 0.5).reshape(-1, 6, 6)

@@ -28,28 +28,28 @@ from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan
 
-# Integrates points, flat indices in the finest grid, and yields the variables of parts of them.
+# A function that integrates points, flat indices in the finest grid, and yields their variables part by part.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Points that are integrated on either side of a boundary, at each level: 2 cover a cell it crosses and the cells around it.
+# Number of points integrated on either side of a boundary at each level: 2 cover the cell that it crosses and the cells around.
 BOUNDARY_WIDTH = 2
-# Expected number of nudged unstable motions that survive the run at points that are not integrated.
+# Accepted number of points, not integrated, whose nudged unstable motion would not drift in the run.
 EXPECTED_MISSES = 0.05
 SEED = 0
-# Points of the grid on which the cost of a refined scene is estimated.
+# Largest number of points of the grid on which the cost of a refined scene is estimated.
 MAX_PREDICTED = 2**18
-# Measured flag -> the prediction that gives its boundaries in that estimate.
+# Measured flag -> prediction that stands for it in this estimate.
 PREDICTIONS = {
     "label": "predicted", "label_inertial": "predicted_inertial", "geometry": "family", "status": "stable",
 }  # fmt: skip
-# Points of a box in which boundaries are sought, so that memory does not grow with the grid.
+# Largest number of points of a box in which boundaries are sought, so that memory does not grow with the grid.
 MAX_BOX_POINTS = 2**20
 
 
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, threads: Threads, *, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """The finest grid of a scene with [refine], computed in memory or in a folder (which has no measured numbers), and attributes."""
+    """The finest grid of a scene with [refine], and attributes; with a folder, the grid is in files and has no measured numbers."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, integrate, folder)
@@ -61,7 +61,7 @@ def refined(
 
 
 class FineGrid:
-    """The finest grid of a scene: predictions at every point, and measured flags, assumed from a neighbour where none is measured."""
+    """The finest grid of a scene: predictions at every point, and flags that are measured or copied from a measured neighbour."""
 
     def __init__(self, plan: ScenePlan, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.integrate = plan.scene, plan.runs, integrate
@@ -76,7 +76,7 @@ class FineGrid:
         held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
         codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
         arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
-        # The flags as one number, measured where `computed` is true, else assumed; the predicted flags; two masks.
+        # All flags as one number, measured where `computed` is true, else copied; the predicted flags; two masks.
         self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
@@ -86,7 +86,7 @@ class FineGrid:
             self._predict(chunk)
 
     def _predict(self, chunk: slice) -> None:
-        """Evaluate theory at points of the grid. Points without motion count as computed, with flags 0 but for the status."""
+        """Evaluate theory at points of the grid; points without motion count as computed, with flags 0 except for the status."""
         points = grid.points_at_indices(self.scene, np.arange(chunk.start, chunk.stop))
         self.n_existing += int(points.exists.sum())
         self.computed.reshape(-1)[chunk] = ~points.exists
@@ -97,16 +97,16 @@ class FineGrid:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
         existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
-            # Without labels about any axes, because the growth of motions about other axes does not matter here.
+            # Labels about any axes are left out: the growth of motions about other axes does not matter here.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, (part := points.subset(points.exists)))
             for name in self.numbers.keys() & {"growth_rate"}:
                 self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
-            # Product of growth rate and duration above which all nudged unstable points but EXPECTED_MISSES drift. A start survives
-            # if the unstable component of its nudge is a smaller share than rate_tolerance / nudge * exp(-growth), which is also the
-            # share of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
+            # Product of growth rate and duration above which all but EXPECTED_MISSES of the nudged unstable points drift. A start does
+            # not drift if the unstable component is a smaller fraction of its nudge than f = rate_tolerance / nudge * exp(-growth); f
+            # is also the fraction of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
             nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
             with np.errstate(divide="ignore"):
                 needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)
@@ -115,7 +115,7 @@ class FineGrid:
             self.slowly_unstable.reshape(-1)[existing] = slow
 
     def trace(self, levels: int, progress: bool) -> None:
-        """Integrate near boundaries of measured flags level by level, then near predicted boundaries and at slow instabilities."""
+        """Integrate points near measured boundaries, level by level, then near predicted ones and at slow instabilities."""
         for level in range(levels + 1):
             self.refine_to(level)
             if progress:
@@ -127,7 +127,7 @@ class FineGrid:
         self.trace_boundary(self.finest)
 
     def refine_to(self, level: int) -> None:
-        """Compute the whole grid at level 0; at later levels new points assume the flags of a neighbour first."""
+        """Integrate the whole grid of level 0; at later levels, copy flags from neighbours to new points, then trace boundaries."""
         steps = [[max(k * n >> level, 1) for n in self.scene.coarsening] for k in (1, 2)]
         subgrid, before = (tuple(slice(None, None, step) for step in each) for each in steps)
         if level == 0:
@@ -141,12 +141,13 @@ class FineGrid:
         self.trace_boundary(subgrid)
 
     def trace_boundary(self, subgrid: Box) -> None:
-        """Integrate near boundaries on this part of the grid until both sides of each are computed."""
+        """Integrate points near boundaries in a part of the grid until both sides of each boundary are computed."""
         while self._integrate(self._not_computed(subgrid, self._near_boundary(self.flag_code[subgrid]))):
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random share of the rest, then trace boundaries; the numbers of these points and of wrong flags among them."""
+        """Integrate a random fraction of the remaining points, trace new boundaries, and return the numbers of these points and of
+        wrong flags among them."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -162,7 +163,7 @@ class FineGrid:
         return indices_probed.size, missed
 
     def _near_boundary(self, code: np.ndarray) -> Iterator[Mask]:
-        """Masks, box by box, of points within BOUNDARY_WIDTH of two different codes, along the axes that are refined."""
+        """Masks, box by box, of points within BOUNDARY_WIDTH points of a change of the code, along the refined axes."""
         reach = [BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         for box in Tiling.of(code.shape, MAX_BOX_POINTS):
             around = tuple(slice(max(a.start - n, 0), a.stop + n) for a, n in zip(box, reach, strict=True))
@@ -171,7 +172,7 @@ class FineGrid:
             yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
     def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
-        """Flat indices, box by box, of the points in the masks of a part of the grid that are not computed."""
+        """Flat indices, box by box, of points in a part of the grid that the masks select and that are not computed."""
         computed = self.computed[subgrid]
         for box, mask in zip(Tiling.of(computed.shape, MAX_BOX_POINTS), masks, strict=False):
             along_axes = zip(np.nonzero(mask & ~computed[box]), box, subgrid, strict=True)
@@ -179,7 +180,7 @@ class FineGrid:
             yield np.ravel_multi_index(indices, self.scene.shape)
 
     def _integrate(self, parts: Iterable[np.ndarray]) -> int:
-        """Integrate points by their flat indices; returns their number."""
+        """Integrate points given by parts of flat indices, and return their number."""
         indices = np.concatenate([*parts])
         if not indices.size:
             return 0
@@ -193,7 +194,7 @@ class FineGrid:
         return indices.size
 
     def values(self, part: tuple[Any, ...]) -> dict[str, np.ndarray]:
-        """Variables and solved parameters at indices along the axes, without the measured numbers if it is in a folder."""
+        """Variables and solved parameters at indices along the axes; a grid in a folder has no measured numbers."""
         columns = {name: column[part] for name, column in self.numbers.items()}
         predictions = _decode(self.predicted[part], self.predicted_counts)
         columns |= zip(self.predicted_flags, predictions, strict=True)
@@ -211,7 +212,7 @@ def expected_points(plan: ScenePlan) -> float:
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
-    # Levels between the simulated grid of at most MAX_PREDICTED points, with 2^finer times the spacing, and the finest grid.
+    # The simulated grid has at most MAX_PREDICTED points and 2^finer times the spacing of the finest grid.
     finer = next(i for i in count() if scene.size / 2 ** (n_axes * i) <= MAX_PREDICTED)
     axes = {
         name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
@@ -221,7 +222,7 @@ def expected_points(plan: ScenePlan) -> float:
     coarser = replace(scene.refine, levels=simulated_levels)
 
     def predictions(indices: np.ndarray) -> Iterator[Part]:
-        """Predictions in place of the measured flags; 0 where theory predicts nothing of a flag."""
+        """Predictions in place of the measured flags; 0 for flags that theory does not predict."""
         values = predicted.values(np.unravel_index(indices, predicted.scene.shape))
         zero = np.zeros(indices.size, np.int8)
         yield indices, {name: values.get(PREDICTIONS.get(name, ""), zero) for name in predicted.flags}
@@ -237,7 +238,7 @@ def expected_points(plan: ScenePlan) -> float:
     if finer > levels:  # not even the coarse grid is small enough
         coarse = (-(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True))
         simulated_points = existing_share * math.prod(coarse)
-    new_share = 1 - 2.0**-n_axes  # of the points of a level
+    new_share = 1 - 2.0**-n_axes  # fraction of a level's points that are not in the level before
     first = max(finer - levels, 0) + 1
     # The number of points near boundaries grows with their length (area, ...) over the spacing.
     near_boundaries = new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
@@ -248,9 +249,9 @@ def expected_points(plan: ScenePlan) -> float:
 
 
 def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[np.ndarray]:
-    """Arrays of zeros in memory, or in files without names in a folder; BadInput if there is no room for them."""
+    """Arrays of zeros in memory, or in unnamed files in a folder; BadInput if they do not fit."""
     bytes_per_point = sum(np.dtype(kind).itemsize for kind in types)
-    bytes_per_point += 0 if folder else len(scene.outputs)  # of flags in the atlas
+    bytes_per_point += 0 if folder else len(scene.outputs)  # flags in the atlas
     place, room = "this machine has", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if folder:
         place, room = f"free on the disk of {folder} are", shutil.disk_usage(folder).free
@@ -264,13 +265,13 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.zeros(scene.shape, kind)
             continue
         with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):  # else a disk that fills up later ends the process
+            if hasattr(os, "posix_fallocate"):  # otherwise a disk that fills up later would kill the process
                 os.posix_fallocate(file.fileno(), 0, scene.size * np.dtype(kind).itemsize)
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 
 
 def _encode(flags: Sequence[Flags], counts: Sequence[int]) -> np.ndarray:
-    """Several flags of each point as one number; counts: numbers of values of the flags."""
+    """The flags of each point as one number; counts: number of values of each flag."""
     return np.ravel_multi_index(tuple(flags), tuple(counts), mode="clip")
 
 

@@ -1,4 +1,4 @@
-"""Points of earlier atlases in a scene: values are reused where everything that decides on their bits is the same."""
+"""Points of earlier atlases in a scene: values are reused where all that determines their bits is the same."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .backend import open_atlas
 from .plan import differences, identity
 from .run import RESULT, RunFolder, result_hash
 
-SAMPLE = 2048  # points of an earlier atlas that are looked up in the scene before its run
+SAMPLE = 2048  # number of points of an earlier atlas that are looked up in the scene before a run
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +33,14 @@ class Earlier:
 
     path: Path | str
     scene: Scene
-    tiling: Tiling  # boxes in which it is read
+    tiling: Tiling  # boxes in which the atlas is read
     names: tuple[str, ...]  # variables to read
-    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; else FileNotFoundError or DamagedTile
-    history: str  # its title, origin and own history
+    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; FileNotFoundError or DamagedTile
+    history: str  # title, origin and history of the atlas
 
     @classmethod
     def of(cls, path: str | Path, scene: Scene) -> Earlier:
-        """An atlas for a scene; BadInput unless its points have the bits that this process computes."""
+        """An earlier atlas for a scene; BadInput unless this process would compute the same bits at its points."""
         path = located(path)
         ds = open_atlas(path)
         text = ds.attrs.get("atlas_scene")
@@ -78,7 +78,7 @@ class Earlier:
     def take(
         self, scene: Scene, indices: np.ndarray, points: grid.Grid
     ) -> tuple[Mask, dict[str, np.ndarray]]:
-        """A mask of the points of a scene that are in this atlas, and their variables."""
+        """Whether points of a scene are in this atlas, and the variables of the points that are."""
         places = _indices_in(self.scene, scene, indices, points)
         registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
@@ -103,7 +103,7 @@ class Earlier:
 
 
 def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
-    """Raise BadInput unless the atlas at a path has points of a scene, with the same bits and all variables."""
+    """Raise BadInput unless the atlas of `old` has points of `scene`, with the same bits and all variables."""
     own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
     if different := differences(own_facts, facts, f"in {path}", "in the scene"):
         raise BadInput(
@@ -122,7 +122,7 @@ def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """All that the bits of a point depend on, apart from its parameters, duration, transient and rate tolerance."""
+    """All that determines the bits of a point except its parameters, duration, transient and rate tolerance."""
     return {
         "system": plan.system.name,
         **{f.name: getattr(plan.settings, f.name) for f in fields(Settings) if f.name != "rate_tolerance"},
@@ -138,7 +138,7 @@ def _facts(plan: Plan) -> dict[str, Any]:
 
 
 def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Grid) -> np.ndarray:
-    """Flat indices in another scene of the computed points of a scene that have the same bits there, else -1."""
+    """Flat index in `other` of each point of a scene; -1 if the point is not there with the same bits, or not computed."""
     along = np.unravel_index(indices, scene.shape)
     values = grid.parameter_values(scene, indices)
     values |= {axis.dim: axis.values[i] for axis, i in zip(scene.axes.values(), along, strict=True)}

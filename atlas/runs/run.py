@@ -7,8 +7,8 @@
     NAME/progress-PROCESS.json       progress of a process, for people and scripts
     NAME/notes.json                  attributes and sums over the tiles of a finished run
 
-Nothing is locked: contents appear whole, and a tile computed twice has the same values. All carry a hash, except the progress,
-which no computation reads.
+Nothing is locked: files appear whole, and a tile that is computed twice has the same values. All files carry a hash except the
+progress, which no computation reads.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
 CREATION, JOINING = "manifest.claim", "joining.claim"  # claims to create the manifest, and to join
-# As long as the longest name in a run folder, so that too long a path is refused before the run.
+# A name of the length of the longest in a run folder: a path that is too long is refused before the run.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
-# Names that may be left after the removal of a run, or exist before its creation.
+# Names that may remain after the removal of a run, or exist before its creation.
 REMNANT = re.compile("|".join([PROGRESS.pattern, *map(re.escape, (CREATION, JOINING, CLOCK))]))
 PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
     ("points", "done", "points_per_second"), int | float
 )
 ATTRIBUTE = str | int | float  # types of the attributes of an atlas
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
-RUN_SUFFIX = ".run"  # of the folder in which an atlas of one file or store is computed
-TALLY = "tally"  # entry of the encoding of a dataset of a whole run
+RUN_SUFFIX = ".run"  # suffix of the folder in which the atlas for a file or store is computed
+TALLY = "tally"  # key in the encoding of the dataset of a whole run
 RESULT = "atlas_result"  # attribute of an atlas: its `result_hash`
 
 
 class RunFolder:
-    """A run; another process that receives it opens it anew."""
+    """A run in a folder or on an object store; when pickled, another process opens it again."""
 
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path, self.place, self.manifest = path, place_at(path), manifest
@@ -77,7 +77,7 @@ class RunFolder:
         self.tiling.check()
         computed = {} if self.scene.refine is None else {COMPUTED.name: COMPUTED.dtype}
         self.types = tile_types(self.scene) | computed
-        # Tiles that are soon joined are not compressed twice; a store in the network is slower than that.
+        # Tiles that will be joined are not compressed, except on an object store, where the network is slower than compression.
         level = 0 if isinstance(path, Path) and path.suffix == RUN_SUFFIX else LEVEL
         self.levels_place = self.place.inside("levels")
         self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling, level=level)
@@ -86,19 +86,19 @@ class RunFolder:
         return RunFolder.open, (self.path,)
 
     def __dask_tokenize__(self) -> tuple[str, str]:
-        # By default dask pickles and opens the folder for each of its arrays.
+        # By default dask would pickle and open the folder for each of its arrays.
         return str(self.path), self.key
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """Open a run; BadInput if it is none, its manifest is damaged, or another version wrote it."""
+        """Open a run; BadInput if the path is no run, its manifest is damaged, or another version wrote it."""
         path = located(path)
         place = place_at(path)
         file = f"{place}/{MANIFEST}"
         try:
             try:
                 manifest = files.parsed(place.read(MANIFEST), is_sealed=True)
-            except FileNotFoundError:  # a store of version 0.1.0 had its run in a group
+            except FileNotFoundError:  # version 0.1.0 wrote the run into a group of the store
                 manifest = files.parsed(place.read(f"atlas/{MANIFEST}"), is_sealed=True)
         except FileNotFoundError:
             if ".zgroup" in place.names():
@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene; BadInput if its place holds anything else; `check` ends the wait for another process."""
+        """Create or open the run of a scene; BadInput if the path holds anything else. `check` may raise during a wait for others."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -147,7 +147,7 @@ class RunFolder:
             manifest = _new_manifest(plan)
             place.make()
             wait = claims.Wait(place)
-            while MANIFEST not in place.names():  # of several processes one creates it
+            while MANIFEST not in place.names():  # only one of several processes creates it
                 if not claims.claim(place, CREATION):
                     check(f"another process begins {place}")
                     wait.announce(CREATION)
@@ -165,7 +165,7 @@ class RunFolder:
 
     @classmethod
     def discard(cls, plan: ScenePlan, path: Path | str) -> None:
-        """Remove another scene's run; BadInput if a process computes it."""
+        """Remove the run at a path if it is another scene's; BadInput if a process is computing it."""
         run = None
         with suppress(BadInput):
             if MANIFEST in place_at(path).names():
@@ -173,7 +173,7 @@ class RunFolder:
                 run.check_same(plan)
                 return
         if run is None:
-            return  # `prepare` refuses it
+            return  # `prepare` refuses the path
         processes = (process for _, process in claims.claimants(run.place) if process)
         if at_work := [*processes, *run.hosts()]:
             process = claims.named(at_work[-1], run.hosts())
@@ -183,7 +183,7 @@ class RunFolder:
         run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
-        """Raise BadInput with the differences unless this process computes the same bits for the scene."""
+        """Raise BadInput, with the differences, unless this process would compute the same bits for the scene."""
         stored = _flatten(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.runs)
         different = differences(stored, current, "in the folder", "now")
@@ -203,7 +203,7 @@ class RunFolder:
         )
 
     def processes(self) -> Iterator[tuple[str, dict[str, Any], str]]:
-        """Name and content of each progress file that can be read, and the state of its process."""
+        """Name and content of each readable progress file, and the state of its process."""
         for name in sorted(filter(PROGRESS.fullmatch, self.place.names())):
             # KeyError and TypeError: no entry `running`, or a time without a zone
             with suppress(OSError, ValueError, KeyError, TypeError):
@@ -212,12 +212,12 @@ class RunFolder:
                 yield name, content, progress.state(content, partial(self.place.age, name))
 
     def hosts(self) -> dict[str, str]:
-        """The hosts of the processes that are at work and say so, by process."""
+        """Process -> host, for the processes whose progress files say that they are at work."""
         return {c["process"]: c["host"] for _, c, state in self.processes() if state == progress.AT_WORK}
 
     def levels(self) -> Iterator[Level]:
-        """The levels up to the first damaged one, which is logged; the next run writes it anew."""
-        from .levels import Level  # of refined runs alone
+        """The levels before the first damaged one, which is logged; the next run writes it again."""
+        from .levels import Level  # only refined runs need it
 
         for number in count():
             try:
@@ -228,14 +228,14 @@ class RunFolder:
                 logging.getLogger("atlas").warning("%s", error)
 
     def tile_sets(self) -> dict[str, Tiles]:
-        """The integrated tiles, by the name of their part of the run."""
+        """Integrated tiles by the name of the part of the run: one unnamed part, or levels."""
         if self.scene.refine is None:
             return {"": self.tiles}
         return {f"level {level.number}: ": level.tiles for level in self.levels()}
 
     @property
     def is_complete(self) -> bool:
-        """Whether the atlas can be read as a whole."""
+        """Whether the whole atlas can be read."""
         return not self.tiles.missing() and (self.scene.refine is None or self.notes()[1] is not None)
 
     def remove_leftovers(self) -> None:
@@ -247,7 +247,7 @@ class RunFolder:
                     self.place.remove(name)
 
     def progress_text(self) -> str:
-        """Number of tiles in the run, as text; empty if its folder has been removed."""
+        """Text with the number of finished tiles; empty if the folder of the run has been removed."""
         path, sets = str(self.path), self.tile_sets().values()
         if isinstance(self.path, Path):
             if not self.path.is_dir():
@@ -258,7 +258,7 @@ class RunFolder:
         return f"{total - missing} of {total} tiles are in {path if path[0] != '.' else self.path}/"
 
     def dataset(self) -> xr.Dataset:
-        """The atlas so far, with a dask chunk for each tile; missing points are `not_computed` and nan."""
+        """The atlas from the tiles so far, a dask chunk for each tile; missing points are `not_computed` and nan."""
         import dask.array as da
 
         totals, is_complete = self.notes()[1], self.is_complete
@@ -279,13 +279,13 @@ class RunFolder:
         return ds
 
     def template(self) -> xr.Dataset:
-        """The atlas with zeros, which take no memory, for values."""
+        """The atlas with zeros for values, which take no memory."""
         shape, types = self.scene.shape, self.types.items()
         zeros = {name: np.broadcast_to(np.zeros((), kind), shape) for name, kind in types}
         return dataset.dataset(self.scene, zeros, self.tiling.tile)
 
     def attributes(self, totals: Totals) -> dict[str, Any]:
-        """Attributes of the atlas, given the sums over its tiles."""
+        """Attributes of the atlas; totals: sums over its tiles."""
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -295,7 +295,7 @@ class RunFolder:
         computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= dataset.history_text(totals.reused)
-        # A refined run is read when all its levels are complete.
+        # A refined run can only be read when all its levels are complete.
         tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
         shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]
         attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])
@@ -308,7 +308,7 @@ class RunFolder:
         self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
-        """The attributes and sums from `save_notes`, empty before it; BadInput if they are damaged."""
+        """Attributes and sums from `save_notes`, empty and None before it was called; BadInput if they are damaged."""
         file = f"{self.place}/{NOTES}"
         try:
             content = files.parsed(self.place.read(NOTES), is_sealed=True)
@@ -327,7 +327,7 @@ class RunFolder:
             raise BadInput(files.damaged_message(file, error)) from None
 
     def join(self, out: Path | str) -> None:
-        """Write the atlas as a file or a store, box by box, in memory of constant size; an error keeps an earlier file."""
+        """Write the atlas as a file or store, box by box, in constant memory; after an error an earlier file remains."""
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
         ds, (notes, saved), totals = self.template(), self.notes(), Totals()
@@ -336,17 +336,17 @@ class RunFolder:
             # The tiles of a refined atlas do not contain the cost of its levels.
             return notes | self.attributes(totals if self.scene.refine is None else saved or totals)
 
-        # Chunks as long as tiles of the cheapest scene: many small tiles would make a slow file.
+        # Chunks no smaller than the tiles of a cheap scene: many small chunks make a slow file.
         lengths = Tiling.of(self.scene.shape, grid.max_points_per_tile()).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         blocks = self._blocks(lengths, totals)
         finished.format_of(out).write(finished.Content(ds, self.types, chunk, blocks, attributes), out)
 
     def _blocks(self, lengths: tuple[int, ...], totals: Totals) -> Iterator[Block]:
-        """All points in boxes of these lengths with the values of the tiles, which are added to the totals."""
+        """All points in boxes of the given lengths, with values from the tiles; the tiles are added to the totals."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, count()
         parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values beyond a box
-        points = 0  # in the parts
+        points = 0  # number of points in `parts`
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
             while points < size:
@@ -363,8 +363,8 @@ class RunFolder:
             parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
 
     def remove(self) -> None:
-        """Remove the run, the manifest last, and its folder if nothing else is in it."""
-        # One move removes all tiles, so that a process at work cannot leave any behind.
+        """Remove the run, the manifest last, and its folder if it is then empty."""
+        # All tiles are removed in one move, so that a process at work cannot leave any behind.
         for part in (self.tiles.place, self.levels_place):
             with suppress(OSError):
                 part.clear()
@@ -374,7 +374,7 @@ class RunFolder:
 
 
 def remove_empty(path: Path | str) -> None:
-    """Remove the rest of a removed run, except temporary files of processes at work."""
+    """Remove what is left of a removed run, except temporary files of processes at work."""
     place = place_at(path)
     names = [name for name in place.names() if not files.TEMPORARY.fullmatch(name)]
     if all(map(REMNANT.fullmatch, names)):
@@ -387,7 +387,7 @@ def remove_empty(path: Path | str) -> None:
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
-    """Hash of all that the bits of an atlas depend on: the text of its scene, and its `identity`."""
+    """Hash of all that determines the bits of an atlas: the text of its scene, and its `identity`."""
     return files.hash_of({"scene": scene, "identity": programs})
 
 
@@ -397,7 +397,7 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
     attributes = dataset.provenance(
         scene.system, scene.settings, kernel, scene=scene, warnings=plan.warnings, timing=(scene.size, 0.0)
     )  # fmt: skip
-    # The tiles of a refined atlas take no time: its levels are computed.
+    # Tiles of a refined atlas are copied from its levels and take no time, so they may be large.
     finest = Tiling.of(scene.shape, grid.max_points_per_tile())
     manifest = {
         "format": FORMAT,
@@ -433,7 +433,7 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
 
 
 def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A nested table as one level, with dotted names."""
+    """A nested table as a flat one with dotted names."""
     flat: dict[str, Any] = {}
     for name, value in table.items():
         flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}

@@ -15,12 +15,12 @@ from .run import RunFolder
 
 
 def status(path: str | Path, *, verify: bool = False) -> str:
-    """State of a run or finished atlas, which `verify` reads as a whole; BadInput if a finished atlas was changed."""
+    """State of a run or finished atlas as text; with `verify`, all of it is read, and BadInput if a finished atlas was changed."""
     place = located(path)
     if isinstance(place, Path):
         check_name(place)
     if not finished.is_finished(place):
-        run = folder_of(place)  # of a file or a store that is not there yet
+        run = folder_of(place)  # folder of a file or store that does not exist yet
         return _status_of(RunFolder.open(run if place_at(run).names() else path), verify)
     with open_atlas(path) as ds:
         size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
@@ -32,7 +32,7 @@ def status(path: str | Path, *, verify: bool = False) -> str:
 
 
 def _status_of(run: RunFolder, verify: bool) -> str:
-    """State of processes and tiles; removes files of killed processes."""
+    """State of processes and tiles as text; removes files of killed processes."""
     run.remove_leftovers()
     if isinstance(run.path, Path):
         remove_leftovers(run.path.parent)

@@ -1,4 +1,4 @@
-"""What a motion never exceeds, and the label that follows for every duration: functions of numbers, see `theory.compiled`."""
+"""Bounds of a motion for all time and the label that follows from them: scalar functions, compiled by `theory.compiled`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ...theory.point import Vector, larger, smaller
 
 BOUND = "proof_bound"
 PROOFS_OF = {"label": "label_proof", "label_inertial": "label_inertial_proof"}
-KEPT = 1e-9  # share of a tolerance that is not used
-# How often a limit is halved to find a distance, and then the interval in which it is.
+KEPT = 1e-9  # safety margin, as a share of a tolerance
+# In `reach`: halvings of the limit that bracket the distance, then bisections of the bracket.
 DOWN, WITHIN = 40, 34
 
 
@@ -28,14 +28,14 @@ class Proof(Flag):
 
 
 class Direction(NamedTuple):
-    """A direction at rest in the frame, and what acts along it, as `gyrostat.body.Direction`."""
+    """Gradient and field of the potential along a direction at rest in the frame, as in `gyrostat.body.Direction`."""
 
     gradient: float
     field: Vector
 
 
 class GyrostatBody(NamedTuple):
-    """A gyrostat in its frame, as `gyrostat.body.Body`."""
+    """A gyrostat and the potential in its frame, as in `gyrostat.body.Body`, in numbers instead of arrays."""
 
     inertia: Vector
     rotor: Vector
@@ -60,7 +60,7 @@ class Bounds(NamedTuple):
     largest_sine: float
     theta_dot: float  # largest magnitude
     psi_dot: float  # centre of the range
-    psi_width: float  # half its width
+    psi_width: float  # half the width of the range
     phi_dot: float
     phi_width: float
     normal_rate: float  # half the width of the range of the rate about the vertical
@@ -80,7 +80,7 @@ def is_away(bounds, tolerances):
 
 
 def largest_deviation(bounds, tolerances):
-    """The largest deviation that a rate can have, nan where no label follows: at most half the width of its range."""
+    """Bound of the deviation of every rate, half the width of its range; nan where no label follows."""
     if is_inside(bounds, tolerances):
         return bounds.normal_rate
     if is_away(bounds, tolerances):
@@ -89,7 +89,7 @@ def largest_deviation(bounds, tolerances):
 
 
 def label_of(bounds, deviation, tolerances, frame_rate):
-    """The label of every duration, 0 where none follows; a mean is in the range of its rate."""
+    """The label for every duration, 0 if none follows; the mean of a rate lies in the range of the rate."""
     rate = tolerances.rate * (1 - KEPT)
     if not deviation <= rate:
         return Label.NOT_COMPUTED
@@ -109,9 +109,9 @@ def value_at(coefficients, distance):
 
 
 def reach(coefficients, limit, start):
-    """A distance that no motion passes: up to the limit and beyond the start, with a negative polynomial; nan if none is found.
+    """A distance that no motion passes, in (start, limit], where the polynomial is negative; nan if none is found.
 
-    coefficients: from that of degree 0 upwards.
+    coefficients: in ascending order of degree.
     """
     if not limit > start:
         return np.nan
@@ -129,7 +129,7 @@ def reach(coefficients, limit, start):
 
 
 def sine_range(theta, angle):
-    """Least and largest sin(theta) within an angle of theta."""
+    """Least and largest sine of the angles between theta - angle and theta + angle."""
     low, high = theta - angle, theta + angle
     first, second = np.sin(larger(low, 0.0)), np.sin(smaller(high, np.pi))
     least = smaller(first, second) if low > 0 and high < np.pi else np.float64(0.0)

@@ -1,9 +1,9 @@
 """Wells of an energy, which hold a motion near a minimum for all time.
 
-In a frame that turns at the rate n about the vertical, J = u.I u / 2 + W is constant, or falls with damping in the frame, where
-u is the angular velocity relative to it. So where W >= W* along the motion, u.I u <= 2 (J - W*). A symmetric satellite without
-damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis. A size is the sum of the magnitudes of the
-second derivatives' terms, to which rounding errors are relative.
+In a frame that turns at the rate n about the vertical, J = u.I u / 2 + W is constant, or falls with damping, where u is the
+angular velocity relative to the frame. So where W >= W* along the motion, u.I u <= 2 (J - W*). A symmetric satellite without
+damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis. `size` is the sum of the magnitudes of
+the terms of the second derivatives of W; rounding errors are relative to this size.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from ...theory.point import (
 )
 from .bounds import Bounds, Direction, reach, sine_range, unknown
 
-STEPS = 5  # of Newton's method; a minimum that is not found proves nothing
-FLAT = 1e-6  # share of the size below which Newton's method takes a gradient step
-EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of second and first derivatives over the size
+STEPS = 5  # of Newton's method; without a minimum nothing is proved
+FLAT = 1e-6  # least eigenvalue of the Hessian over the size; below it Newton's method takes a gradient step
+EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient of W, over the size
 TINY = 2.0**-1022  # makes a Hessian of zeros invertible
 SWEEPS = 6  # of Jacobi's method
 
 
 def in_space(body, w, gamma):
-    """About a fixed point, near a rotation about the vertical; any n may be taken, and with damping only 0."""
+    """Bounds of a body about a fixed point near a rotation about the vertical; n is free, but 0 with damping."""
     inertia, rotor, z = body.inertia, body.rotor, gamma
     momentum = dot(plus(times(inertia, w), rotor), z)
     n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # The n with which the minimum has the momentum of the start leaves the least energy.
+        if step < 2:  # At the best n the minimum has the momentum of the start: J - W* is least.
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -61,7 +61,7 @@ def in_space(body, w, gamma):
 
 
 def symmetric(body, w, alpha, gamma):
-    """Of a symmetric body in a frame of two directions, by its third axis in that frame, with the S of the start."""
+    """Bounds of a symmetric body in a frame of two directions, from the energy of its third axis at the S of the start."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
@@ -84,7 +84,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """With the third axis near the vertical, and rotor and fields along it: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
+    """Bounds near theta = 0 or pi, rotor and fields along the third axis: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -104,11 +104,11 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Near any minimum of a frame of two directions: W - W* >= l d^2 / 2 - M d^3 / 6 - g d under a rotation by an angle d."""
+    """Bounds near any minimum of W in a frame of two directions: W - W* >= l d^2 / 2 - M d^3 / 6 - g d after a turn by d."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
-    # A Hessian that can be inverted, also without torque.
+    # Keeps the Hessian invertible, also without torque.
     drag = length(body.beta.field)
     regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):
@@ -154,7 +154,7 @@ def torque(body, a, g):
 
 
 def hessian(body, a, g):
-    """Symmetric part of the Hessian of W: the diagonal, then its other entries yz, zx, xy."""
+    """Symmetric part of the Hessian of W: its diagonal, then its entries yz, zx, xy."""
     radius, normal = amended(body)
     diagonal, mixed = hessian_of(body.inertia, radius, a)
     for direction, v in ((body.beta, cross(g, a)), (normal, g)):
@@ -175,7 +175,7 @@ def hessian_of(inertia, direction, v):
 
 
 def square_of(inertia, w, turn, components):
-    """u.I u of u = w - turn, with the rounding errors of u."""
+    """Upper bound of u.I u, u = w - turn, which includes the rounding errors of u."""
     square = 0.0
     for i in range(components):
         square += inertia[i] * (abs(w[i] - turn[i]) + TERM_ROUNDING * (abs(w[i]) + abs(turn[i]))) ** 2
@@ -183,7 +183,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """J above W in another frame (a, g), with its rounding error, and the size."""
+    """Upper bound of J - W(a, g), which includes the rounding error, and the size."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -201,7 +201,7 @@ def difference(body, direction, start, v):
 
 
 def rigid(body, theta, angle, square, n):
-    """Bounds of a body within an angle of theta, with u.I u below a square in the frame that turns at the rate n."""
+    """Bounds of a body that stays within `angle` of theta, with u.I u <= square in the frame that turns at the rate n."""
     if angle != angle:
         return unknown()
     least, largest = sine_range(theta, angle)
@@ -213,10 +213,10 @@ def rigid(body, theta, angle, square, n):
 
 
 def on_sphere(Q, c, start, z, square, size):
-    """Theta at a minimum z of W = z.Q z / 2 + c.z, |z| = 1, the angle that holds the motion, and the largest square of its rates.
+    """Theta at a minimum z of W = z.Q z / 2 + c.z, |z| = 1, and bounds of the angle from z and of u.I u for all time.
 
-    With Q z + c = L z, W(x) - W(z) = (x - z).(Q - L)(x - z) / 2 exactly. Where Q - L is positive the whole sphere is the well; else W
-    is bounded from below by the distance r = |x - z|. square: of the rates at the start.
+    With Q z + c = L z, W(x) - W(z) = (x - z).(Q - L)(x - z) / 2 exactly. Where Q - L is positive the whole sphere is the well; else
+    a polynomial in the distance r = |x - z| bounds W from below. square: u.I u at the start.
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)
@@ -242,7 +242,7 @@ def on_sphere(Q, c, start, z, square, size):
 
 
 def minimum(Q, c, z):
-    """A minimum of z.Q z / 2 + c.z on the sphere, where Newton's method finds one from z."""
+    """The minimum of z.Q z / 2 + c.z on the sphere that Newton's method reaches from z."""
     for _ in range(STEPS):
         step = solved(Q, c, z, plus(times(Q, z), c))
         z = minus(z, divided(step, larger(1.0, length(step))))
@@ -251,7 +251,7 @@ def minimum(Q, c, z):
 
 
 def solved(Q, c, z, vector):
-    """The inverse of the Hessian on the sphere times a vector; of a gradient step where that is not positive."""
+    """The inverse Hessian on the sphere times a vector; where the Hessian is not positive, the size replaces it."""
     first, second = across_axes(z)
     v1, v2 = dot(first, vector), dot(second, vector)
     size = greatest(magnitude(Q)) + length(c)
@@ -276,13 +276,13 @@ def across_axes(z):
 
 
 def second_form(M, first, second):
-    """Entries of a diagonal matrix on two axes, and the smaller eigenvalue there."""
+    """Entries of the diagonal matrix M in the plane of two axes, and its smaller eigenvalue there."""
     a, b, d = dot(times(M, first), first), dot(times(M, first), second), dot(times(M, second), second)
     return a, b, d, 0.5 * (a + d) - np.hypot(0.5 * (a - d), b)
 
 
 def rotated(v, xi):
-    """A vector at rest in the frame after the body turned by the rotation vector xi."""
+    """Body components of a vector at rest in the frame after the body turned by the rotation vector xi."""
     angle = length(xi)
     return rotate(v, unit(xi, xi), np.cos(angle), -np.sin(angle))
 
@@ -309,7 +309,7 @@ def least_eigenvalue(diagonal, mixed):
 
 
 def jacobi(a, b, h, g, f):
-    """One rotation that removes h: a, b on the diagonal, g and f their entries with the third axis."""
+    """Jacobi rotation that makes h, the entry between the diagonal entries a and b, 0; g, f: their entries with the third axis."""
     if h == 0:
         return a, b, h, g, f
     ratio = (b - a) / (2 * h)

@@ -46,7 +46,7 @@ class Proofs(Instrument):
     def proofs(
         self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
     ) -> dict[str, NDArray[Any]]:
-        from .rules import prove_points  # in scenes that ask alone
+        from .rules import prove_points  # only scenes that ask for proofs import it
 
         assert isinstance(system, Gyrostat)
         return prove_points(system, points, tolerances, in_machine_code)

@@ -1,4 +1,4 @@
-"""Every rule that may prove a label of one start, and the labels that follow for many; momenta come before the energy."""
+"""Rules that may prove the label of one start, momenta before the energy, and the loop over many starts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .top import top
 
 
 class LabelProofs(NamedTuple):
-    """Labels of every duration and how they are proved, in the system's frame and in inertial space."""
+    """Labels proved for every duration and their kinds of proof, in the system's frame and in inertial space."""
 
     kind: int  # value of Proof
     label: int  # 0 where none is proved
@@ -28,7 +28,7 @@ class LabelProofs(NamedTuple):
 
 
 def prove_in_space(body, w, gamma, is_axial, tolerances):
-    """Of a body about a fixed point."""
+    """Proofs for a body about a fixed point."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if body.turn != 0:
         return proofs
@@ -42,10 +42,10 @@ def prove_in_space(body, w, gamma, is_axial, tolerances):
 
 
 def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
-    """Of a body in a frame of two directions."""
+    """Proofs for a body in a frame of two directions."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
-        # No rotation of a symmetric body about its axis changes the energy, whose minima the other rules would seek in vain.
+        # The energy does not change with the turn about the axis, so no minimum is isolated, as the other rules require.
         bounds = symmetric(body, w, alpha, gamma)
         return with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
     if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
@@ -57,13 +57,13 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether limits of the rates can be within the tolerance: they cannot be below what the rates are at the start."""
+    """Whether the rates at the start, which no limit for all time can be below, leave the tolerance in reach."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 
 
 def with_bounds(proofs, kind, bounds, frame_rate, tolerances):
-    """What is proved with the bounds of one more rule; the first proof of a label counts."""
+    """The proofs, completed by the bounds of one more rule; the first proof of a label counts."""
     deviation = largest_deviation(bounds, tolerances)
     label = label_of(bounds, deviation, tolerances, 0.0)
     inertial = label_of(bounds, deviation, tolerances, frame_rate)
@@ -76,7 +76,7 @@ def with_bounds(proofs, kind, bounds, frame_rate, tolerances):
 
 
 class Bodies(NamedTuple):
-    """Bodies at the starts of runs, see GyrostatBody, in columns; vectors have the shape (3, points)."""
+    """Bodies and states at the starts of runs, see GyrostatBody; vectors are arrays (3, points)."""
 
     w: Array
     alpha: Array
@@ -86,7 +86,7 @@ class Bodies(NamedTuple):
     radial_field: Array
     velocity_field: Array
     normal_field: Array
-    turn: Array  # (points,), as what follows
+    turn: Array  # (points,), as the arrays below
     radial_gradient: Array
     normal_gradient: Array
     damping: Array
@@ -114,7 +114,7 @@ def load(block, i):
 
 
 def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bound):
-    """single: whether the frame has one direction."""
+    """Write the proofs of every start into kinds, labels and bound; single: whether the frame has one direction."""
     for i in range(bound.size):
         w, alpha, gamma = load(bodies.w, i), load(bodies.alpha, i), load(bodies.gamma, i)
         body = body_at(bodies, i)
@@ -131,7 +131,7 @@ def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bou
 def prove_points(
     system: Gyrostat, points: Points, tolerances: instrument.Tolerances, in_machine_code: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """The variables of the instrument, and by predicted names the labels that are proved, else 0, (points,)."""
+    """Variables of the instrument, and proved labels (0 if none) under the names of predicted ones, (points,)."""
     bodies, one = Bodies.of(system, points), np.ones(shape_of(points))
     names = ["label"] if system.frame_rate is None else ["label", "label_inertial"]
     frame_rate = one if system.frame_rate is None else system.frame_rate(points) * one

@@ -24,7 +24,7 @@ def top(body, w, gamma, tolerances):
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-    # Errors are relative to what S and v1 are sums of: the spin is m + n cos(theta).
+    # Rounding errors are relative to the terms of the sums S and v1; the spin r is m + n cos(theta).
     across = np.sqrt(e * sine2)
     spin = across / (A * sine2) if sine2 > 0 else 0.0
     S_size = abs(C * r) + C * spin + abs(body.rotor[2])
@@ -55,7 +55,7 @@ def top(body, w, gamma, tolerances):
     bounds = Bounds(least_sine, largest_sine, np.nan, np.nan, np.nan, np.nan, np.nan, normal_rate)
     if is_inside(bounds, tolerances) or not is_away(bounds, tolerances):
         return bounds
-    # f(y) is at most (y - low) (high - y) times the second divided difference with the ends, negative.
+    # f(y) <= (y - low) (high - y) times minus the second divided difference of f at y, low and high.
     bent = -f2 + 3 * abs(f3) * farthest + 6 * abs(f4) * farthest**2 + errors[2]
     theta_dot = half * np.sqrt(larger(bent, 0.0) / least) / A
     # psi' = (K - S x) / (A sin^2) and x psi' are extreme at the ends or where their derivatives vanish.
@@ -76,7 +76,7 @@ def top(body, w, gamma, tolerances):
 
 
 def top_end(f, errors, sine2, x0, sign):
-    """How far cos(theta) goes to one side."""
+    """Bound of the change of cos(theta) to the side `sign`."""
     limit = sine2 / (1 + abs(x0)) if sign * x0 > 0 else 1 + abs(x0)
     sided = (
         f[0] + errors[0], sign * f[1] + errors[1], f[2] + errors[2], sign * f[3] + errors[3], f[4] + errors[4],
@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """A y at which psi' or x psi' may be extreme, the ends or where its derivative vanishes, and the change of psi' there."""
+    """A candidate y for an extremum of psi' or x psi', an end or a zero of the derivative, and the change of psi' there."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

@@ -18,10 +18,10 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Texts of legends by the flags of ends, of an equilibrium in which all points that end there have the same attitude.
+    """Texts of legends by the names of flags; an equilibrium has one if all points that end in it have the same attitude.
 
-    The first axis is named where the third one does not tell two equilibria apart. Of points without an end the share of
-    undecided ones in all points stands beside.
+    The first axis is named where the third does not tell two equilibria apart. The text of points without an end gives the
+    share of undecided points in all points.
     """
     undecided = float((ds["settled_by"] == SettledBy.UNDECIDED).mean()) if "settled_by" in ds else 0.0
     without = {"not_settled": f"not settled ({100 * undecided:.2g} % undecided)"} if undecided else {}

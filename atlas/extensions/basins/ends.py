@@ -16,13 +16,13 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # errors of the energy by which a body stays below the rim of its well where the end is proved
+MARGIN = 10.0  # errors of the energy between a body and the rim of its well that a proof needs
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
-# Largest error, rad and in units of rates, that a motion may have before it settles: the share of a basin that it may cross.
+# Largest error (rad, and in units of rates) of a motion before it settles; a larger one may cross the border of a basin.
 LARGEST_ERROR = 0.01
-LEVELS = 6  # minima of a body for which the time of settling is measured, from the lowest potential upwards
+LEVELS = 6  # minima of a body whose time of settling is measured, from the lowest potential upwards
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
-LEVEL = "ends:level"  # measurement: the energy at which the body is settled in its end
+LEVEL = "ends:level"  # measurement: the energy below which the body is settled at its equilibrium
 START = "ends:start"  # measurement: the energy at the start, with its margin
 LEAST = "ends:least"  # measurement: the lowest potential of an equilibrium that is no minimum
 _ORDER = (
@@ -63,7 +63,7 @@ class Ends(Instrument):
         )
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """Without a precession angle about a fixed point, where it has no meaning."""
+        """Variables of gyrostats with damping; about a fixed point without the precession angle, which has no meaning there."""
         if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
             return ()
         missing = "end_psi0" if len(system.equations.FRAME_VECTORS) == 1 else ""
@@ -101,15 +101,15 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Where there is an end that the energy at the start may not decide."""
+        """Points with an end that the energy at the start may not decide."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
-        """Where an error of the size of the tolerance at the start can change the motion before it settles.
+        """Points whose proved end an error at the start, as large as the tolerance, may change.
 
-        Below the rim of its well from the start a proved end is certain: the motion has never left the well.
+        A proved end is certain if the motion starts below the rim of its well, which it then never leaves.
         """
         from .wells import wells_of
 
@@ -150,7 +150,7 @@ class Settling(Instrument):
         return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """The energies at which the body is settled, then nan, which no energy exceeds."""
+        """Energies below which a body is settled at its minima, ascending, then nan, (LEVELS, points)."""
         from .wells import wells_of
 
         wells, row = wells_of(system, points)

@@ -17,12 +17,12 @@ from .ends import END, NO_END
 def basin_fractions(
     ds: xr.Dataset, over: str | Sequence[str] | None = None, variable: str = END
 ) -> xr.Dataset:
-    """Fractions of starts that end in each equilibrium, of an atlas that holds `end_equilibrium`, or in each end of `ends`.
+    """Fractions of starts that end in each equilibrium (`end_equilibrium` of an atlas) or in each end (of `ends`).
 
     Parameters
     ----------
     ds : Dataset
-        The atlas; of the method `ds.atlas.basin_fractions` its dataset.
+        The atlas; `ds.atlas.basin_fractions` passes its own.
     over : str or sequence of str, optional
         The axes of starts; default all. Points of a list lie along "point".
     variable : str
@@ -31,9 +31,9 @@ def basin_fractions(
     Returns
     -------
     Dataset
-        `fraction`, `lower` and `upper`, the limits of `probability`, over the other axes and the variable, whose coordinate
-        is the positions in `atlas.equilibria`, or along `which`, and first -1, no end. Of equilibria `undecided` as well, the
-        fraction of starts of which an error of the size of the tolerance could change the end, nan in atlases that did not ask this.
+        `fraction` and its limits `lower` and `upper`, see `probability`, over the other axes and the variable: -1 (no end),
+        then the positions in `atlas.equilibria`, or along `which` of `ends`. For equilibria also `undecided`, the fraction of
+        starts whose end an error as large as the tolerance could change, nan in atlases without this check.
 
     Raises
     ------

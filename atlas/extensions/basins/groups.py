@@ -16,28 +16,28 @@ from ...scene.checks import positive, texts
 from ...store.dataset import TRANSIENT, log_warnings
 from ...systems.base import Array
 
-CELLS = 4  # in a tolerance: of the motions in one cell a single one is compared, because there may be many
+CELLS = 4  # per tolerance, in each feature; one motion of a cell is compared, because a cell may hold many
 
 
 def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mapping[str, float]) -> xr.Dataset:
-    """Ends of motions, of any system, after a transient: equilibria, cycles, locked rotations.
+    """Ends of motions of any system after a transient: equilibria, cycles, locked rotations.
 
     Parameters
     ----------
     ds : Dataset
-        An atlas with a transient; of the method `ds.atlas.ends` its dataset.
+        An atlas with a transient; `ds.atlas.ends` passes its own.
     features : str or sequence of str
         Measured variables that tell the ends apart. Extremes do not depend on the phase of a cycle, means do.
     tolerance : float or mapping of str to float
-        Difference that counts as none, of every feature or by name.
+        Largest difference of motions with the same end, for every feature or by name.
 
     Returns
     -------
     Dataset
-        `end`, int16, over the dimensions of the atlas: the position along `which`, or -1 where the status is not ok and where no
-        other motion is like it. Motions have one end that differ by at most the tolerance, to a quarter of it, from one to
-        the next. Along `which`, in the order of the first feature: count, the number of motions; each feature, its median;
-        and spread, the largest difference over the tolerance, above 1 of a chain, which a warning names.
+        `end`, int16, over the dimensions of the atlas: the position along `which`, or -1 where the status is not ok or no other
+        motion has the same end. Motions that differ by at most the tolerance, to a quarter of it, have the same end, and so
+        have chains of them. Along `which`, in the order of the first feature: count, the number of motions; each feature, its
+        median; and spread, the largest difference over the tolerance; a warning names chains, where it is above 1.
 
     Raises
     ------

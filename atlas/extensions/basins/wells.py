@@ -1,9 +1,9 @@
 """Where a damped gyrostat ends: its equilibria, and the wells of the amended potential W in which the energy holds it.
 
 With a torque of -D u, u the angular velocity relative to the frame, the energy J = u.I u / 2 + W falls at the rate D u.u, so
-that the body stays in the component of {W <= J} in which it is. Where that contains no equilibrium but a minimum, every motion
-in it ends there (LaSalle). As the level rises, the first other equilibrium that joins the component of a minimum is one from
-which descent of W reaches this minimum: the rim of the well is the least potential of such an equilibrium.
+that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every motion in it
+ends there (LaSalle). As the level rises, the first other equilibrium that joins the component is one from which descent of W
+reaches the minimum: the rim of the well is the lowest potential of all equilibria from which it does.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
 from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
-# A body is settled within this angle of an equilibrium, in rad, and this share of the frame's rate, or of the natural rate of the body at rest.
+# Largest distance of a settled body from its equilibrium: in rad, and as a share of the frame's rate, or, if that is 0, of the natural rate.
 SETTLED = 1e-3
-_FLAT = 1e-6  # eigenvalue of the Hessian, relative to the largest of the body's equilibria
+_FLAT = 1e-6  # eigenvalue of the Hessian that counts as 0, over the largest one of the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
-_SADDLE = 1e-6  # angle from an equilibrium that is no minimum at which a descent ends there, rad
-# Steps of a descent: between two searches of the nearest equilibrium, and at most.
+_SADDLE = 1e-6  # angle from a saddle or maximum within which a descent ends there, rad
+# Steps of a descent: between two searches for the nearest equilibrium, and in all.
 _STEPS, _MAX_STEPS = 16, 4096
 _BLOCK = 4096  # attitudes that are compared together
 
@@ -41,14 +41,14 @@ class Wells:
     rate: Array  # unit of rates, (bodies,)
     single: bool  # whether the frame has one direction, gamma, about which attitudes may turn
     frames: Array  # alpha, beta, gamma in body axes, 0 where there is none, (bodies, places, 3, 3)
-    axis: Array  # in the body, of a circle of equilibria, else nan, (bodies, places, 3)
+    axis: Array  # body axis about which a circle of equilibria turns, else nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
     index: Array  # Morse index
     minimum: Mask
     downhill: Array  # axis of the turn by which W falls most, (bodies, places, 3)
     settled: Array  # energy of a minimum below which attitude and rates stay within SETTLED
-    listed: Mask  # whether every equilibrium is known, and its index is certain, (bodies,)
+    listed: Mask  # whether all equilibria are known and their indices certain, (bodies,)
     rim: Array  # energies of the rims of the wells, nan until computed
 
     @property
@@ -57,7 +57,7 @@ class Wells:
         return np.asarray(np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf))
 
     def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
-        """Places of the equilibria nearest to attitudes (points, 3, 3) of these bodies, and the angles to them, rad."""
+        """Places of the equilibria nearest to attitudes (points, 3, 3) of the bodies `row`, and the angles to them, rad."""
         place, angle = np.empty(len(row), np.int64), np.empty(len(row))
         directions = 1 if self.single else 3
         for first in range(0, len(row), _BLOCK):
@@ -79,9 +79,9 @@ class Wells:
         return body.potential(frames[:, 0], frames[:, 2]) + 0.5 * (body.inertia * rates**2).sum(-1)
 
     def descend(self, frames: Array, row: Places) -> Places:
-        """Places of the equilibria, minima but for exceptions, that descent of W reaches, -1 where none is reached.
+        """Places of the equilibria, as a rule minima, that descent of W from attitudes reaches; -1 where it reaches none.
 
-        A step along the negative gradient is 1 / L long, L a bound of the second derivatives of W, so that W falls all along it.
+        Steps are -gradient / L, L a bound of the second derivatives of W, so that W falls along each of them.
         """
         frames, place, active = frames.copy(), np.full(len(row), -1), np.arange(len(row))
         for _ in range(_MAX_STEPS // _STEPS):
@@ -101,8 +101,8 @@ class Wells:
     def find_rims(self, bodies: Places) -> None:
         """Compute the rims of the wells of some bodies.
 
-        An equilibrium of which no descent is known to end counts for every rim, one from which it leads to a saddle for none:
-        that saddle is lower and in the same component.
+        An equilibrium whose descent reaches no other counts for every rim; one whose descent reaches a saddle counts for none,
+        because the saddle is lower and in the same component.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -116,9 +116,9 @@ class Wells:
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
-        """For each body of at most this energy the place of the minimum in which it must end, or -1.
+        """Place of the minimum in which each motion of at most this energy must end, or -1.
 
-        place: of the nearest equilibria; settled: whether the attitude is within SETTLED of it.
+        place: of the nearest equilibrium; settled: whether the attitude is within SETTLED of that equilibrium.
         """
         least = self.least[row]
         decided = self.listed[row] & np.isfinite(energy)
@@ -133,7 +133,7 @@ class Wells:
 
 
 def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
-    """The wells of the bodies of some points of a Gyrostat, and the body of each point; the last result is kept."""
+    """Wells of the distinct bodies of some points of a Gyrostat, and the body of each point; the last result is cached."""
     bodies, row = bodies_of(system, {**points, "damping": np.zeros_like(points["damping"])})
     return _wells(system, tuple(bodies), np.stack([*bodies.values()]).tobytes()), row
 
@@ -151,7 +151,7 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     potential = each.potential(alpha, gamma)
     values, directions = np.linalg.eigh(np.nan_to_num(each.hessian(alpha, gamma)))
     flat = np.abs(values) <= _FLAT * np.abs(values).max((1, 2), keepdims=True)
-    # Turning the body about gamma changes nothing in a frame of one direction, nor does turning it along a circle.
+    # W is constant along turns about gamma in a frame of one direction, and along circles of equilibria.
     regular = flat.sum(-1) == circle.astype(int) + single
     minimum = (index == 0) & regular
     rate = np.where(body.turn == 0, body.natural_rate(np.zeros_like(body.rotor)), np.abs(body.turn))

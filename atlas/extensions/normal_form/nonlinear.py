@@ -1,14 +1,14 @@
 """Nonlinear stability of equilibria with two degrees of freedom, by Birkhoff's normal form of degree 4.
 
-A gyrostat whose rotation about one direction is cyclic keeps the momentum about it, and two degrees of freedom remain. For an
-axis of symmetry of the body they belong to that axis e in the frame, with the angular momentum m in the frame; for the
-vertical, where nothing acts along alpha, to e = gamma in the body, with m in the body. In both cases |e| = 1 and m.e = S is
-constant, m and e have the brackets of the Euclidean group, and
+A gyrostat whose rotation about one direction e is cyclic keeps the momentum about e, and two degrees of freedom remain. Either e
+is an axis of symmetry of the body; then e and the angular momentum m are taken in the frame. Or e = gamma is the vertical, if
+nothing acts along alpha; then both are taken in the body. In both cases |e| = 1, m.e = S is constant, m and e have the brackets
+of the Euclidean group, and
 
     H = m.J m / 2 + b.m + e.G e / 2 + c.e,
 
-the axis: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c by what acts along alpha, beta and gamma;
-the vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
+axis of symmetry: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c from the potentials of alpha, beta and gamma;
+vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
 
 With the equilibrium at u = v = 0 of latitude v and longitude u, e = (cos v cos u, cos v sin u, sin v), these are canonical,
 
@@ -18,11 +18,11 @@ and the chart is singular nowhere near it. The Taylor polynomials of m and e are
 polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
 
 In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (q^2 + p^2)/2, an equilibrium is stable for l1 l2 > 0.
-For l1 l2 < 0 without resonance up to order 4 it is if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
+For l1 l2 < 0 without resonance up to order 4 it is stable if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
 (1961) 247; J. Moser, Lectures on Hamiltonian Systems, Mem. AMS 81 (1968)). By A. P. Markeev, Libration Points in Celestial Mechanics
-and Cosmodynamics (1978), it is unstable at l1 = -2 l2 if the cubic terms have a resonant one; at l1 = -3 l2 it is stable if
-|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B, unstable if it is less, B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) the resonant term. With three degrees of
-freedom invariant tori do not separate the motions (Arnold diffusion), so that none of this shows stability.
+and Cosmodynamics (1978), it is unstable at l1 = -2 l2 if there is a resonant cubic term; at l1 = -3 l2 it is stable for
+|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B and unstable for <, where B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) is the resonant term. With
+three degrees of freedom invariant tori do not separate the motions (Arnold diffusion), and these criteria do not show stability.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 _ZERO = 1e-9  # smallest value, relative to its terms, that counts as different from 0 in a verdict
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
-_CHUNK = 256  # points, whose arrays stay in the cache
-# zeta_1, zeta_2 and their conjugates, as which the coordinates z = w_1 zeta_1 + w_2 zeta_2 + conjugates are written
-# Monomials in them of the coefficients c20, c11 and c02, and of the resonance 3:1.
+_CHUNK = 256  # points at once: their arrays stay in the processor's cache
+# Monomials of c20, c11, c02 and of the resonance 3:1: indices 0 and 1 are zeta_1 and zeta_2, 2 and 3 their conjugates, in
+# z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
 _MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
@@ -66,11 +66,11 @@ class NormalForm(NamedTuple):
     c11: Array
     c02: Array
     cubic: Array  # magnitude of the coefficient of zeta_1 zeta_2^2, which is resonant at l1 = -2 l2
-    quartic: Array  # B
+    quartic: Array  # B of the resonant term at l1 = -3 l2
 
     @classmethod
     def of(cls, second: Array, third: Array, fourth: Array) -> NormalForm:
-        """From the derivatives of H by (q1, q2, p1, p2), (points, 4, 4), (points, 4, 4, 4) and (points, 4, 4, 4, 4)."""
+        """Normal forms from the derivatives of H by (q1, q2, p1, p2): arrays (points, 4, 4), (points, 4, 4, 4) and so on."""
         frequencies, modes = _modes(second)
         t = (third.reshape(-1, 16, 4) @ modes).reshape(-1, 4, 4, 4)
         transposed = np.swapaxes(modes, 1, 2)
@@ -80,7 +80,7 @@ class NormalForm(NamedTuple):
         actions = [_product(w, w.conj()).real for w in (first, other)]
         square = _product(other, other)
         images = np.stack([*actions, square.real, square.imag], 1) @ fourth.reshape(-1, 16, 16)
-        direct = [  # times the orders of the factors, over 4!
+        direct = [  # times the permutations of each monomial, over 4!
             (actions[0] * images[:, 0]).sum(1) / 4,
             (actions[0] * images[:, 1]).sum(1),
             (actions[1] * images[:, 1]).sum(1) / 4,
@@ -143,7 +143,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
         (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
     ):
         result[kind == linear] = verdict
-    # Nothing dissipates: every momentum is held, and a maximum of the energy is as good as a minimum.
+    # Without dissipation every momentum is constant, and a maximum of the energy shows stability as a minimum does.
     stable = np.isin(
         kind, (StabilityKind.ENERGY_STABLE, StabilityKind.ENERGY_STABLE_AXIAL, StabilityKind.GYROSCOPIC)
     )
@@ -152,9 +152,9 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Verdicts of the normal form, (points,), and c20, c11, c02 and D, times the moment, (4, points), nan where there is none.
+    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan without a form.
 
-    The verdict is degenerate with fewer degrees of freedom, of which the energy decides, and undecided with more.
+    With fewer than two degrees of freedom, where the energy decides, the verdict is degenerate; with more it is undecided.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
@@ -207,21 +207,21 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
     ]
     table, places = _taylor()
     values = (table @ np.concatenate([factor.reshape(members.size, -1) for factor in factors], 1).T).T
-    # Not values[:, place], in which the points are contiguous.
+    # values[:, place] would leave the points contiguous in memory, not the derivatives of a point.
     second, third, fourth = (np.take(values, place, axis=1) for place in places)
     return second, third, fourth
 
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Derivatives at 0 of the terms of H, (monomials, terms), and the places of each order among the monomials."""
-    from scipy.sparse import csr_array  # here, because every command imports the systems
+    """Derivatives at 0 of the terms of H, (monomials, terms), and the places of the derivatives of each order among them."""
+    from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
     one, sec, tan = np.array([[1, 0, 0, 0, 0], [1, 0, 1 / 2, 0, 5 / 24], [0, 1, 0, 1 / 3, 0]])
 
     def polynomial(*terms: tuple[Array, Array, tuple[int, int]]) -> Array:
-        """Sum of terms: powers of u, of v, and the exponents of p_u and p_v."""
+        """Sum of terms, each given by its Taylor coefficients in u and in v and its exponents of p_u and p_v."""
         dense = np.zeros(4 * [_DEGREE + 1])
         for in_u, in_v, momenta in terms:
             dense[(..., *momenta)] += np.outer(in_u, in_v)
@@ -249,7 +249,7 @@ def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
 
 
 def _times(a: Array, b: Array) -> Array:
-    """Products of polynomials, (..., monomials), up to the degree of these."""
+    """Products of polynomials (..., monomials), up to the degree _DEGREE."""
     sums = _EXPONENTS[:, None] + _EXPONENTS
     i, j = np.nonzero(sums.sum(2) <= _DEGREE)
     result = np.zeros((len(_EXPONENTS), *np.broadcast_shapes(a.shape, b.shape)[:-1]))
@@ -259,12 +259,12 @@ def _times(a: Array, b: Array) -> Array:
 
 
 def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Products of the components of two vectors, (points, 16)."""
+    """Outer products of vectors (points, 4), as rows (points, 16)."""
     return (a[:, :, None] * b[:, None]).reshape(len(a), 16)
 
 
 def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """l1 and l2, (points, 2), and w_1, w_2 and their conjugates in columns, (points, 4, 4), of z' = J H'' z.
+    """Frequencies l1, l2 of z' = J H'' z, (points, 2), and w_1, w_2 and their conjugates in columns, (points, 4, 4).
 
     w is an eigenvector of -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
     """
@@ -280,7 +280,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
         frequencies = np.sqrt(squares)
         vectors = []
         for i in (0, 1):
-            # The other pair of exponents is a factor of the characteristic polynomial, which vanishes at A.
+            # The factor of the other pair in the characteristic polynomial, at A, projects on this pair (Cayley-Hamilton).
             part = square + squares[:, 1 - i, None, None] * np.eye(4)
             column = np.take_along_axis(part, (part**2).sum(1).argmax(1)[:, None, None], 2)[..., 0]
             vector = (A @ column[..., None])[..., 0] - 1j * frequencies[:, i, None] * column
@@ -293,7 +293,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Terms t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of the bracket: a, b, c, e, d, their factors, and the first of each monomial."""
+    """Terms t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of the bracket: indices a, b, c, e, d, factors, first term of each monomial."""
     indices: list[tuple[int, ...]] = []
     weights, starts = [], []
     for monomial in _MONOMIALS:

@@ -1,4 +1,4 @@
-"""Numbers that others have printed, beside those of the package."""
+"""Published numbers, compared with those that the package computes."""
 
 from ...extension import Extension
 

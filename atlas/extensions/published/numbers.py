@@ -1,4 +1,4 @@
-"""Rows of numbers.toml: a number as others printed it, ours, and whether they agree."""
+"""Rows of numbers.toml: a published number, the computed one, and whether they agree."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ import atlas
 from ...analysis.metadata import flag_names
 from ...errors import BadInput, one_line
 
-# With these moments (y1, y2, y3) = SCALES (p, q, r) obeys y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
+# With these moments the scaled rates (y1, y2, y3) = SCALES (p, q, r) obey y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
 MOMENTS, SCALES = {"A": 1.196, "B": 1.4, "C": 0.9216}, (7 / 24, 5 / 12, 7 / 25)
-# What a row takes of the values of a variable.
+# Functions that make the number of a row from the values of a variable.
 TAKE: dict[str, Callable[[Any], Any]] = {"only": np.ndarray.item, "least": np.nanmin, "greatest": np.nanmax}
 TAKE["number of"] = lambda values: len(np.unique(values.round(9)))
 
 
 def compared(system: str) -> list[dict[str, str]]:
-    """The numbers of a system, in the order of the file."""
+    """Rows of the published numbers of a system, in the order of the file."""
     content = tomllib.loads(resources.files(__package__).joinpath("numbers.toml").read_text("utf-8"))
     return [
         {key: source[key] for key in ("source", "place", "reading")}
@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """One number and ours, which agrees to half a unit of the last printed digit, or to the decimals of ours."""
+    """Row of one number, which agrees within half a unit of its last digit, or one unit of the last digit shown of ours."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),
@@ -68,7 +68,7 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
 
 @cache
 def result_of(function: str, arguments: str) -> Any:
-    """What a public function of the package, or one of those below, returns."""
+    """Result of a public function of the package, or of `rigid_body` or `quarter_period`."""
     own: dict[str, Callable[..., Any]] = {"rigid_body": rigid_body, "quarter_period": quarter_period}
     return (own.get(function) or getattr(atlas, function.removeprefix("atlas.")))(**json.loads(arguments))
 

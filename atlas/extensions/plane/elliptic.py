@@ -1,4 +1,4 @@
-"""Jacobi's elliptic functions by an arithmetic-geometric mean, from 1 - k^2, which keeps its digits near 1.
+"""Jacobi's elliptic functions by the arithmetic-geometric mean, without cancellation near k = 1.
 
 M. Abramowitz and I. A. Stegun, Handbook of Mathematical Functions, 16.4, 16.12, 17.6.
 """
@@ -24,7 +24,7 @@ class EllipticFunctions(NamedTuple):
         """modulus, complement: k^2 and 1 - k^2."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (unequal := c[-1] > 1e-9 * a[-1]).any():
-            # Means that have converged stay as they are, so that the bits of a point do not depend on other points.
+            # Converged means no longer change, so that the bits of a point do not depend on other points.
             b[-1] = np.where(unequal, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))
@@ -37,7 +37,7 @@ class EllipticFunctions(NamedTuple):
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a
             below = 1 / (1 + ratio * sn * sn)
-            # b + c cn^2 = a - c sn^2, with its digits where that is small
+            # b + c cn^2 = a - c sn^2, without the cancellation of the latter
             sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
         return sn, cn, dn
 

@@ -1,6 +1,6 @@
 """Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
 
-They are no steady motions: the rate about the normal varies. The theory is that of `motions`, of which x is the pitch
+These motions are not steady: the rate about the normal varies. In their theory, `motions`, x is the pitch
 chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and B.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def motions(points: Points) -> PlaneMotions:
     """The motions that start at points in the plane."""
-    from .motions import PlaneMotions  # as soon as a start may be on a family
+    from .motions import PlaneMotions  # only where a start may be on a family
 
     return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
 
@@ -38,7 +38,7 @@ def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
 
 
 def _excess(p: Points) -> Array:
-    """Difference of the kinetic energy and the energy of the barrier over their sum; any shape."""
+    """Kinetic energy minus the energy of the barrier, over their sum; arrays of any shape."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2
@@ -46,7 +46,7 @@ def _excess(p: Points) -> Array:
 
 
 def _bottom(p: Points) -> Array:
-    """The psi0 nearest to the given one at which x is a multiple of pi."""
+    """The angle nearest to the given psi0 at which x is a multiple of pi."""
     bottom = np.sign(the.tilt(p)[1]) * (np.where(p["A"] < p["B"], 0.0, np.pi / 2) - p["phi0"])
     return bottom + np.pi * np.round((p["psi0"] - bottom) / np.pi)
 
@@ -93,5 +93,5 @@ FAMILIES = {
 
 
 def families(system: System) -> dict[str, Family]:
-    """The families of the satellite; equations of a system derived from it may be others."""
+    """The families of the satellite itself; a system derived from it may have other equations."""
     return FAMILIES if system is SATELLITE else {}

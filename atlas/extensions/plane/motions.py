@@ -12,9 +12,10 @@ motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = fiel
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
     P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
 
-P12 alone is odd in x. So if H leads from x = 0 to a later instant, R H^-1 R leads there from the earlier one, R = diag(-1, 1, 1,
--1). A libration has the multipliers of R H^-1 R H over half a period, half a turn those over a quarter, and a whole turn their
-squares. H is symplectic, so that no digits are lost in H^-1 = -J H^T J.
+Only P12 is odd in x. So if H maps deviations at x = 0 to deviations a time t later, R H^-1 R, R = diag(-1, 1, 1, -1), maps
+deviations a time t earlier to deviations at x = 0. The multipliers of a libration are eigenvalues of R H^-1 R H, t half a period;
+those of half a turn the same with t a quarter, and those of a whole turn their squares. H is symplectic, so that
+H^-1 = -J H^T J loses no digits.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ from .elliptic import EllipticFunctions
 class _Steps(NamedTuple):
     """Numbers of steps in a quarter of the period, from which sums are extrapolated."""
 
-    shortest: float  # over the norm of the system
-    counts: tuple[int, ...]  # relative
-    most: int  # number of the longest steps, at most
+    shortest: float  # length of the shortest steps times the norm of the system
+    counts: tuple[int, ...]  # ratios of the numbers of steps
+    most: int  # largest number of the longest steps
 
     def weights(self) -> Array:
-        """Weights of the sums by each number of steps, in the extrapolation from all and from all but the first, (2, counts)."""
+        """Weights of the sums in the extrapolation from all numbers of steps, and from all but the first, (2, counts)."""
         size, result = len(self.counts), np.zeros((2, len(self.counts)))
         for k, weights in enumerate(result):
             errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
@@ -48,21 +49,21 @@ class _Steps(NamedTuple):
         return result
 
 
-# Errors of the sums of about 1e-7 and 1e-15.
+# The errors of the sums are about 1e-7 and 1e-15.
 _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
-_MAX_LOG_SUM = 170.0  # the fourth power of its exponential is a float
-_MAX_ROUNDING = 1e-7  # of 1 - k^2, relative: beyond it the period, which diverges there, is not known
-_TOLERANCE = 1e-11  # relative error of what is 0 on a border of stability, with short steps
-_CHANGE = 3.2  # part of the change by the longest steps of an extrapolation that may be left as an error: 0.3 was measured
-# Of R H^-1 R beside the blocks of H transposed.
+_MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
+_MAX_ROUNDING = 1e-7  # relative, of 1 - k^2: above, near the separatrix, the period is not known
+_TOLERANCE = 1e-11  # relative error, with short steps, of the expressions that vanish on borders of stability
+_CHANGE = 3.2  # bound of the error over the change by the longest steps of an extrapolation; measured: 0.3
+# Signs of R H^-1 R relative to the blocks of H transposed.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
 class PlaneMotions(NamedTuple):
     """Motions of bodies in the plane, in units of a moment and a rate that are powers of 2; arrays (points,)."""
 
-    unit: Array  # of rates
+    unit: Array  # unit of rates
     low: Array  # moment about the axis that is along alpha at x = 0, A
     high: Array  # B
     axial: Array  # C
@@ -117,8 +118,8 @@ class PlaneMotions(NamedTuple):
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
-        """Time of the start in periods, counted from the passage of x = 0 (of x = pi for librations about it)."""
-        from scipy.special import elliprf  # here, because every command imports the systems
+        """Time of the start in periods, counted from the passage of x = 0 (for librations about pi, of x = pi)."""
+        from scipy.special import elliprf
 
         k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
         sn = sign * self.sine / np.where(self.rotates, 1.0, k)
@@ -143,7 +144,7 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turned, swung), self.frequency * self.unit * rate
 
     def rate_std(self, duration: Array) -> Array:
-        """Standard deviation of x' over runs, in time units; infinite runs are whole periods."""
+        """Standard deviation of x' over runs of a duration, rad per time unit; inf stands for whole periods."""
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
@@ -154,13 +155,13 @@ class PlaneMotions(NamedTuple):
         return np.sqrt(np.maximum(variance, 0.0)) * self.unit
 
     def stability(self, rough: bool = False) -> tuple[Flags, Array]:
-        """Stability out of the plane and growth rate; rough: with errors of 1e-7 of the multipliers away from borders.
+        """Stability out of the plane and growth rate; rough: the multipliers may have errors of 1e-7 away from borders.
 
-        Both rho = multiplier + 1/multiplier, of rho^2 - t rho + u - 2 = 0, are real and between -2 and 2 if and only if
+        The roots rho = multiplier + 1/multiplier of rho^2 - t rho + u - 2 = 0 are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # Near borders the verdicts, and everywhere the growth rates, follow from the sums that `multipliers` gives.
+        # Verdicts near borders and all growth rates follow from the fine sums, as `multipliers` does.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)
@@ -169,7 +170,7 @@ class PlaneMotions(NamedTuple):
         return stable, exponent / self.period()
 
     def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
-        """Stability, and the growth over the period as a logarithm: 0 where errors decide, nan where unknown."""
+        """Stability, and the logarithm of the growth over the period: 0 where errors hide it, nan where it is unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
         one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
         square, middle = one**2, u + 2 * one**2
@@ -185,7 +186,7 @@ class PlaneMotions(NamedTuple):
         one = np.exp(-log_scale)
         root = np.sqrt(t**2 / 4 - s + 2 * one**2 + 0j)
         rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
-        # The product of roots, unlike the root of rho^2 - 4, has the sign with which the multiplier is the larger of the pair.
+        # The product of two square roots, unlike the root of rho^2 - 4, has the sign that gives the larger multiplier.
         doubled = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
         exponent = np.maximum(log_scale + np.log(doubled / 2), 0.0)
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
@@ -196,15 +197,15 @@ class PlaneMotions(NamedTuple):
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
-        """t and s over the period, of a whole turn from half a turn, scaled where they could overflow, and their scale."""
+        """t and s over the period (a libration or a whole turn), scaled where they could overflow, and log of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # of rho^2 - 2
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho of a turn is rho^2 - 2
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """Trace t and second coefficient u of the matrix over a libration or half a turn as t / exp(s), u / exp(2 s) and s, and
-        the changes of the first two by the longest of the steps from which they are extrapolated; nan where they are not known.
+        """t / exp(s), u / exp(2 s) and s, t the trace and u the second coefficient of the matrix over a libration or half a turn,
+        and the changes of the first two by the longest steps of the extrapolation, (5, points); nan where not known.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
@@ -235,7 +236,7 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """`multiplier_sums` by equal steps, LANES times in all; matrices: space for the matrices of `of_steps`, 0 elsewhere."""
+        """The first three of `multiplier_sums` by equal steps, (3, LANES); matrices: zeros that become the matrices of `of_steps`."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])
@@ -259,7 +260,7 @@ class PlaneMotions(NamedTuple):
         ):
             for i, j, factor in places:
                 np.multiply(value, factor, out=matrices[:, :, i, j])
-        # The order of the sums below may depend on the number of points.
+        # Always LANES points: the order of the sums below may depend on their number.
         H, log_scale = (np.resize(each, (LANES, *each.shape[1:])) for each in of_steps(matrices))
         matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
         trace = np.trace(matrix, axis1=1, axis2=2)

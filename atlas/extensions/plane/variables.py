@@ -17,7 +17,7 @@ def variables(system: System) -> dict[str, DerivedVariable]:
     """Period and multipliers of motions of the satellite in the plane; nan elsewhere."""
     if system.name != "satellite":
         return {}
-    from ...systems.satellite import SATELLITE  # other systems need none of it
+    from ...systems.satellite import SATELLITE  # only for this system
 
     names = ("plane_period", "plane_trace", "plane_second")
 

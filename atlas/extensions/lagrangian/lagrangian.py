@@ -5,9 +5,9 @@ function R the equations of motion are
 
     M v' = f,    M_ij = d2L/dv_i dv_j,    f_i = dL/dq_i - sum_j v_j d2L/dv_i dq_j + Q_i - dR/dv_i.
 
-They are solved for v' symbolically, separately for velocities that M does not couple: by division, by the
-inverse of a matrix of two rows, and by the factors M = K D K^T of larger ones, with K lower triangular and D
-diagonal. The last need a positive definite mass matrix, as in mechanics.
+They are solved for v' symbolically, separately for each group of velocities that M couples: one by division, two by
+the inverse matrix, more by the factors M = K D K^T, with K lower triangular and D diagonal. The factors need a
+positive definite mass matrix, as in mechanics.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ RESERVED = frozenset(
     {"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS}
     | {"STATE", "CONSTANTS", "ONES", "INTEGRALS", "LOSSES", "OBSERVABLES", "SOURCES"}
 )
-# The determinant of a mass matrix, its rows divided by their norms, below which it is singular: of floats, which have
-# rounding errors of 1e-16, and of exact numbers.
+# A mass matrix is singular if its determinant, rows divided by their norms, is below SINGULAR with floats in it, or below
+# SINGULAR_EXACT with exact numbers, computed with DIGITS digits.
 SINGULAR, SINGULAR_EXACT, DIGITS = 1e-13, 1e-30, 50
 # Longer expressions are simplified in fast ways only.
 MAX_OPERATIONS = 70
@@ -73,21 +73,21 @@ def from_lagrangian(
     dissipation : sympy.Expr, optional
         Rayleigh's function: its derivatives by the velocities are subtracted from the forces.
     omit : sequence of sympy.Symbol, optional
-        Cyclic coordinates that the state shall not contain; their velocities stay.
+        Cyclic coordinates to leave out of the state; their velocities stay.
     functions : mapping of str to sympy.Expr or sequence of sympy.Expr, optional
         More functions of state and constants by name, such as observables or ``frame_motion``.
     title : str, optional
         First line of the module's docstring, without a full stop.
     path : str or Path, optional
-        File to be written, or written anew.
+        File to write; an existing file is replaced.
 
     Returns
     -------
     str
         Source of a module with ``STATE``, ``CONSTANTS``, ``INTEGRALS`` and the functions ``rhs``, the first integrals
-        and those given. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every
-        coordinate on which nothing depends and no force acts. Where the dissipation changes one of them, ``LOSSES``
-        names the function NAME_loss.
+        and those given. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every cyclic
+        coordinate on which no force acts. Where the dissipation changes a first integral NAME, ``LOSSES`` names the
+        function NAME_loss, its rate of decrease.
 
     Raises
     ------
@@ -285,7 +285,7 @@ class _Mechanics:
         return result
 
     def balances(self) -> dict[str, Expression]:
-        """First integrals by name, and what the dissipation takes of each per time; 0 where it takes nothing."""
+        """Rate at which dissipation decreases each first integral, by name; 0 where it does not."""
 
         def power(forces: Sequence[Expression]) -> Expression:
             return _simplest(sum(q * v for q, v in zip(forces, self.velocities, strict=True)))
@@ -407,8 +407,8 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Numbers, the most important first, of functions of multiples of an angle or its tangent, of different
-    functions, of operations where repeated ones count once, and of all operations.
+    """Numbers, the most important first: of functions of multiple angles and tangents, of different functions, of
+    operations with repeated parts counted once, and of all operations.
     """
     import sympy
 
@@ -444,5 +444,5 @@ def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) 
 
 
 def _names(symbols: Sequence[Expression]) -> str:
-    """Text of the tuple of the names of symbols, or of these names."""
+    """Source of the tuple of the names of symbols, or of names."""
     return "({})".format(", ".join(f'"{symbol}"' for symbol in symbols) + ("," if len(symbols) == 1 else ""))

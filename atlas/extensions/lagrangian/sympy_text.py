@@ -42,7 +42,7 @@ def _printer() -> Any:
     from sympy.printing.pycode import PythonCodePrinter
 
     class Printer(PythonCodePrinter):  # type: ignore[misc]
-        """SymPy's own, with floats for constants such as pi, and powers of roots for those of 3/2, 5/2, ..."""
+        """SymPy's printer, with floats for constants such as pi, and sqrt(x)**n for x**(n/2) with odd n."""
 
         def _print_NumberSymbol(self, constant: Expression) -> str:
             return repr(float(constant))
@@ -66,7 +66,7 @@ def text(expression: Expression) -> str:
 
 
 def lines_of(start: str, body: Any, indent: int = 0) -> list[str]:
-    """An expression or a text after `start` in lines of LINE_LENGTH, all but the first indented, by default as far as it."""
+    """`start` and an expression or text, wrapped at LINE_LENGTH; further lines are indented, by default as far as `start`."""
     following = " " * (indent or len(start))
     return wrap(
         f"{start}{body}", LINE_LENGTH, subsequent_indent=following, break_long_words=False, break_on_hyphens=False
@@ -81,9 +81,9 @@ def function_text(
     constants: Sequence[Expression],
     shapes: Iterable[Expression],
 ) -> str:
-    """Text of a function that returns an expression or a tuple of them, with names for what occurs several times.
+    """Source of a function that returns an expression or a tuple of them; parts that repeat get names.
 
-    Expressions in which no state occurs get the shapes of those in `shapes`.
+    An expression without states gets the shape of its symbol in `shapes`, by the term 0.0 * symbol.
     """
     import sympy
 

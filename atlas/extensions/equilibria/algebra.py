@@ -19,12 +19,12 @@ from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
 _STARTS = 200  # orientations from which the search begins
-# Eigenvalues of the Hessian, relative to its scale: along surfaces, of a degenerate equilibrium, below which rounding decides on
-# the sign or, on circles, on the number, and below which Newton's method may miss equilibria.
+# Eigenvalues of the Hessian over its scale: below them two eigenvalues mean a surface of equilibria, an equilibrium is degenerate,
+# rounding decides the sign or, on circles, the number, and Newton's method may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
-_ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, relative to the same
-_SAME = 1e-4  # distance of rotation matrices that are taken as equal
-# Potentials closer than this share of their scale are taken as equal, and components of unit vectors after so many decimals.
+_ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, over the same scale
+_SAME = 1e-4  # largest distance of rotation matrices that count as equal
+# Potentials are equal if they differ by less than this share of their scale, unit vectors if they agree to so many decimals.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
 _BLOCK = 512  # bodies that are computed together
@@ -36,7 +36,7 @@ ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 # Variables of equilibria, in their order.
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
-# What stands in the unused places of padded arrays; else nan.
+# Fill values of the unused places of padded arrays; nan for other variables.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
     "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
@@ -45,11 +45,11 @@ _UNUSED = {
 
 
 def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of one body, every orientation that can rest in the frame, as `equilibria_of_bodies` finds them.
+    """All relative equilibria of one body, the orientations at rest in the frame; methods as in `equilibria_of_bodies`.
 
-    points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), potential (the amended
-    one), index (its Morse index), circle (it represents a circle of equilibria), degenerate (never here) and STABILITY, (E,);
-    alpha, gamma and axis, about which the body may be turned by any angle (nan off circles), in body axes, (E, 3).
+    points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), the amended potential,
+    its Morse index, circle (whether the solution stands for a circle of equilibria), degenerate (always False) and STABILITY,
+    (E,); alpha, gamma and the axis of turns along a circle (nan for isolated equilibria), in body axes, (E, 3).
     Raises BadInput where a surface of orientations is in equilibrium, where the numbers of the body differ too much in
     magnitude, and where the number of equilibria is not certain.
     """
@@ -91,9 +91,9 @@ def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dic
 
 
 def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
-    """Equilibria by their body, their potential over its scale, and alpha, then gamma, of circles the means of these.
+    """Order of the equilibria by body, potential over its scale, alpha and gamma (of circles: the means of these vectors).
 
-    Potentials and components that differ by rounding alone count as equal, so that the order is that of the attitudes.
+    Potentials and components that differ by rounding alone count as equal, so that rounding does not decide the order.
     """
     by_potential = np.lexsort((potential, body))
     steps = np.diff(potential[by_potential], prepend=0.0) > _SAME_POTENTIAL
@@ -114,13 +114,13 @@ def _scale(body: Body) -> Array:
 
 
 def body_at_rest(system: Gyrostat, points: Points) -> Body:
-    """The body in the frame in which its relative equilibria rest; about a fixed point it turns at the rate n."""
+    """The body in the frame in which its relative equilibria rest; about a fixed point this frame turns at the rate n."""
     body = system.body(points)
     return body._replace(turn=points["n"]) if isinstance(system, FixedPoint) else body
 
 
 def frames_of(alpha: Array, gamma: Array) -> Array:
-    """Frames with these rows alpha and gamma, (..., 3, 3)."""
+    """Frames with the rows alpha, gamma x alpha and gamma, (..., 3, 3)."""
     return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
 
 
@@ -133,7 +133,7 @@ def rotated(frames: Array, xi: Array) -> Array:
 
 
 def attitudes(frames: Array) -> dict[str, Any]:
-    """Attitudes of frames (..., 3, 3); psi = 0 where only psi +- phi is defined."""
+    """Euler angles, alpha and gamma of frames (..., 3, 3); psi0 = 0 where only psi +- phi is defined."""
     alpha, beta, gamma = np.moveaxis(frames, -2, 0)
     sine = np.hypot(gamma[..., 0], gamma[..., 1])
     upright = sine < 1e-9
@@ -149,7 +149,7 @@ def attitudes(frames: Array) -> dict[str, Any]:
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Stability and frequencies of equilibria with these angles and rates, each of the body in the same place."""
+    """Stability and frequencies of equilibria; start: their angles and rates, members: parameters of their bodies, (E,)."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
@@ -171,13 +171,13 @@ def equilibria_of_bodies(
 ) -> dict[str, NDArray[Any]]:
     """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
 
-    For bodies with an axis of symmetry, whose moments are equal and whose components across it vanish to the last bit, they
-    follow from the secular equation. A list counts as whole where (-1)^index has the sum of Poincare and Hopf, 0 on SO(3) and 2 on the
-    sphere of the axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: beside a symmetry from
-    differences of the moments of 1e-12 on, beside bifurcations where solutions are 1e-5 apart. Else completeness is NEAR_BIFURCATION, and
+    Equilibria of bodies with an axis of symmetry (moments equal and components across 0, to the last bit) follow from the secular
+    equation. A list is complete if the sum of (-1)^index is that of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of the
+    axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: near a symmetry from differences of the
+    moments of 1e-12 on, near bifurcations if solutions are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and
     solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and bodies with a lost path are
-    searched one by one, in about 70 ms each. pause: called at least once a second; it may raise an exception. stability:
-    whether to compute STABILITY. ordered: see `homotopy.solve`; with attitudes near complex solutions, index -1. Returns arrays
+    searched one by one, in about 70 ms each. pause: called at least once a second; may raise an exception. stability: whether
+    to compute STABILITY. ordered: see `homotopy.solve`; adds attitudes near complex solutions, with index -1. Returns arrays
     (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
     and completeness (bodies,), values of flags.Completeness.
     """
@@ -214,7 +214,7 @@ def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
 
 
 def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
-    """Columns over equilibria, with "row" the body of each, as arrays (bodies, places) with unused places at the end."""
+    """Columns over all equilibria as arrays (bodies, places), unused places last; the column "row" is the body of each."""
     order = np.argsort(columns["row"], kind="stable")
     row = columns["row"][order]
     place = np.arange(row.size) - np.searchsorted(row, row)
@@ -287,7 +287,7 @@ def _at_once(
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Body and frame of each solution, and which are real; the axis of symmetry i is a critical point of a function on the sphere."""
+    """Body and frame of each solution of bodies symmetric about axis i, a critical direction on the sphere; which are real."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
@@ -319,7 +319,7 @@ def _search(bodies: Body, scale: float) -> Array:
         new = _critical(bodies, rows / np.linalg.norm(rows, axis=2, keepdims=True), scale)
         frames = _distinct(bodies, np.concatenate([frames, new]), scale)
         index, axis, degenerate = _classify(bodies, frames, scale)
-        # A symmetry takes every equilibrium along a circle.
+        # With a symmetry every equilibrium is on a circle.
         circle = ~np.isnan(axis[:, 0])
         total = 2 * circle.any()
         if degenerate.any():
@@ -335,8 +335,8 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
-        # Least squares with the Jacobian as it is, not symmetrised: a symmetry of the body makes one of its
-        # rows vanish everywhere, and Newton's method across the circles converges quadratically.
+        # Least squares with the Jacobian, not its symmetric part: a symmetry of the body makes one of its rows
+        # vanish everywhere, and Newton's method across the circles converges quadratically.
         left, values, right = np.linalg.svd(hessian)
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
@@ -349,7 +349,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
 
 
 def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), degenerate or not."""
+    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), and whether it is degenerate."""
     values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _MISSED * scale
     if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():

@@ -1,4 +1,4 @@
-"""Equilibria of bodies: `System.equilibria` and `System.equilibria_of_bodies` of gyrostats that have no such methods themselves."""
+"""`System.equilibria` and `System.equilibria_of_bodies` for gyrostats that do not define these methods."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]] | None:
-    """The same of many bodies, see `algebra.equilibria_of_bodies`; permanent rotations always have their stability."""
+    """Equilibria of many bodies, see `algebra.equilibria_of_bodies`; `stability` has no effect on permanent rotations."""
     if isinstance(system, FixedPoint):
         return rotations.rotations_of_bodies(system, _without_vectors(points), ordered)
     if isinstance(system, Gyrostat):
@@ -48,7 +48,7 @@ def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]
     """Every parameter of the distinct bodies of some points, start values at their defaults, and the body of each point."""
     names = [name for name, p in system.parameters.items() if not p.start]
     columns = np.stack([points[name] for name in names], -1)
-    key = np.where(np.isnan(columns), -np.inf, columns)  # nan equals nothing
+    key = np.where(np.isnan(columns), -np.inf, columns)  # because nan != nan
     varying = (key != key[:1]).any(0)
     _, first, row = np.unique(key[:, varying], axis=0, return_index=True, return_inverse=True)
     bodies = {name: np.full(first.size, p.default) for name, p in system.parameters.items()}
@@ -56,5 +56,5 @@ def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]
 
 
 def _without_vectors(points: Points) -> dict[str, Array]:
-    """The points without starts by p0 .. gamma30."""
+    """The points with p0 .. gamma30 set to nan, which means a start by angles."""
     return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}

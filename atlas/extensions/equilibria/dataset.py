@@ -49,7 +49,7 @@ _FLAGS = {
     "stability_kind": StabilityKind.meanings(), "completeness": Completeness.meanings(),
 }  # fmt: skip
 _NOT_COUNTED = "nan where completeness is not complete"
-# Fill values, 0 or nan for other variables: of a body that cannot exist, and of an equilibrium that a body does not have.
+# Fill values of impossible bodies and of unused places; 0 or nan for other variables.
 UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
 _DIMS = ("equilibrium", "body_axis")
 
@@ -65,11 +65,11 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     body : mapping of str to float, array_like or DataArray
         Parameter -> number; omitted ones take their defaults. Start values have no effect, except n
         of the fixed_point, the rate of rotation in rad per time unit (default 0: rest). For many bodies, DataArrays of
-        any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, as
-        `label_points` takes one of points.
+        any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, in the
+        forms of points in `label_points`.
     max_equilibria : int, optional
-        Length of the dimension "equilibrium"; default: as long as these bodies need. Where an array is one of dask it has to
-        be given, and the result is lazy. A satellite without circles of equilibria has at most 24.
+        Length of the dimension "equilibrium"; default: as long as these bodies need. Required for arrays of dask, of which the
+        result is lazy. A satellite without circles of equilibria has at most 24.
 
     Returns
     -------
@@ -81,24 +81,24 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         components of alpha and gamma (of a circle their means); for the fixed_point dimension, in the order of theta0.
 
         Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
-        "equilibrium", of which each body uses the first places; in the others index is -1 and what is no flag is nan.
-        completeness (flags) states for each body whether all are listed; equilibrium_count,
-        equilibrium_stable_count (linearly stable) and equilibrium_energy_stable_count (minima of the amended
-        potential) are nan where they are not isolated, or not certain: solutions that merge are listed once then, as degenerate.
+        "equilibrium". Each body uses the first places; in the others index is -1, and variables other than flags are nan.
+        completeness (flags) states for each body whether all equilibria are listed. equilibrium_count,
+        equilibrium_stable_count (linearly stable) and equilibrium_energy_stable_count (minima of the amended potential) are
+        nan where equilibria are not isolated or not certain; solutions that merge are then listed once, as degenerate.
 
     Raises
     ------
     BadInput
         For bodies that cannot exist, where every orientation is an equilibrium, and where the number or an index is not
-        certain; of many bodies only if none can exist, which a lazy result marks as the others. For more equilibria than
-        `max_equilibria`.
+        certain. For many bodies only if none can exist; a lazy result marks impossible bodies instead. For more equilibria
+        than `max_equilibria`.
 
     Notes
     -----
     Equilibria form circles where two moments are equal and rotor, magnet and drag have no component across, all to the last bit.
-    Near such a body, at relative differences of the moments from about 1e-12 on, or with equal moments at components across
-    from about 1e-7 on, its isolated equilibria are all listed. Nearer to it, and within about 1e-10 of a bifurcation, where
-    solutions are closer than 1e-5, their number is not certain.
+    Near such a body all isolated equilibria are listed if moments differ by at least about 1e-12 (relative) or, with equal
+    moments, components across by at least about 1e-7. Nearer to it, and within about 1e-10 of a bifurcation, where solutions
+    are closer than 1e-5, their number is not certain.
 
     10 000 satellites take about seven seconds of one processor, less with an axis of symmetry; a single one near a symmetry
     or a bifurcation takes up to 0.2 seconds.
@@ -149,7 +149,7 @@ def _kinds(system: System) -> dict[str, np.ndarray]:
 
 
 def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
-    """Equilibria of possible bodies, and their numbers."""
+    """Equilibria of possible bodies, and the counts of these equilibria."""
     every = system.equilibria_of_bodies(bodies, lambda: None)
     return {**every, **numbers(every)}
 
@@ -157,7 +157,7 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of equilibria, maybe in another process, with `places` for each body; source: None if all may be impossible."""
+    """Variables of equilibria with `places` for each body, run by dask perhaps; source: None if all bodies may be impossible."""
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)

@@ -8,10 +8,10 @@ An equilibrium is a critical point on the rotation group of
 For p = r = q = 0 and distinct moments these are the 24 orientations with the principal axes along the axes of the frame,
 for complex moments too. The path of each is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
 complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
-complex equilibria that are isolated (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials,
-World Scientific 2005, chapters 7 and 8). That there are 24 for general p, r and q as well follows from the 40 eigenvectors of a
-symmetric quartic form (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942), which W is in a quaternion
-(`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ones among them are the equilibria: if 24 different ends are
+isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials, World
+Scientific 2005, chapters 7 and 8). General p, r and q have 24 as well: in a quaternion W is a symmetric quartic form, whose
+number of eigenvectors is 40 (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942;
+`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the equilibria of the body: if 24 different ends are
 reached, none is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
@@ -35,33 +35,33 @@ PATHS = 24
 AXES = np.eye(3)
 # Arbitrary; a choice that needs few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
-# Largest correction by Newton's method (rad, sum over the axes), largest step and Newton iterations at the end, of the first
-# attempt and of later ones, for bodies of which a path is lost or two paths end in one place because one jumped to the other.
-# Near a bifurcation each iteration only halves the error.
+# For each attempt the largest correction by Newton's method (rad, sum over the axes), the largest step and the Newton iterations
+# at the end. Later attempts are for bodies with a lost path, or with equal ends because one path jumped to another. Near a
+# bifurcation each iteration only halves the error.
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 # Near a symmetric body paths turn sharply where 1 - t is as small as the distance from symmetry.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
-# Least components of a path that goes to infinity, where the end has fewer than 24 solutions, and the least t where it may.
+# A path goes to infinity (the body has fewer than 24 solutions) if a component exceeds _FAR at t > _FAR_FROM.
 _FAR, _FAR_FROM = 100.0, 0.99
-_STRIDE = 5  # one of so many successive bodies is followed
-_GRADIENT_ROUNDING = 1e-11  # of the gradient at an end
-# A solution with imaginary parts below this is real; solutions closer to each other, or with imaginary parts between
-# the two, are not certainly different or real.
+_STRIDE = 5  # paths are followed for one of so many successive bodies
+_GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at an end
+# A solution with imaginary parts below _REAL is real. Imaginary parts between _REAL and _DISTINCT, or distances of
+# solutions below _DISTINCT, leave the number of real solutions uncertain.
 _REAL, _DISTINCT = 1e-9, 1e-5
-_MERGED = 1e-4  # distance, or imaginary part, up to which solutions count as one where some are not certain
-_NEARLY_REAL = 1.0  # imaginary parts of solutions that may soon be real
+_MERGED = 1e-4  # distance, or imaginary part, below which solutions count as one if their number is uncertain
+_NEARLY_REAL = 1.0  # largest imaginary part of solutions that count as nearly real
 
 
 def solve(
     inertia: Array, p: Array, r: Array, q: Array, ordered: bool = False
 ) -> tuple[Array, Array, Mask, Mask, Mask]:
-    """Critical points of W of some bodies; a common multiple of (1, 1, 1) in the inertia has no effect.
+    """Critical points of W of some bodies; a common addend of the three moments has no effect.
 
-    ordered: neighbours are similar, so that most are solved by Newton's method from the complex solutions of another.
-    Returns alpha, gamma, unit vectors, of the critical points that are real, of others the real parts; real, which are; nearly,
-    one of each conjugate pair that is not far from real; each once, (24, bodies); complete, where every path ends at a solution
-    of its own that is clearly real or clearly not, or at infinity, (bodies,). Elsewhere solutions that merge are real once, and
-    none is where a path is lost.
+    ordered: whether neighbouring bodies are similar, so that Newton's method may start from the complex solutions of a neighbour.
+    Returns alpha and gamma, (3, 24, bodies), unit vectors of real critical points and the real parts of others; the masks real
+    and nearly (one of each nearly real conjugate pair), (24, bodies); and complete, (bodies,): whether every path ends at infinity
+    or at its own solution, clearly real or clearly not. In other bodies one of several merged solutions is real, and none is
+    real if a path is lost.
     """
     inertia = inertia - inertia.mean(0)
     sizes = [np.abs(vector).max(0) for vector in (inertia, p, r, q)]
@@ -89,7 +89,7 @@ def solve(
 
 
 def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """alpha and gamma at the ends of the paths, nan at infinity, (6, 24, bodies), and where all are reached, (bodies,)."""
+    """alpha and gamma at the ends of the paths, nan at infinity, (6, 24, bodies), and whether all paths arrive, (bodies,)."""
     count = target[0].shape[1]
     # Of the 24 rotations that permute the axes the second half has -alpha.
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
@@ -108,9 +108,9 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """As `_ends`, with paths only for every _STRIDE-th body; its solutions are the starts of Newton's method for its neighbours.
+    """As `_ends`, with paths only for every _STRIDE-th body, whose solutions start Newton's method for its neighbours.
 
-    24 different solutions are all that there are, whatever the starts.
+    Wherever Newton's method starts, 24 different solutions are all that exist.
     """
     count = target[0].shape[1]
     followed = np.arange(0, count, _STRIDE)
@@ -124,7 +124,7 @@ def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _all_different(ends: Complex) -> Mask:
-    """Where all finite solutions are clearly different, and clearly real or not, (bodies,)."""
+    """Whether all finite solutions of a body are clearly different, and each clearly real or clearly not, (bodies,)."""
     distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
@@ -148,7 +148,7 @@ def _follow(
         now, length = t[active], np.minimum(step[active], 1 - t[active])
 
         def rate(a: Complex, g: Complex, s: Array, dI=dI, dv=dv) -> Three:
-            """xi by which the solution turns per unit of t."""
+            """Rotation vector xi of the solution per unit of t."""
             return _newton(_gradient((dI, *dv), a, g), (start + s * dI, *(s * v for v in dv)), a, g)
 
         a, g = alpha[:, active], gamma[:, active]
@@ -175,7 +175,7 @@ def _follow(
 
 
 def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> tuple[Complex, Complex, Mask]:
-    """Solutions by Newton's method from near ones, and which are exact but for rounding."""
+    """Solutions by Newton's method from approximate ones, and which of them are exact up to rounding."""
     for _ in range(iterations):
         xi = _newton(_gradient(target, alpha, gamma), target, alpha, gamma)
         small = _size(xi) < 0.3
@@ -191,7 +191,7 @@ def _size(xi: Three) -> Array:
 
 
 def _gradient(body: Sequence[Three], a: Three, g: Three) -> Three:
-    """Gradient of W of I, p, r and q under rotations: (3 I alpha + p) x alpha + r x beta + (q - I gamma) x gamma."""
+    """Gradient of W under rotations, body = (I, p, r, q): (3 I alpha + p) x alpha + r x beta + (q - I gamma) x gamma."""
     inertia, p, r, q = body
 
     def component(j: int, k: int) -> Complex:

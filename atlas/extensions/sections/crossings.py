@@ -1,8 +1,8 @@
-"""Crossings of a surface by motions that run side by side.
+"""Crossings of a surface by many motions.
 
-The kernel gives nodes, between which the function of the surface is nearly the cubic with its values and slopes there. Where a cubic
-has several zeros, or nearly touches 0, its extremum becomes a node as well. Each zero is improved by Newton's method, with runs of
-the kernel from the node before, so that it has the accuracy of the integration.
+Between nodes of the kernel the function of the surface is nearly a cubic with the values and slopes at the nodes. Where a cubic has
+several zeros, or nearly touches 0, its extremum becomes a node as well. Newton's method improves each zero, with runs of the kernel
+from the node before it, to the accuracy of the integration.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ Counts = NDArray[np.int64]
 NODE_RADIANS = 0.8  # largest distance of two nodes, in rad of the frequency bound
 # Steps between two nodes: few numbers, so that motions share blocks of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
-NODES, LONGEST = 2**15, 2048  # of all motions in memory together, and of one
-# A cubic nearly touches 0 where a middle extremum is below this share of its ends, and less near the ends, where it is as exact as
-# they are. Of a motion twice as fast as the bound its error is a third of it.
+NODES, LONGEST = 2**15, 2048  # largest numbers in memory, of all motions and of one
+# A cubic nearly touches 0 if an extremum in the middle is below the share TOUCHING of its larger end; near the ends, where the cubic
+# is exact, a smaller share counts. If a motion is twice as fast as the bound, the error of a cubic is a third of TOUCHING.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
-# Largest last step of Newton's method but one, in distances of nodes, or over the distance from the ends of the piece.
+# Newton's method is done after a step below LAST_STEP distances of nodes, or LAST_SHARE of the distance to the ends of the piece.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
-# A motion on which the function stays below this share of what its states could make of it stays on the surface.
+# A motion lies on the surface if the function stays below this share of its change by a generic relative change of the states.
 STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
 
@@ -42,7 +42,7 @@ def crossings(
     surface: Surface, kept: Sequence[Expression], kernel: ModuleType, ensemble: Ensemble, sizes: StepSizes,
     duration: Array, count: int,
 ) -> tuple[Array, Counts, Mask]:  # fmt: skip
-    """Kept quantities and, last, times of at most `count` crossings, (rows, points, count); their numbers; finite motions."""
+    """Kept quantities and, last, times of at most `count` crossings, (rows, points, count); numbers of crossings; finite motions."""
     table = np.full((len(kept) + 1, ensemble.size, count), np.nan)
     have, done = np.zeros((2, ensemble.size), np.int64)
     state, finite = ensemble.state.copy(), np.ones(ensemble.size, bool)
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # Changes of the states that are not all alike, which unit vectors would not feel.
+        # A different relative change of each state: a common one would not change directions.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -88,7 +88,7 @@ def crossings(
 def _at(
     surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """State and its derivative by the share, the function and its slope, at shares of the distances from nodes to the next ones."""
+    """State, its derivative by the share, the function and its slope, at shares of the distance from a node to the next."""
     part, steps, unit = motions.subset(place), steps[place], spacing[place]
     states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
     state, slopes = states[:, 1], slopes[:, 1] * unit
@@ -98,9 +98,9 @@ def _at(
 def _zeros(
     at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
 ) -> tuple[Counts, Array]:
-    """Interval and share of each zero in a direction, in order; ends: values and slopes at both ends of the intervals.
+    """Interval of each zero in a direction, and its share of the interval, in order; ends: values and slopes at the ends.
 
-    Pieces of intervals are cut where their cubics touch 0, or else cross it, until Newton's method has found the zero.
+    A piece of an interval is cut where its cubic nearly touches 0, else where it crosses 0, until Newton's method is done.
     """
     f0, s0, f1, s1 = ends
     size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((2, 0))]
@@ -131,7 +131,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """Of cubics by values and slopes at 0 and 1: the extremum next to 0, whether it decides on zeros, and about a zero."""
+    """Extremum with the least value of cubics with values and slopes at 0 and 1, whether it decides on zeros, and an estimate of a zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])
@@ -141,7 +141,7 @@ def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Arra
     depth = np.where(x < 1, depth, np.inf)
     signs = np.sign([f0, *height, f1])
     decides = (depth.min(0) < TOUCHING) | ((signs[1:] != signs[:-1]).sum(0) > 1)
-    # The cubic by f with the same ends and slopes.
+    # From x as a cubic in f with the same ends and slopes.
     t, rise = f0 / (f0 - f1), f1 - f0
     zero = t * t * (3 - 2 * t) + t * (1 - t) * ((1 - t) * rise / s0 - t * rise / s1)
     zero = np.where((zero > 0) & (zero < 1), zero, 0.5)

@@ -27,19 +27,19 @@ def section_map(
     Parameters
     ----------
     ds : Dataset
-        The section; of the method `ds.atlas.section_map` its dataset.
+        The section; `ds.atlas.section_map` passes its own.
     x, y : str, optional
-        What the section keeps, or time or error; default the first two.
+        Quantities that the section keeps, or time or error; default the first two.
     colour : str, optional
         A parameter or variable of the points, or "regularity", which `label_points` measures over the duration of the section,
         after its transient; default black.
     **options
-        As of `map`, such as title, ax, legend and width.
+        Options of `map`, such as title, ax, legend and width.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A map of `map` whose points are the crossings.
+        The figure of `map` with the crossings as points.
     """
     if AT not in ds.attrs or not {*DIMS} <= {*ds.dims}:
         raise BadInput("section_map: this dataset is no section; atlas.section makes one")

@@ -35,10 +35,10 @@ OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body k
 DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # attributes
 MAX_VALUES = 10**8  # of each kept quantity
-# Of the difference of both runs the errors of the first one, at most: those of the steps are a sixth (rk4) or less, those of
+# Error of the first run over the difference of both, at most: errors of the steps are a sixth of it (rk4) or less, errors of
 # rounding may be larger.
 SHARE = 0.2
-SPREAD = 1e-6  # relative difference of first integrals among points from which on a warning follows
+SPREAD = 1e-6  # relative difference of first integrals among points, above which a warning follows
 
 
 @typed
@@ -65,16 +65,17 @@ def section(
     at : str
         Two expressions with = between them, then "rising" (default), "falling" or "either": "psi_dot = 0 rising" is where
         the left side minus the right one becomes positive. Names are states, constants and observables of the system and, of
-        a body, theta, psi, phi, theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z; psi and phi stand alone.
+        a body, theta, psi, phi, theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z; psi and phi only alone on
+        the left.
     keep : sequence of str, optional
         Expressions whose values at the crossings are kept; default the observables, of a body theta, phi, theta_dot and
         psi_dot.
     count : int
         Crossings after which a motion ends.
     duration : float or str, optional
-        Time after which it ends without them: time units or a text as in `label_points`; default "6000 / natural_rate".
+        Longest time of a motion, in time units or a text as in `label_points`; default "6000 / natural_rate".
     transient : float or str
-        Time before crossings count, likewise.
+        Time before crossings count, in the same forms.
     tolerance : float
         Phase error of the fastest frequency after transient and duration, rad.
     method : str
@@ -83,10 +84,10 @@ def section(
     Returns
     -------
     xarray.Dataset
-        Over the dimensions "point" and "crossing", nan beyond the crossings of a point: what is kept, by its text; time, from
-        the start; error, the largest of these by a second run with longer steps. Over "point": crossings, their number, and status: ok,
-        not_finite, under_resolved, or step_sensitive where both runs have different numbers of crossings. The parameters are
-        coordinates.
+        Over the dimensions "point" and "crossing", nan beyond the crossings of a point: each kept expression, by its text; time,
+        from the start; error, the largest error of these, from a second run with longer steps. Over "point": crossings, their
+        number; status: ok, not_finite, under_resolved, or step_sensitive where the two runs have different numbers of
+        crossings. The parameters are coordinates.
 
     Raises
     ------
@@ -181,7 +182,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """Differences among starts of the first integrals that are constant, over their sizes."""
+    """Range over the starts of each first integral that is constant, relative to its size."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

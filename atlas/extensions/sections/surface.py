@@ -1,4 +1,4 @@
-"""Surfaces of section: smooth functions of the state that vanish on them."""
+"""Surfaces of section, as zeros of smooth functions of the state."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ...systems.jacobian import STEP
 
 DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
 JUMPING = {"psi", "phi"}  # angles that jump by a turn
-OF_FRAME = {"psi", "axis_x", "axis_y"}  # those that need a vector at rest in the frame
+OF_FRAME = {"psi", "axis_x", "axis_y"}  # quantities that need `axis_in_frame` of the equations
 STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # not smooth on the vertical
-TINY = 1e-300  # rates on the vertical are finite
+TINY = 1e-300  # keeps rates on the vertical finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """These quantities, and the states and constants, at states; complex ones are exact to first order."""
+    """The named quantities, states and constants, at states; imaginary parts, as small changes, are exact to first order."""
     equations = system.equations
     values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
     missing = {*names} - values.keys()
@@ -47,7 +47,7 @@ def quantities(system: System, names: Collection[str], state: Any, constants: Ar
 
 
 def _angle(sine: Any, cosine: Any) -> Any:
-    """The angle whose sine and cosine times a factor these are."""
+    """The angle with this sine and cosine, up to a common factor; an imaginary part is carried to first order."""
     y, x = np.real(sine), np.real(cosine)
     return np.arctan2(y, x) + 1j * (np.imag(sine) * x - np.imag(cosine) * y) / (x * x + y * y)
 
@@ -92,12 +92,12 @@ class Surface:
                 f'{key}: psi and phi jump by a turn; allowed: one of them alone, as in "{min(jumping)} = 0", or sines and'
                 " cosines by axis_x, axis_y and states"
             )
-        # Near the vertical theta' changes its sign, psi' and phi' have a peak and theta a minimum: a power of the sine clears them.
+        # Near the vertical theta' changes its sign, psi' and phi' have a peak and theta a minimum: the factor sin(theta)^power removes these.
         steep = self.names & STEEP if system.frame else set()
         self.power = 0 if not steep else 1 if steep == {"theta_dot"} else 2
 
     def checked(self, key: str, expression: Expression) -> Expression:
-        """The expression; BadInput if it has other names than these quantities."""
+        """The expression; BadInput if it contains an unknown name."""
         for name in sorted(expression.names - self.known):
             raise BadInput(f"{key}: {shown(name)} is unknown; {allowed_text(name, sorted(self.known))}")
         return expression
@@ -119,13 +119,13 @@ class Surface:
         return value * (sine2 if self.power == 2 else np.sqrt(sine2))
 
     def with_slope(self, state: Array, slopes: Array, constants: Array) -> tuple[Array, Array]:
-        """The function at states and its derivative where these are the derivatives of the states."""
+        """The function at states and its derivative along the slopes, the derivatives of the states."""
         with np.errstate(all="ignore"):
             value = np.broadcast_to(self.value(state + 1j * STEP * slopes, constants), state.shape[1:])
         return value.real, value.imag / STEP
 
     def contains(self, state: Array, constants: Array) -> Mask | bool:
-        """Whether a zero is on the surface: of a jumping angle, those half a turn away are not."""
+        """Whether a zero is on the surface: for psi and phi, a zero half a turn away is not."""
         if self.angle not in JUMPING:
             return True
         values = quantities(self.system, {self.angle}, state, constants)

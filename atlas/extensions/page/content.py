@@ -51,14 +51,14 @@ THEORY = (
     "energy_stable", "frequency_1", "frequency_2", "frequency_3",
 )  # fmt: skip
 NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
-# Theory is drawn for at most this many values of the further axes together: each takes some seconds.
+# Largest number of maps, over the values of the further axes, with lines of theory: each map takes some seconds.
 MAX_SLICES = 24
 SHADES = 256
 HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # regions that are hatched
 
 
 def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """The whole table; motions: `motion_table`, or {"fault": why there is none}; file: the atlas in commands of the page."""
+    """All that a page shows; motions: `motion_table`, or {"fault": reason}; file: name of the atlas in the commands shown."""
     ds, system, attributes = layout.ds, layout.system, layout.ds.attrs
     notes = list(layout.notes)
     if "atlas_scene" not in attributes:
@@ -90,7 +90,7 @@ def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: s
 
 
 def axes_table(layout: Layout) -> list[dict[str, Any]]:
-    """Axes of the atlas; of single points the coordinates that differ among them, axes of the map first."""
+    """Axes of the atlas; for single points the coordinates that vary, axes of the map first."""
     ds, system, names = layout.shown, layout.system, layout.dims
     if layout.points:
         columns = {name: ds[name].values for name in numeric_coordinates(ds, POINT)}
@@ -122,7 +122,7 @@ def axes_table(layout: Layout) -> list[dict[str, Any]]:
 
 
 def _defined_name(symbol: list[Run]) -> list[Run]:
-    """The name that a formula such as K1 = (C - A)/B defines; other symbols as they are."""
+    """The name that a formula such as K1 = (C - A)/B defines; other symbols unchanged."""
     for number, run in enumerate(symbol):
         before, equals, _ = run["t"].partition(" = ")
         if equals:
@@ -164,7 +164,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
 
 
 def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
-    """Values of a variable with their colours, of flags with their sentences."""
+    """Values of a variable with their colours, and for flags with their sentences."""
     array = layout.shown[name]
     values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
@@ -195,7 +195,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
 
 
 def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
-    """Values; where a refined atlas did not integrate, of the nearest point, as on maps."""
+    """Values of a variable; points that a refined atlas did not integrate have the value of the nearest one, as on maps."""
     array = layout.shown[name]
     if "computed" not in layout.ds or flag_names(array) or layout.points:
         return array
@@ -208,7 +208,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Lines of theory, slow and white points; empty for single points."""
+    """Lines of theory, and the masks of slow and of white points; empty for an atlas of single points."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -234,7 +234,7 @@ def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
 
 
 def _lines(layout: Layout, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
-    """Lines of theory of one panel: text, maps on which they are drawn, vertices."""
+    """Lines of theory of one panel, each with its kind, the groups of maps that show it, and its vertices."""
     limits, axes = (STABILITY, EXISTENCE), [part[dim] for dim in layout.axes]
     panel = panel.in_degrees(layout.degrees)
     lines = [
@@ -287,7 +287,7 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
         if not np.isnan(starts.parameters[name]).all()
     ]
     states = list(system.equations.STATE)
-    observables = []  # of a system without a body in a frame: a state, or a function of the equations
+    observables = []  # states or functions of the equations, of systems without a body in a frame
     for observable in system.observables:
         unit = unit_text(observable.unit)
         label = f"{observable.symbol or observable.name}{f' ({unit})' if unit else ''}"
@@ -323,7 +323,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
         column = store.add(
             motion.over_points(xr.DataArray(ds[dim].variable.astype(np.float64)), layout.sizes)
         )
-        if layout.scene is not None or column["over"]:  # one value for all points where false
+        if layout.scene is not None or column["over"]:  # one value for all points needs no coordinate
             coordinates.append({"name": name, "dim": dim, "values": column})
     return {
         "shell": f"atlas trajectory {shlex.quote(file)} --at",
@@ -341,13 +341,13 @@ def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "t
     return {"kind": kind, "on": on, "source": source, "paths": paths}
 
 
-# Types of JavaScript's typed arrays, by their names there.
+# Types of JavaScript's typed arrays, by the names of NumPy's types.
 _TYPES = {"int8": "Int8Array", "int32": "Int32Array", "float32": "Float32Array", "float64": "Float64Array"}
 _LEVEL = 9
 
 
 class Store:
-    """Arrays over the points of an atlas, and shades of colours, each stored once; nbytes: size of the arrays, uncompressed."""
+    """Arrays over the points of an atlas, and shades of colours, each stored once; nbytes: uncompressed size of the arrays."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape
@@ -357,7 +357,7 @@ class Store:
         self._numbers: dict[tuple[str, bytes], int] = {}
 
     def add(self, values: np.ndarray) -> dict[str, Any]:
-        """Keep an array over the points: the number of its entry, and the axes along which it varies."""
+        """Store an array over the points; returns the number of its entry and the axes along which it varies."""
         over = []
         bits = np.broadcast_to(values, self.shape)
         bits = np.ascontiguousarray(bits).view(f"u{values.dtype.itemsize}")
@@ -376,7 +376,7 @@ class Store:
         return {"array": self._numbers[key], "over": over}
 
     def add_scale(self, scale: ColorScale) -> dict[str, Any]:
-        """Keep the shades of a colour scale: its kind, ends and the name of the shades."""
+        """Store the shades of a colour scale; returns its kind, its ends and the name of the shades."""
         name = scale.colormap.name
         if name not in self.shades or scale.integers:
             count = scale.colormap.N if scale.integers else SHADES
@@ -388,7 +388,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Type in JavaScript, size and data of each array: first bytes of all numbers first, by zlib, in base64."""
+        """Type in JavaScript, size and data of each array: its bytes, grouped by place in the number, by zlib, in base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))
@@ -400,7 +400,7 @@ class Store:
 
 
 def float_array(values: np.ndarray) -> np.ndarray:
-    """Numbers as float32, seven digits; as float64 where their magnitudes need it."""
+    """Numbers as float32 (seven digits), or as float64 if their magnitudes are outside its range."""
     values = np.asarray(values, np.float64)
     size = np.abs(values[np.isfinite(values) & (values != 0.0)])
     fits = not size.size or bool(size.max() < 1e38 and size.min() > 1e-37)
@@ -408,7 +408,7 @@ def float_array(values: np.ndarray) -> np.ndarray:
 
 
 MAX_POINTS = 120_000
-# Bytes of numbers before compression: about as many in the page, because base64 loses what compression gains.
+# Bytes of numbers before compression, about as many as in the page: base64 adds what compression removes.
 MAX_BYTES = 12_000_000
 
 
@@ -418,8 +418,8 @@ class Layout:
 
     whole: xr.Dataset  # the atlas
     ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
-    scene: Scene | None  # scene of the atlas, from which theory and motions follow
-    problem: str  # reason why an atlas that names a scene has no motions
+    scene: Scene | None  # scene of the atlas, the source of theory and motions
+    problem: str  # reason why the scene of the atlas cannot be used, or empty
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
     panel_dims: list[str]  # the other dimensions
@@ -429,7 +429,7 @@ class Layout:
 
     @cached_property
     def shown(self) -> xr.Dataset:
-        """The points as a reader sees them."""
+        """The points, with angles in the unit that a reader sees."""
         return in_degrees(self.ds, self.degrees)
 
     @property
@@ -453,13 +453,13 @@ class Layout:
         return tuple(self.sizes.values())
 
     def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
-        """Each map: the index of its points in an array over all points, and the part of the atlas that it shows."""
+        """For each map the index of its points in an array over all points, and its part of the atlas."""
         for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.panel_dims)):
             along = dict(zip(self.panel_dims, index, strict=True))
             yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
-        """Masks of the cells of each map, over all points."""
+        """One mask over all points, from the masks of the cells of each map (None: no cell)."""
         whole = np.zeros(self.shape, bool)
         order = self.axes[::-1]  # a panel has its x axis last
         axes = [order.index(dim) for dim in self.dims if dim in order]
@@ -470,7 +470,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
-    """Layout of a page: every k-th value of the longest axes, at most max_points; BadInput without axes."""
+    """Layout of a page with at most max_points points, by every k-th value of the longest axes; BadInput without axes."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (

@@ -1,4 +1,4 @@
-"""Equations, start values, constants and steps with which a page integrates the points of an atlas."""
+"""Equations, start values, constants and steps by which a page integrates the points of an atlas."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ...systems import arithmetic
 from ...systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the kernel, and optional ones in the caller's units that show a body.
+# Functions of the equations in the kernel's units, and optional ones, in the caller's units, that show a body.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 
@@ -35,19 +35,18 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # State and constants are as in `kernel.ensemble.Ensemble`; for a body whose equations have no `axis_in_frame` the state is
-    # followed by the first axis of the frame.
+    # As in `kernel.ensemble.Ensemble`; if the equations of a body have no `axis_in_frame`, the first axis of the frame follows.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
     steps: np.ndarray  # steps from one instant of the trajectory to the next
-    reason: np.ndarray  # why there is no motion, an index of `sentences`; 0 where there is one
-    sentences: list[str]  # the reasons
+    reason: np.ndarray  # index in `sentences` of why a point has no motion, 0 where it has one
+    sentences: list[str]
     method: str  # a key of tableaux.METHODS
 
 
 def sources(system: System, method: str) -> dict[str, str]:
-    """Sources of the Python functions that integrate a point and show its motion; states as in `Motions`."""
+    """Sources of the Python functions that integrate a point and show its motion, by name; states as in `Motions`."""
     equations = with_frame_vector(system.equations)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
@@ -101,7 +100,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         finite = np.where(np.isfinite(duration), duration, 0.0)
         at_points = settings.at(rate_tolerance)
         count = StepSizes.of(at_points, ensemble.frequency_bound, finite).steps
-        if system.has_numeric_bound:  # the steps in the atlas follow from a bound along each motion
+        if system.has_numeric_bound:  # the atlas has steps from a bound along each motion
             if "step" not in ds:
                 raise BadInput(
                     "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"
@@ -143,14 +142,14 @@ _AXPY = """function axpy$(y, weights, slopes) {
 
 
 class CannotTranslate(ValueError):
-    """A function contains something that has no translation; the message names it."""
+    """An expression or statement has no translation; the message quotes it."""
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript functions of Python functions in the grammar of `arithmetic`; else CannotTranslate.
+    """JavaScript functions from Python functions in the grammar of `arithmetic`; CannotTranslate for others.
 
-    They may also contain tuples, which are arrays in JavaScript, and calls of `axpy` and each other. Every name is followed by
-    "$", which no Python name contains, so that it is no word of JavaScript.
+    Tuples (arrays in JavaScript), calls of `axpy` and calls of each other are allowed too. Every name gets the ending "$", which
+    Python names and words of JavaScript lack.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
@@ -158,7 +157,7 @@ def translate(sources: Mapping[str, str]) -> str:
 
 
 def _number(value: float) -> str:
-    """A number with the same 64 bits."""
+    """Source of a number in JavaScript, with the same 64 bits."""
     return {"inf": "Infinity", "nan": "NaN"}.get(repr(float(value)), repr(float(value)))
 
 
@@ -206,7 +205,7 @@ class _Function:
         raise self.fault(node)
 
     def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
-        """Lines that assign a value to a name, or the items of a tuple to several at once."""
+        """Lines that assign a value to a name, or the items of a tuple to several names."""
         if isinstance(target, ast.Name):
             return self.assigned(target, self.expression(value))
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
@@ -233,7 +232,7 @@ class _Function:
         raise self.fault(target)
 
     def temporary(self) -> str:
-        """A new name that no Python name equals."""
+        """A new name, different from all Python names."""
         self.temporaries += 1
         return f"t${self.temporaries - 1}"
 

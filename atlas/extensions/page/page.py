@@ -85,7 +85,7 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
     -------
     Page
         Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
-        Of atlases of more than `atlas.extensions.page.content.MAX_POINTS` points it shows every k-th value along the longest axes.
+        An atlas with more than `atlas.extensions.page.content.MAX_POINTS` points is thinned: every k-th value along the longest axes.
     """
     return atlas_page(ds, degrees=degrees)
 
@@ -93,7 +93,7 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
 def atlas_page(
     ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS, degrees: bool | None = None
 ) -> Page:
-    """Make the page of an atlas, whose name in the commands of the page is `file`."""
+    """Make the page of an atlas; file: the name of the atlas in the commands that the page shows."""
     system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
     method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
@@ -131,7 +131,7 @@ def _fallback(layout: Layout) -> str:
 
 
 def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
-    """The file: template, style, script and data, with a policy that allows these and nothing else."""
+    """Text of the file: template, style, script and data, with a content-security policy that allows nothing else."""
     folder = files(__package__)
     style = folder.joinpath("page.css").read_text(encoding="utf-8")
     program = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
@@ -141,7 +141,7 @@ def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
-    # The text cannot end the element around it.
+    # Escaped, so that no text can end the element around the data.
     text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     parts = {
         "policy": html.escape(policy),
@@ -152,7 +152,7 @@ def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
         "picture": f'<img src="{picture}" alt="{html.escape(table["title"])}">',
     }
     template = folder.joinpath("template.html").read_text(encoding="utf-8")
-    # In one pass, so that no part is searched for the names of others.
+    # In one pass, so that names of parts inside a part are not replaced.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 

@@ -44,10 +44,10 @@ RAISED, LOWERED = 1, -1
 def text_runs(text: str) -> list[Run]:
     r"""Runs of equal style of a text such as "$\theta_0$ (rad s$^{-1}$)", in Matplotlib's notation.
 
-    "t" are the letters, "i" is italic, "s" 1 raised or -1 lowered. Unknown commands become their names.
+    Keys of a run: "t" its letters, "i" true if italic, "s" 1 if raised, -1 if lowered. Unknown commands become their names.
     """
     parts = text.split("$")
-    if len(parts) % 2 == 0:  # an unpaired dollar sign is one
+    if len(parts) % 2 == 0:  # an unpaired dollar sign is a letter
         return [{"t": text}]
     result: list[Run] = []
     for number, part in enumerate(parts):
@@ -68,7 +68,7 @@ def plain(text: str) -> str:
 
 
 def _append(result: list[Run], text: str, italic: bool, shift: int) -> None:
-    """Add letters, to the last run if that has their style."""
+    """Add letters, to the last run if it has the same style."""
     style = ({"i": True} if italic else {}) | ({"s": shift} if shift else {})
     if result and {k: v for k, v in result[-1].items() if k != "t"} == style:
         result[-1]["t"] += text
@@ -83,7 +83,7 @@ class _Formula:
         self.tokens, self.result = tokens, result
 
     def next(self) -> str:
-        """The next token that is no space; empty at the end."""
+        """The next token other than a space; empty at the end."""
         while self.tokens:
             token = self.tokens.pop(0)
             if not token.isspace():
@@ -122,7 +122,7 @@ class _Formula:
             _append(self.result, letter + accent, letter.isalpha(), shift)
 
     def command(self, name: str, shift: int, accent: str) -> None:
-        """Set what a command stands for."""
+        """Set the accent, space, font, function or letter that a command means."""
         if name in _ACCENTS:
             self.argument(shift, accent + _ACCENTS[name])
         elif name in _SPACES:

@@ -1,4 +1,4 @@
-"""The page of an atlas in a notebook, whose chosen point Python reads."""
+"""The page of an atlas as a widget of a notebook, from which Python reads the clicked point."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class PageWidget(anywidget.AnyWidget):
     Attributes
     ----------
     point : dict
-        Coordinates of the point that was clicked last, as ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``
-        take them; empty before the first click. `observe` calls a function after each.
+        Coordinates of the last clicked point, for ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``; empty
+        before the first click. `observe` calls a function after each click.
     """
 
     _esm = files(__package__).joinpath("widget.js").read_text(encoding="utf-8")

@@ -2,16 +2,16 @@
 
 A body with A = B and its centre of mass on the third axis spins fast, r0, about that axis; the rotor
 (l1, l2, l3) is arbitrary. Small parameter: eps = c sqrt(gamma0'') / r0, c^2 = Mg |z0| / C. Numbers in
-brackets are the paper's equations; `published` has the same quantities as the paper prints them, and in
-`published.PUBLISHED` the differences and their amounts. Dimensionless state: y = (p1, q1, r1, g1, g1', g1''), time
+brackets are the paper's equations; `published` has the same quantities as the paper prints them, and
+`published.PUBLISHED` lists the differences and their sizes. Dimensionless state: y = (p1, q1, r1, g1, g1', g1''), time
 tau = r0 t. In the complex form w = p1 + i q1, G = g1 + i g1', mu = (l1 + i l2) / (A c sqrt(gamma0'')),
 
     w'   = i (A1 r1 + s) w - i mu r1 + i eps (z/a - k A1 g1'') G        s = l3 / (A r0)
     G'   = -i r1 G + i eps w g1''
     r1'  = eps^2 a Im(w conj(mu)),      g1''' = eps Im(w conj(G))
 
-so that w turns with Omega = A1 + s, exactly if eps = 0, about mu / Omega, which is not small and missing from
-the paper's (19), (20) and (33).
+so that w turns at the rate Omega = A1 + s (exactly at eps = 0) about mu / Omega. This term is not small, and missing
+from the paper's (19), (20) and (33).
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "g
 
 @dataclass(eq=False)
 class FastSpin:
-    """A body of the paper and its numbers (4), (5), (10), (30), numbers or arrays; BadInput where a formula is undefined."""
+    """A body of the paper and its quantities (4), (5), (10), (30); BadInput where a formula is undefined."""
 
-    A: Any  # = B, kg m2; all are numbers or arrays, and become arrays
+    A: Any  # = B, kg m2; all fields are given as numbers or arrays and kept as arrays
     C: Any  # kg m2
     weight: Any  # Mg z0, N m
     N: Any  # s-2
@@ -70,7 +70,7 @@ class FastSpin:
         self.z = np.sign(self.weight)  # z0' = +-1
         unit = C * self.scale
         self.y = self.l1 / unit, self.l2 / unit, self.l3 / unit  # y_i = l_i / (c C sqrt(gamma0''))
-        # (l1 + i l2) / (A c sqrt(gamma0'')), C / A times y1 + i y2, and the centre about which p1, q1 turn, mu / Omega
+        # mu = (l1 + i l2) / (A c sqrt(gamma0'')) = (y1 + i y2) C / A; p1, q1 turn about the centre mu / Omega
         self.mu = (self.l1 + 1j * self.l2) / (A * self.scale)
         self.Omega = ((C - A) * r0 + self.l3) / (A * r0)  # frequency of p1, q1 in tau, exact at eps = 0
         _raise_where(
@@ -128,7 +128,7 @@ def rhs(spin: FastSpin, y: Array) -> Array:
 
 
 def rate_of(spin: FastSpin) -> Callable[[float, Array], Array]:
-    """`rhs` of one body as a function of time and state, with Python's numbers, which take less time than NumPy's."""
+    """`rhs` of one body as a function of time and state, with Python's numbers, which are faster than NumPy's."""
     numbers = {name: value.item() for name, value in vars(spin).items() if not isinstance(value, tuple)}
     one: Any = SimpleNamespace(**numbers)
     return lambda _, y: rhs(one, y.tolist())
@@ -146,7 +146,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, of the state y; given dy/dtau, p2' and gamma2'."""
+    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, from y; or p2' and gamma2' from dy/dtau."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -170,7 +170,7 @@ def frequency_shift(spin: FastSpin) -> Array:
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
-    """alpha(eps) of (33), in tau: the period of the periodic solution less T0 = 2 pi turns."""
+    """alpha(eps) of (33), in tau: the period of the periodic solution minus T0 = 2 pi turns."""
     return -2 * np.pi * turns * frequency_shift(spin)
 
 
@@ -212,7 +212,7 @@ def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
 
 
 def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
-    """theta, psi and phi of `first_order` at times t (in 1/r0's unit), by (34); h shifts the phase.
+    """theta, psi and phi of `first_order` at times t (in the unit of 1/r0), by (34); h shifts the phase.
 
     Errors of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates.
     """
@@ -255,7 +255,7 @@ def integrate(spin: FastSpin, y0: Array, tau: Array, **options: Any) -> Array:
 
 
 def paper_body(name: str, rotor: float | Array) -> FastSpin:
-    """A body of section VI: name of PAPER_BODIES and l1 = l2 = l3 = rotor, N m s, a number or several."""
+    """A body of section VI: name of PAPER_BODIES and l1 = l2 = l3 = rotor, N m s, a number or an array."""
     A, C = PAPER_BODIES[name]
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
@@ -289,7 +289,7 @@ def paper_spin(rng: np.random.Generator) -> FastSpin:
     return _paper_spin(str(rng.choice(list(PAPER_BODIES))), rng.uniform(10, 25))
 
 
-_paper_spin = cache(paper_body)  # one object for a seed, so that what is measured on its motion can be kept
+_paper_spin = cache(paper_body)  # one object for each seed, so that results for its motion can be cached
 
 
 def true_rate(spin: FastSpin, y: Array) -> Array:
@@ -310,7 +310,7 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
     return true_rate(spin, y + 1e-30j * true_rate(spin, y)).imag / 1e-30
 
 
-# Errors of a solution (33), as printed or as true, against the full equations at points of an atlas.
+# Errors of the solution (33), printed or true, against the full equations at points of an atlas.
 
 SAMPLES = 201  # instants of a run at which the errors are taken
 # Points integrated together: enough to share the overhead of a step, few enough for little memory.
@@ -329,7 +329,7 @@ def errors(
     solution: Callable[[FastSpin, Array], Array],
     pause: Callable[[], None] = lambda: None,
 ) -> tuple[Array, Array]:
-    """Largest errors over a run of a solution (spin, tau) -> y of (1): of gamma (rad while small), and of p + i q over its largest.
+    """Largest errors of a solution (spin, tau) -> y of (1) over a run: of gamma (rad if small), and of p + i q over its maximum.
 
     nan where the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the
     initial value of the solution, with r0 and gamma0'' of the point, so that the error is due to the formula. DOP853 takes
@@ -391,7 +391,7 @@ def _full(spin: FastSpin, y0: Array, end: Array, pause: Callable[[], None]) -> A
 
 
 def check(points: Points, duration: Array) -> None:
-    """Raise BadInput for points without the solution, and for runs too long to be integrated to its errors."""
+    """Raise BadInput for points without the solution, and for runs longer than MAX_RADIANS."""
     with np.errstate(all="ignore"):
         fast_spin(points)
     length = radians(points, duration)

@@ -1,13 +1,13 @@
 """Exact periodic solutions of (1) at any eps, by shooting, and their Floquet multipliers.
 
-A solution of (1) whose gamma returns after about one turn is fixed by r1 = g1'' = 1 and the phase gamma2' = 0 at tau = 0, as
-(22) wants it. Unknown are eps p1, eps q1, the angle of g1 + i g1' and the period. Of the six multipliers four are 1: of the
-direction of the motion and of the three integrals (2). The others are rho and 1/rho, and their sum is the trace of the
-monodromy matrix less 4. The solution is stable where rho is on the unit circle.
+A solution of (1) whose gamma returns after about one turn is fixed by r1 = g1'' = 1 and the phase gamma2' = 0 at tau = 0, as in
+(22). The unknowns are eps p1, eps q1, the angle of g1 + i g1' and the period. Four of the six multipliers are 1, by the
+direction of the motion and the three integrals (2). The others are rho and 1/rho, and their sum is the trace of the monodromy
+matrix minus 4. The solution is stable where rho is on the unit circle.
 
 Without a field the solution is known: p1 + i q1 rests at mu / Omega and gamma turns about the axis of rotation, so that the
-period is 2 pi / |w|. `follow` raises the field from there to its value at constant l / (A r0), which is the same as raising
-eps from 0: a solution exists where this path does not end before.
+period is 2 pi / |w|. `follow` raises the field from 0 to its value at constant l / (A r0), which is the same as raising eps from
+0; a solution is found if this path does not end before.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
 STEPS = 24  # steps of rk8 in a period, along the path of solutions
-FINE = 48  # steps in a period at the end of the path: errors of rounding, in units of r0 for p and q
+FINE = 48  # steps in a period at the end of the path: errors are of the size of rounding
 # Largest correction of each unknown; a larger one may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # shortest step of the path, as a share of the field; where it fails the path has a fold
+LEAST_STEP = 0.005  # shortest step of the path, as a share of the field; if it fails, the path has a fold
 DEFECT = 1e-5  # largest defect before the last correction of a periodic solution
 MARGIN = 1e-7  # distance of |trace| from 2 below which rounding decides on stability
 
@@ -75,7 +75,7 @@ def _sum(weights: tuple[float, ...], slopes: list[Array]) -> Array | float:
 
 
 def state(spin: FastSpin, x: Array) -> Array:
-    """y at tau = 0 of the unknowns eps p1, eps q1, angle of g1 + i g1' and period, (4, points)."""
+    """y at tau = 0 from the unknowns eps p1, eps q1, angle of g1 + i g1' and period, (4, points)."""
     one = np.ones_like(x[0])
     return np.array(
         [x[0] / spin.eps, x[1] / spin.eps, one, spin.M3 * np.cos(x[2]), spin.M3 * np.sin(x[2]), one]
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and the defect before the last correction; the final defect is about its square."""
+    """Unknowns after corrections by Newton's method, and the defect before the last one, about the root of the final defect."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])
@@ -112,7 +112,7 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
     angle = np.arcsin(np.clip(free.imag / spin.M3, -1, 1))
     x = np.array([free.real, free.imag, angle, 2 * np.pi / np.sqrt(1 + np.abs(free) ** 2)])
     slope, share, step = np.zeros_like(x), np.zeros_like(angle), np.ones_like(angle)
-    step[~(np.abs(free.imag) < spin.M3)] = 0.0  # g1' = eps q1 at tau = 0 is beyond gamma
+    step[~(np.abs(free.imag) < spin.M3)] = 0.0  # no solution: |g1'| = |eps q1| at tau = 0 exceeds M3
     while (active := np.flatnonzero((share < 1) & (step >= LEAST_STEP))).size:
         pause()
         target = np.minimum(share + step, 1)[active]
@@ -131,7 +131,7 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
 
 
 def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
-    """The periodic solutions of unknowns, with their multipliers."""
+    """The periodic solutions with these unknowns, and their traces."""
     y, size = state(spin, x), x.shape[1]
     along = np.eye(6)[:, :, None] * np.array([spin.eps**-1, spin.eps**-1, *4 * (np.ones(size),)])[:, None]
     changed = flow(spin, y, along, x[3], FINE)[1]

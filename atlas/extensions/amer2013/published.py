@@ -1,8 +1,8 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
-For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their amounts where a
-number can be measured. The formulas are in the table [printed] of equations.toml, the steps between (6) and (27) in
-`reduction`. Each function has the signature and the units of its namesake in `fast_spin`. X and what depends on it need A1 != 0.
+For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their measured sizes where
+possible. The formulas are in the table [printed] of equations.toml, the steps between (6) and (27) in `reduction`.
+Each function has the signature and the units of its namesake in `fast_spin`. X and formulas that contain X need A1 != 0.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def numbers(spin: FastSpin) -> Values:
 
 
 def formulas(values: Values, *names: str) -> Array:
-    """Formulas of [printed], shape (names, ...)."""
+    """Values of formulas of [printed], shape (names, ...)."""
     return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
 
 
@@ -102,7 +102,7 @@ def angles(spin: FastSpin, t: Array) -> Array:
 
 
 def check(points: Points, duration: Array) -> None:
-    """Raise BadInput for points without the printed solution, and for runs too long to be integrated to its errors."""
+    """Raise BadInput for points without the printed solution, and for runs longer than MAX_RADIANS."""
     with np.errstate(all="ignore"):
         coefficients(fast_spin.fast_spin(points))
     fast_spin.check(points, duration)
@@ -129,7 +129,7 @@ def _of_body(
     true: Any,
     draw: Callable[[np.random.Generator], FastSpin] = random_spin,
 ) -> EntryMeasure:
-    """The magnitude of a measure (body, random generator, what is printed or true); `draw` draws the body."""
+    """Entry measure: the largest magnitude of measure(body, random generator, reading), for a body from `draw`."""
     readings = {"printed": printed, "true": true}
     return lambda entry, reading, rng: float(np.abs(measure(draw(rng), rng, readings[reading])).max())
 
@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """w = eps chi1 G has to turn with G, at -1, and G = eps nu w with w, at Omega."""
+    """Error of chi1 and nu: w = eps chi1 G must turn with G, at the rate -1, and G = eps nu w with w, at the rate Omega."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -176,7 +176,7 @@ def _solution_error(index: int, spin: FastSpin, rng: np.random.Generator, soluti
 
 @cache
 def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
-    """Errors of the solution over 2 pi, over the size of the forced part of its first-order term."""
+    """Largest errors of the solution for tau from 0 to 2 pi, relative to the forced part of its first-order term."""
     tau = np.linspace(0, 2 * np.pi, 41)
     y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
     forced = np.abs(spin.forced)
@@ -185,14 +185,14 @@ def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
 
 
 def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
-    """Error of theta, psi or phi over two turns, over the swing that is first order in eps."""
+    """Largest error of theta, psi or phi in two turns, relative to the oscillation of first order in eps."""
     t, *exact = _exact_angles(spin)
     return np.abs(formula(spin, t)[index] - exact[index]).max() / (spin.eps * np.abs(spin.forced))
 
 
 @cache
 def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
-    """Times of two turns, and theta, psi and phi there, from the full equations."""
+    """Times in two turns, and theta, psi and phi at these times, from the full equations."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -224,7 +224,7 @@ def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[
 _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
-# By the number or a key of an equation.
+# Measures by the number of an equation or by a key of its entry.
 MEASURES: dict[str, EntryMeasure] = {
     "(1), second equation": _of_body(partial(_rate_error, 1), rhs, fast_spin.rhs),
     "(1) but for the second equation, (5)": _of_body(

@@ -1,10 +1,9 @@
 """Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
-Each row changes its own equation alone: k, the frequency and chi, chi1, nu, X are the true ones (X = 1 / Omega, chi = 0) in
-both readings, and A^-1 y2 is C A^-1 y2. S1 and S2 are from (2), or from (3) with its own misprint corrected; S11 to S22 are
-(13), corrected. Residuals are in units of the difference of the two readings, or of the exact value where both are one; where
-an equation is an expansion in eps, the true one is of order eps. Terms with l2 / (A r0), which is of order eps, in S12 and S22
-are of higher order and left out.
+Each row tests one equation: k, the frequency, chi, chi1, nu and X have their true values (X = 1 / Omega, chi = 0) in both
+readings, and A^-1 y2 is C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected; S11 to S22 are (13),
+corrected, without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the two
+readings, or to the exact value where the readings are equal; the true reading of an expansion in eps has one of order eps.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ CONTENT, ENTRIES = load(__package__)
 
 
 def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT["definitions"]) -> Any:
-    """Value of an expression in the names of equations.toml; names that it contains are evaluated first, by their definitions."""
+    """Value of an expression in names of equations.toml; names without a value get one from their definitions first."""
     parsed = expression("equations.toml", text)
     for name in parsed.names - values.keys():
         values[name] = evaluate(definitions[name], values, definitions)
@@ -48,12 +47,12 @@ def left_side(entry: Entry, reading: str, values: Values) -> Any:
 
 
 def numbers(spin: FastSpin, *names: str) -> Values:
-    """These numbers of a body by their names, and its rotor y."""
+    """The named numbers of a body, and the components y1, y2, y3 of its rotor."""
     return {name: getattr(spin, name) for name in names} | dict(zip(("y1", "y2", "y3"), spin.y, strict=True))
 
 
 def names(spin: FastSpin) -> Values:
-    """The numbers of a body by their names, in their true forms."""
+    """The numbers of a body by the names of equations.toml, in their true forms."""
     X, momentum = 1 / spin.Omega, spin.A * spin.r0
     fields = (
         "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
@@ -65,7 +64,7 @@ def names(spin: FastSpin) -> Values:
 
 
 def state(y: Array, prefix: str = "") -> Values:
-    """The variables of (1), or their rates, by their names."""
+    """The variables of (1), or with a prefix their rates, by name."""
     return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
@@ -73,7 +72,7 @@ def state(y: Array, prefix: str = "") -> Values:
 
 
 def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
-    """S1 and S2 of (3), corrected, of a state y that left the start y0."""
+    """S1 and S2 of (3), corrected, at a state y of the motion from y0."""
     (p0, q0, _, g10, g20, _), (p, q, _, g1, g2, g3) = y0, y
     a, k = spin.a, spin.k
     y1, y2, y3 = spin.y
@@ -84,7 +83,7 @@ def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
 
 
 def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
-    """r1 and g1'' of a state by (2), from its other variables and the start."""
+    """The state y with r1 and g1'' replaced by their values from (2) and the start y0."""
     S1, S2 = S1_S2(spin, y0, y)
     r = np.sqrt(1 + spin.eps**2 * S1)
     return np.array([*y[:2], r, *y[3:5], (1 + spin.eps * S2) / r])
@@ -100,7 +99,7 @@ def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Arra
 
 
 def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
-    """y of the variables (p2, p2', gamma2, gamma2'), on the integrals (2) of a start, or with r1 = g1'' = 1."""
+    """y from (p2, p2', gamma2, gamma2'), with r1 and g1'' from the integrals (2) of a start, or both 1 without a start."""
     p, v, g, u = x
     eps, q, g2, r, g3 = spin.eps, 0.0, 0.0, 1.0, 1.0
     for _ in range(60):
@@ -128,7 +127,7 @@ def variables(x0: Array, x: Array) -> Values:
     )
 
 
-# Values of the names of a row, by its key `at`: (random generator, entry) -> values.
+# Functions (random generator, entry) -> values of the names of a row, by the key `at` of the row.
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
@@ -167,7 +166,7 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Two states given by their variables at several eps, k and the rotor the same, and p2'', gamma2'' of the motion."""
+    """Two random states at eight values of eps, k and rotor fixed, and the exact p2'', gamma2'': errors as series in eps."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
@@ -191,7 +190,7 @@ def _periodic(body: str, rotor: float) -> Values:
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
-    """The periodic solution of a random body with a rotor."""
+    """The periodic solution of a random body of section VI with a rotor."""
     return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
 
 
@@ -201,7 +200,7 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 
 
 def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of a reading, over the difference of the two readings or the exact value."""
+    """Largest error of a reading, relative to the difference of the two readings or to the exact value."""
     values = AT[entry["at"]](rng, entry)
     results = [evaluate(entry["exact"], values)]
     results += [left_side(entry, each, values) for each in ("printed", "true")]

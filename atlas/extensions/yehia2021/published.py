@@ -1,4 +1,4 @@
-"""Equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, with residuals of both readings."""
+"""Equations of Yehia & El-kenani 2021, doi 10.22055/JACM.2021.37913.3113, printed and true, with the residuals of both."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STATE = ("psi0", "theta0", "phi0", "n", "theta_dot0", "m")
 
 def random_point(rng: np.random.Generator) -> Point:
     """A random point of order 1, with Omega = 1."""
-    absent = ("drag1", "drag2", "drag3", "damping")  # not of the paper
+    absent = ("drag1", "drag2", "drag3", "damping")  # torques that the paper does not have
     names = [name for name in PARAMETERS if name not in absent]
     point = {name: rng.uniform(0.4, 1.2, 1) * rng.choice([-1, 1], 1) for name in names}
     point |= {name: np.zeros(1) for name in absent}
@@ -39,7 +39,7 @@ def random_point(rng: np.random.Generator) -> Point:
 
 
 def with_values(point: Mapping[str, Any], values: Values) -> dict[str, Any]:
-    """The point with further values: numbers, or expressions in the names before them."""
+    """The point with further values: numbers, or expressions in earlier names."""
     point = dict(point)
     for name, value in values.items():
         point[name] = expression(name, str(value)).value(point) + np.zeros(1)
@@ -55,7 +55,7 @@ def euler_state(point: Point) -> list[Array]:
 
 
 def residual(point: Point) -> float:
-    """Largest error of the acceleration over 13 times of the steady motion w' = n gamma + m e3 of one point."""
+    """Largest error of the acceleration at 13 instants of the steady motion w' = n gamma + m e3 of one point."""
     t = np.linspace(0.0, 13.0, 13)
     state = steady_motion(point, t)
     rates = np.array(rhs(state, constants(point)[:, None]))
@@ -106,7 +106,7 @@ def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of w from its precession about the normal and its spin, by the axes X, Y, Z at rest in space."""
+    """Largest difference of w, from the inertial axes X, Y, Z in the body, and the stated precession and spin."""
     motion = ENTRIES[entry["motion"]]
     point = with_values(random_point(rng), motion["start"])
 
@@ -127,7 +127,7 @@ def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, Any]:
-    """t, at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
+    """The instant t at which an equation is stated, and `even`, (-1)^i of (35) or (-1)^j of (39)."""
     if "time" not in entry:
         return {"t": rng.uniform(0.5, 5.0), "even": 1}
     if entry["time"] == 35:
@@ -138,7 +138,7 @@ def instant(entry: Entry, rng: np.random.Generator, point: Point) -> dict[str, A
 
 
 def parts(point: Mapping[str, Any]) -> dict[str, Any]:
-    """A point at an instant, and the abbreviations of section 4."""
+    """A point at an instant, with the abbreviations of section 4."""
     return with_values(point, CONTENT["abbreviations"])
 
 
@@ -208,14 +208,14 @@ def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
 
 
 def determinant_quotient(angles: Array) -> float:
-    """The determinant of (43) over the product of sines on its right, c_* by the paper."""
+    """c_* of (43): the determinant over the product of sines on the right."""
     columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
     pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
     return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
 
 
 def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Relative difference of c_* of (43) between two random sets of angles, none of them close together."""
+    """Relative difference of c_* of (43) between two random sets of well separated angles."""
     first, second = (
         determinant_quotient(2 * np.pi / 5 * (np.arange(5) + rng.uniform(0, 0.7, 5))) for _ in range(2)
     )
@@ -254,7 +254,7 @@ def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> 
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest residual of the equation of pitch by finite differences of elliptic functions; with `rho`, its error at amplitude 0."""
+    """Largest residual of the equation of pitch by finite differences of elliptic functions; of an entry with `rho`, the error of rho at amplitude 0."""
     from ..plane.motions import PlaneMotions  # another extension
 
     p = with_values(random_point(rng), entry["plane"])
@@ -288,7 +288,7 @@ def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Least distance of the line along e3 through the satellite from the Earth's normal, over the orbit's radius."""
+    """Least distance of the line along e3 through the satellite from the orbit's normal through the Earth, in radii of the orbit."""
     psi0 = 0.0 if reading == "printed" else np.pi / 2
     p = with_values(random_point(rng), {"psi0": psi0, "n": 0})
     alpha, gamma = directions(p)
@@ -297,7 +297,7 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# By the number or a key of an equation.
+# Measures by the number of an equation or by a key of its entry.
 MEASURES: dict[str, EntryMeasure | None] = {
     "(1)": _kinematics,
     "(2), (3)": _both_forms,
@@ -318,7 +318,7 @@ MEASURES: dict[str, EntryMeasure | None] = {
     "start": _condition,
 }
 
-# Measures by theory of another extension, which has the name of the measure.
+# Measures that need the theory of the extension of the same name.
 MISSING = [name for name in ("plane", "normal_form") if name not in extensions()]
 if MISSING:
     text = " and ".join(MISSING)

@@ -23,10 +23,10 @@ WEAK, WEAKER = 10.0 ** np.arange(-12, -3, 2), 10.0 ** np.arange(-2, -9, -2)
 HIDDEN, BESIDE = {"theta0": [1e-4, 1e-5, 1e-6]}, {"theta0": [0.0, 0.3]}
 # Offsets from unstable motions, rad, and the logarithms of their growth.
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)
-# Distances at which the axis passes the vertical, rad, and its speed there.
+# Angles at which the axis passes the vertical, rad, and its angular speed there.
 SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
-# Bodies with exact motions that pass the vertical, with the kind of motion: spherical ones on the orbit, where gravity has
-# no torque, and others without an orbit.
+# Bodies with exact motions that pass the vertical, with the kind of motion: spheres on the orbit, on which gravity exerts no
+# torque, and bodies without an orbit.
 _TOPS_ON_ORBIT: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "sphere": ("symmetric top", {"C": 1.0, "k3": 0.4}),
     "magnetic sphere": ("symmetric top", {"C": 1.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6}),
@@ -66,7 +66,7 @@ _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
 
 
 def _shared(name: str, /, **row: Any) -> StressCase:
-    """A case of both systems; row: the columns of one of them, and attributes of StressCase."""
+    """A case that both systems have; row: its columns in one system, and attributes of StressCase."""
     attributes = {key: row.pop(key) for key in ("solve", "additions", "may_stay_unresolved") if key in row}
     return StressCase(name, *_SHARED[name], row, **attributes)
 
@@ -99,11 +99,10 @@ def _passages(
 def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array) -> dict[str, ArrayLike]:
     """Columns of the same motions from a moment `before` the given start (negative: after it).
 
-    columns: parameters and start values by name; the others take their
-    defaults. psi0 has no effect on the motion. before: in time units. Returns the columns with other theta0,
-    phi0, theta_dot0, n and m.
+    columns: parameters and start values by name, by default the defaults of the system; psi0 has no effect on the motion.
+    before: in time units. Returns the columns with other theta0, phi0, theta_dot0, n and m.
     """
-    from scipy.integrate import solve_ivp  # here, because every command imports the systems
+    from scipy.integrate import solve_ivp
 
     points = {
         name: np.broadcast_to(np.asarray(columns.get(name, parameter.default), float), before.shape)
@@ -160,9 +159,9 @@ def _unstable_satellites(system: Gyrostat) -> tuple[dict[str, Array], Array]:
     return subset(points, chosen), growth[chosen]
 
 
-@cache  # a second, because unstable equilibria are looked for
+@cache  # takes a second, to find unstable equilibria
 def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """The cases of satellites but those of motions in the plane of the orbit, see System.stress_cases."""
+    """Cases of satellites, without motions in the plane of the orbit, see System.stress_cases."""
     steady, spherical = ("perp_velocity", "k3"), ("spherical", "k3")
     tilted = {"theta0": 0.6, "psi0": 0.3, "m": 0.5}
     hyperbola = {"theta0": 0.8, "psi0": np.pi / 2, "C": 0.7}  # a stable perp_velocity motion
@@ -233,9 +232,9 @@ def _unstable_rotations(system: Gyrostat, n: float, seed: int) -> tuple[dict[str
     return columns, columns.pop("growth")
 
 
-@cache  # a second, because unstable equilibria are looked for
+@cache  # takes a second, to find unstable equilibria
 def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """The cases of bodies about a fixed point, see System.stress_cases."""
+    """Cases of bodies about a fixed point, see System.stress_cases."""
     conical, unstable = ("conical", "l3"), ("conical", "z0")
     heavy = {"Mg": 1.0, "z0": 0.5, "N": 0.1}
     tilted = {"theta0": 0.6, "m": 0.5, "n": 0.2} | heavy

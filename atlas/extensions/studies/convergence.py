@@ -1,4 +1,4 @@
-"""Dependence of labels on settings without a true value: points computed again with other durations and tolerances."""
+"""Dependence of labels on settings that have no true value: the same points with other durations and tolerances."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ...scene.model import Scene
 from ...store import dataset
 from ...store.progress import Progress
 
-# Setting -> factors of its value at which a changed flag counts on the map; other FACTORS are computed for the table alone.
+# Setting -> factors of its value that count in `label_change`; the other FACTORS are for the table alone.
 VARIED = {
     "duration": (2.0, 4.0), "transient": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5),
 }  # fmt: skip
@@ -37,9 +37,9 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """Flags of at most `points` points of a grid for several values of settings; `label_change` has the settings that change a flag.
+    """Flags of at most `points` points of a grid for several values of settings; `label_change`: the settings that change a flag.
 
-    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; changes are in the direction of VARIED.
+    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; `label_change` counts the factors of VARIED.
     """
     for name in names:
         if name not in VARIED:
@@ -92,7 +92,7 @@ def convergence(
 
 
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
-    """The scene with one setting multiplied by a factor; where a scene gives the step, tolerance means the step."""
+    """The scene with one setting multiplied by a factor; if the scene gives the step, tolerance means the step."""
     if name in ("duration", "transient"):
         length = getattr(scene, name)
         return replace(scene, **{name: replace(length, amount=_times(factor, length.amount))})

@@ -41,7 +41,7 @@ class Motion(Protocol):
         """Angles and rates at the times."""
 
 
-# Elliptic functions by the complement 1 - m of the parameter m, which keeps its digits near a separatrix.
+# Elliptic functions of the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
@@ -60,21 +60,21 @@ def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
 
 
 class SymmetricTop:
-    """Heavy symmetric gyrostat about a fixed point, not in a steady motion: cos theta by Jacobi's functions, psi' and phi' from it.
+    """Heavy symmetric gyrostat about a fixed point, not in a steady motion: cos theta by Jacobi's functions, psi' and phi' from cos theta.
 
     With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
 
-    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). The distances from the vertical, 1 - u
-    and 1 + u, keep their digits. The potential is -weight cos theta; n and m are psi' and phi' at the start, psi' relative to a
-    frame that turns at frame_rate. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). 1 - u and 1 + u are computed without
+    cancellation near the vertical. The potential is -weight cos theta; n and m are psi' and phi' at the start, psi' relative to
+    a frame that turns at frame_rate. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
         self, A: float, C: float, rotor: float, weight: float, start: Sequence[float], frame_rate: float = 0.0
     ):
-        """start: theta, theta', psi' and phi' there."""
+        """start: initial theta, theta', psi' and phi'."""
         self.frame_rate = frame_rate
         theta0, theta_dot0, n, m = start
         n = n + frame_rate
@@ -91,7 +91,7 @@ class SymmetricTop:
         beta = 2 * abs(weight) / A
         kinetic = theta_dot0**2 + n**2 * low * high
         self._find_range(beta, kinetic, low, high, a, upper, lower)
-        # Phase of the start, where theta' sin theta = slope; exact where that is 0.
+        # Phase of the start, where theta' sin theta = slope; exact if the slope is 0.
         above, below = max(low - self.x, 0.0), max(high - self.y, 0.0)
         sn, cn = np.sqrt(above / self.width), np.sqrt(below / self.width)
         dn = np.sqrt(cn**2 + self.complement * sn**2)
@@ -107,7 +107,7 @@ class SymmetricTop:
     def _find_range(
         self, beta: float, kinetic: float, low: float, high: float, a: float, upper: float, lower: float
     ) -> None:
-        """Smallest x = 1 - u and y = 1 + u of the motion, from the cubics in x and in y, modulus and frequency."""
+        """Find the smallest x = 1 - u and y = 1 + u of the motion, roots of cubics, and the modulus and frequency."""
         e_plus, e_minus = kinetic + beta * low, kinetic - beta * high
         # u'^2 in powers of x; all roots are real, and Laguerre's steps ascend from 0 to the smallest.
         cubic = np.array([-(upper**2), 2 * e_plus - 2 * a * upper, -e_plus - 2 * beta - a**2, beta])
@@ -153,7 +153,7 @@ class FreeGyrostat:
     """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot, not in a steady motion.
 
     The rotor's axis is the third one; the moments across it must differ. Energy and magnitude of the angular momentum give
-    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of it
+    A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
@@ -210,7 +210,7 @@ class FreeGyrostat:
         self.a2, self.a3 = float(curvature / 12), float(slope / 4)
         values = [(self.a2 / 2 + self.a3 / (root - self.root), i) for root, i in roots]
         values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # of a root at infinity
-        self.both_turn = False  # whether w1 is 0 at one turn of r and w2 at the other
+        self.both_turn = False  # whether w1 vanishes at one turning point of r, w2 at the other
         if all(value.imag == 0 for value, _ in values):
             (e1, far), (e2, _), (e3, _) = sorted(((v.real, i) for v, i in values), reverse=True)
             self.roots_real, self.scale, self.shift = True, e1 - e3, e3 - self.a2 / 2
@@ -222,14 +222,14 @@ class FreeGyrostat:
             self.roots_real, self.scale, self.shift = False, abs(e2 - pair), e2 - self.a2 / 2
             self.complement = float(0.5 + 0.75 * e2 / self.scale)
             self.frequency = float(2 * np.sqrt(self.scale))
-        # r returns after 2 K of the first form, 4 K of the second
+        # r returns after 2 K with real roots, else after 4 K
         quarters = 2 if self.roots_real else 4
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
-        """Phase of the start, and the sign that the component without a zero at s has there."""
+        """Find the phase of the start, and the initial sign of the component of w that does not vanish at s."""
         A, B, C = self.inertia
-        # sn from the slope, so that a start at a turn of r is exactly there.
+        # sn from the slope, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)
         ratio = max(float(distance * self.scale / (self.a3 - distance * self.shift)), 0.0)
         if self.roots_real:
@@ -316,7 +316,7 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 
 
 def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:
-    """Exact motion of a point: "symmetric top", "free gyrostat" or that of a function, see StressCase; else ValueError."""
+    """Exact motion of a point by its kind: "symmetric top", "free gyrostat" or a function, see StressCase; else ValueError."""
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
     if callable(kind):
         return kind(points)
@@ -356,7 +356,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
-    # theta at both ends and where it has an extreme between two neighbouring nodes.
+    # theta at both ends and at its extrema between neighbouring nodes.
     nodes = np.concatenate([[0.0], time, [first]])
     slope = motion(nodes).cos_theta_dot
     changes = np.flatnonzero(slope[:-1] * slope[1:] < 0)
@@ -366,7 +366,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
         is_low = motion(middle).cos_theta_dot * sign > 0
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
-    if turns:  # all whole periods are equal; the rest follows
+    if turns:  # whole periods have equal integrals; then the rest of the run
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
     result = moments(motion(time), weight / duration, cylinder)
@@ -374,7 +374,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
 
 
 def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -> dict[str, float]:
-    """Rms, deviations and means of the rates by a quadrature of unit weight, without the mean of theta', and the share outside a cylinder."""
+    """Rms of theta', means (but of theta') and standard deviations of rates, by weights of sum 1; share outside a cylinder."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     if cylinder is not None:
         result["outside"] = float(weight @ (np.sin(motion.theta) >= cylinder))
@@ -394,7 +394,7 @@ def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # Errors of rates count relative to the fastest rate; a variation of 1e-6 of it is still accurate.
+        # Errors are relative to the fastest rate, and a standard deviation of 1e-6 of this rate is still accurate.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)

@@ -1,4 +1,4 @@
-"""Figure of a stress study."""
+"""Figures of stress studies and of work-precision studies."""
 
 from __future__ import annotations
 

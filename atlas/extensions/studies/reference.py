@@ -20,16 +20,16 @@ from ...systems.base import Array, Flags, Mask, Points, System, families_of, sub
 from ...theory.motions import condition_residual
 from ...variables import main_instrument
 
-# Sums of the rates, integrated beside the states in this order, which is that of `kernel.quadratures`.
+# Sums of the rates, integrated with the states, in the order of `kernel.quadratures`.
 RATE_SUMS = (
     Row.THETA_DOT_SQUARED, Row.THETA_DOT_CHANGE, Row.THETA_DOT_CHANGE_SQUARED, Row.OUTSIDE, Row.PSI_DOT, Row.PSI_DOT_SQUARED,
     Row.PHI_DOT, Row.PHI_DOT_SQUARED, Row.NORMAL_RATE, Row.NORMAL_RATE_SQUARED,
 )  # fmt: skip
-# Relative tolerances of the reference and of a second run; its uncertainty is SAFETY times their difference.
+# Relative tolerances of the reference and of a second run; the uncertainty is SAFETY times the difference of the two runs.
 REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
-# Uncertainty of a component of the state because of rounding alone.
+# Uncertainty of a component of the state by rounding alone.
 LEAST_UNCERTAINTY = 1e-15
-# Largest residual, rounding, of a start that follows the closed form of its family.
+# Largest residual, by rounding, of a start that is exactly on its family.
 EXACT_RESIDUAL = 1e-14
 # SciPy's DOP853 takes too long for more radians than this at the frequency bound.
 MAX_RADIANS = 1e5
@@ -70,11 +70,11 @@ class ReferenceFailure(BadInput):
 def reference(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> Reference:
-    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853; ReferenceFailure.
+    """Final states and statistics: the closed form where a start is exactly on a family, else DOP853; may raise ReferenceFailure.
 
     SciPy's DOP853 runs at the relative tolerances REFERENCE_RTOL and SECOND_RTOL, with the statistics as quadratures. The
-    uncertainty is SAFETY times the difference of the two runs, or of the closed form and the first run: along an unstable motion
-    rounding of an exact start grows, so that the closed form is no more certain.
+    uncertainty is SAFETY times the difference of the two runs, or of the closed form and the first run: the rounding of an exact
+    start grows along an unstable motion, so that the closed form is not more certain.
     """
     runs = []
     for rtol in (REFERENCE_RTOL, SECOND_RTOL):
@@ -121,7 +121,7 @@ def reference(
 def reference_where_possible(
     system: System, points: Points, duration: Array, settings: RunSettings, advance: Advance = no_progress
 ) -> tuple[Reference | None, np.ndarray]:
-    """The reference at the points where it can be computed, None without any, and their indices."""
+    """The reference at the points where it can be computed (None: at no point), and the indices of these points."""
     indices = np.arange(duration.size)
     while indices.size:
         try:
@@ -164,7 +164,7 @@ def _dop853(
     system: System, points: Points, duration: Array, cylinder: float, rtol: float, advance: Advance,
     transient: Array | float = 0.0,
 ) -> tuple[Run, Mask]:  # fmt: skip
-    """Runs by DOP853, NaN at the points where one fails, and a mask of these points."""
+    """Runs by DOP853, NaN at the points whose integration fails, and a mask of these points."""
     with np.errstate(all="ignore"):
         radians = system.frequency_bound(points) * (transient + duration)
         usable = np.isfinite(system.initial_state(points)).all(0) & (radians <= MAX_RADIANS)
@@ -198,7 +198,7 @@ def _dop853(
 
 
 def _after_transient(system: System, points: Points, transient: Array | float, rtol: float) -> Array:
-    """States after transients, integrated as one system of equations; nan where that fails."""
+    """States after transients, integrated as one system of equations; nan if the integration fails."""
     start, constants, rhs = system.initial_state(points), system.constants(points), system.equations.rhs
 
     def slope(_: float, flat: Array) -> Array:
@@ -331,7 +331,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # the ends of the periods of all points, nan where they are not a point's own
+    if periods is not None:  # values of each point at the ends of its own periods, nan at those of others
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(

@@ -40,12 +40,12 @@ from .stress_truth import (
 # Levels, coarse to fine: steps as shares of the stability limit at the frequency bound; automatic steps by tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
-# Of stiff cases: in natural rates of a fast rotor all that happens in a part of a run would be steady.
+# Largest rate tolerance: with one relative to the natural rate of a fast rotor, all slow motions would be steady.
 RATE_TOLERANCE = 1e-5
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
 # A level leaves out points with more steps.
 MAX_STEPS = 10_000_000
-# Largest error of an unsteadiness that counts as accurate, relative to the larger of it and the rate tolerance.
+# Largest error of an accurate unsteadiness, relative to the true unsteadiness or, if larger, to the rate tolerance.
 ACCURATE = 0.01
 
 
@@ -66,7 +66,7 @@ def stress(
         system = systems.get(system)
     own_cases = stress_cases_of(system) if cases is None else cases
     parts = [case_points(system, case) for case in own_cases]
-    # First the cases without a truth of their own, which theory and the reference decide at once.
+    # First the cases without a `truth`: theory and the reference decide all of them in one call.
     parts.sort(key=lambda part: part.truth != "")
     plain, truths = [part for part in parts if not part.truth], list[TrueLabels]()
     if plain:
@@ -109,21 +109,21 @@ def _run_levels(
     results: dict[str, np.ndarray] = {name: np.zeros(shape, np.int8) for name in ("label", "status")}
     results |= {name: np.full(shape, np.nan) for name in numbers}
     for name in METHODS:
-        kernel(system, name)  # loaded before the threads
+        kernel(system, name)  # loaded before the threads start
     with np.errstate(all="ignore"):
         bound = system.frequency_bound(points)
     rate_tolerance = np.asarray(_settings(system, points).rate_tolerance)
     grid = Grid(dict(points), dict(points), np.zeros(duration.size, np.int8), duration, rate_tolerance)
 
     def work(cell: tuple[int, int], settings: Settings, step: Array | None) -> None:
-        """Run the points of a method and a level with at most MAX_STEPS steps, and with positive steps if they are fixed."""
+        """Run a method at a level, for points with at most MAX_STEPS steps and, if steps are fixed, a positive step."""
         where = np.arange(duration.size) if step is None else np.flatnonzero(step > 0)
         tile = replace(grid, step=step).subset(where)
         with np.errstate(all="ignore"):
             radians = bound[where] * tile.duration
             most = replace(settings, max_steps=model.MAX_STEPS).at(tile.rate_tolerance)
             unlimited = StepSizes.of(most, bound[where], tile.duration, tile.step)
-        # A few steps show an overflow, which would take any number of steps.
+        # 1000 steps show an overflow, for which the step size would ask for any number of steps.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
         for max_steps, mask in runs.items():
@@ -339,7 +339,7 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
 # Powers of 10 by which parameters, and start values, are multiplied.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
 HUGE = 1e200
-# Value of other start values whose default is 0, so that the state changes.
+# Value of start values whose default is 0, so that the state changes.
 START = 0.1
 # Length of a run in radians of its frequency at the start, and its limit in time units.
 RADIANS, MAX_DURATION = 60.0, 1e3
@@ -381,7 +381,7 @@ def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> St
 def generic_true_labels(
     system: System, points: Points, duration: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels by the reference integrator, and a mask of the points with a label, all of finite starts."""
+    """Labels by the reference integrator, unresolved where numbers overflow, and a mask of the points whose label is known."""
     size = duration.size
     label, largest = np.full(size, Label.UNRESOLVED, np.int8), np.full(size, np.nan)
     source, known = np.full(size, "overflow", "<U15"), np.ones(size, bool)
@@ -402,7 +402,7 @@ def generic_true_labels(
 
 
 def _final_states(system: System, method: str, points: Points, step_size: Array, steps: int) -> Array:
-    """States after so many steps, (states, points)."""
+    """States after `steps` steps, (states, points)."""
     count = np.full(step_size.size, steps)
     return Ensemble.of(system, points).final_states(kernel(system, method), count, step_size)
 

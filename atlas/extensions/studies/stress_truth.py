@@ -1,4 +1,4 @@
-"""True labels of stress cases: from theory, exact motions, departures of offsets and the reference integrator."""
+"""True labels of stress cases: from theory, exact motions, departures from equilibria and the reference integrator."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ...variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# The reference integrates a whole run of at most MAX_RADIANS_WHOLE radians at the frequency bound, else RADIANS_OF_PART.
+# The reference integrates whole runs up to MAX_RADIANS_WHOLE rad at the frequency bound, and RADIANS_OF_PART of longer ones.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
 # Statistics of an exact motion to compare, and their accuracy (of a rate: over the frequency bound).
 EXACT_STATISTICS = (
@@ -31,7 +31,7 @@ EXACT_STATISTICS = (
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
-# And that of the share of a run outside the cylinder: a node or two of the quadrature at each passage of its rim.
+# Accuracy of the share of a run outside the cylinder: a node or two of the quadrature at each passage of its rim.
 SHARE_ACCURACY = 0.05
 # Uncertainty of an offset from an equilibrium: the rounding of the state.
 STATE_ROUNDING = 3e-16
@@ -46,7 +46,7 @@ class TrueLabels:
         Array  # largest rms or standard deviation of the rates, rad per time unit; NaN where unknown
     )
     source: np.ndarray  # "theory", "exact motion", "departure", "reference", "part of the run" or "overflow"
-    statistics: Array  # EXACT_STATISTICS, (statistics, points); NaN but for exact motions
+    statistics: Array  # EXACT_STATISTICS, (statistics, points); NaN unless the source is an exact motion
 
     @classmethod
     def join(cls, parts: Sequence[TrueLabels]) -> TrueLabels:
@@ -67,7 +67,7 @@ class CasePoints:
     points: Points
     base: Points  # before the additions of the case
     duration: Array  # time units
-    names: np.ndarray  # of the points: the parameters, and the duration, that vary within the case
+    names: np.ndarray  # of the points: the values that vary within the case
     may_stay_unresolved: str
     truth: str | Callable[[Points], Any]  # as in StressCase
 
@@ -250,7 +250,7 @@ def _labels_by_reference(
 ) -> tuple[TrueLabels, Mask]:
     """Labels by the reference for despun points, whose phi' is larger by `excess`, and a mask of undecided points.
 
-    Only a part of a long run is integrated: where it is unsteady by sqrt(whole / part) tolerances, the whole run drifts.
+    Only a part of a long run is integrated: if the part is unsteady by sqrt(whole / part) tolerances, the whole run drifts.
     """
     whole = radians <= MAX_RADIANS_WHOLE
     share = np.where(whole, 1.0, RADIANS_OF_PART / np.maximum(radians, 1e-300))

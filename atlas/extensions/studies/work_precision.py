@@ -38,9 +38,9 @@ from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
-MAX_POINT_STEPS = 5e8  # of the sample at a level
+MAX_POINT_STEPS = 5e8  # largest number at a level, over all points of the sample
 POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
-# Points tried for each point of the sample, because the family may not exist there.
+# Points tried for each point of the sample, because the family may not exist at some.
 CANDIDATES_PER_POINT = 16
 
 # Variables over (method, level, sample), the last over (method, level): type, long name and units.
@@ -177,7 +177,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [each.after(np.asarray(part.transient), part.duration) for each in step_sizes]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # Among levels with equal steps the scene's own, or else the finest, unless it takes too long.
+    # Of levels with equal steps one is run, the scene's own or else the finest, unless it takes too long.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -241,7 +241,7 @@ def _run_level(sample: _Sample, ensemble: Ensemble, settings: Settings, step_siz
 
 
 def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> float:
-    """Mean processor time of a point, the median of several runs, for each number of steps per sample."""
+    """Mean processor time of a point, from the median time of a step for each number of steps per sample."""
     counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
@@ -268,14 +268,14 @@ def _kernel(scene: Scene, method: str) -> ModuleType:
 
 
 def _on_axes(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
-    """Values of some points on the axes of their scene, by the axis."""
+    """Coordinates of some points of a scene, by axis."""
     on_grid = np.unravel_index(indices, scene.shape)
     axes = zip(scene.axes.values(), on_grid, strict=True)
     return {axis.name: np.asarray(axis.values)[index] for axis, index in axes}
 
 
 def points_text(on_axes: Mapping[str, Array], most: int) -> str:
-    """The values on the axes of at most `most` points, and the number of the others, in words."""
+    """The coordinates of at most `most` points, and the number of the other points, in words."""
     texts = [
         ", ".join(f"{name} = {value:.6g}" for name, value in zip(on_axes, point, strict=True))
         for point in zip(*on_axes.values(), strict=True)
@@ -481,7 +481,7 @@ def advice(ds: xr.Dataset) -> str:
     else:
         target = _median_error(own)
         target_text = f"the scene's own median error in states and {measured}, {target:.2g}"
-    # A setting must not lose a label, nor get it wrong, if another setting has it right.
+    # A setting is adequate only if no other has fewer unresolved or wrong labels.
     label_errors = [(row["labels_unresolved"], row["labels_wrong"]) for row in rows]
     fewest = tuple(min(numbers) for numbers in zip(*label_errors, strict=True))
     adequate = [
@@ -537,7 +537,7 @@ def _cheapest_text(
 
 
 def _points_above(ds: xr.Dataset, row: Mapping[str, Any], target: float, most: int = 3) -> tuple[int, str]:
-    """Number of points with an error in states or rates (or observables) above the target, and the worst of them in words."""
+    """Number of points with an error in states or rates (or observables) above the target, and the worst points in words."""
     at = _at_row(ds, row)
     error = np.fmax(at["error_state"].values, at["error_rates"].values)
     above = np.flatnonzero(error > target)

@@ -10,6 +10,7 @@ import ast
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterable
 from functools import cache
 from itertools import groupby
@@ -178,11 +179,20 @@ def families(system: System) -> str:
 
 
 def conditions(system: System) -> str:
-    """List of the conditions of the families: their formulas are too long for the cells of a table."""
-    return "\n".join(
-        f"- **`{f.name}`**: {'; '.join(in_latex(c.text) for c in f.conditions)}"
-        for f in families_of(system).values()
-    )
+    """List of the conditions of the families: too long for a table. A long one that several share has a letter."""
+    texts = {f.name: [_symbols(c.text) for c in f.conditions] for f in families_of(system).values()}
+    counts = Counter(text for each in texts.values() for text in each)
+    shared = [text for text, count in counts.items() if count > 1 and len(text) > 80]
+    letters = {text: f"({letter})" for text, letter in zip(shared, "abc", strict=False)}
+    lines = [f"- **{letter}**: {in_latex(text)}" for text, letter in letters.items()]
+    for name, each in texts.items():
+        lines.append(f"- **`{name}`**: {'; '.join(letters.get(text) or in_latex(text) for text in each)}")
+    return "\n".join(lines)
+
+
+def _symbols(text: str) -> str:
+    """A condition with drag and damping by the letters of the equations of motion."""
+    return re.sub(r"\bdrag", "d", text).replace("damping", "D")
 
 
 def flags(flag: type[Flag]) -> str:

@@ -399,7 +399,8 @@ class Atlas(Questions):
         samples : int
             Instants of the motion; where a line is too fast for them, more are taken.
         trajectory : Dataset, optional
-            A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines.
+            A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines. Such a motion answers
+            by itself, too: ``motion.atlas.frequencies()``.
         degrees : bool, optional
             Take the angles of the point in degrees; the result is in rad.
         **coords : float
@@ -421,6 +422,8 @@ class Atlas(Questions):
         from .analysis.frequencies import frequencies, frequencies_of_point
 
         whole_number("lines", lines, 1, MAX_LINES)
+        if trajectory is None and not coords and "time" in self._ds.dims:
+            trajectory = self._ds
         if trajectory is None:
             return frequencies_of_point(
                 lambda count: self.trajectory(samples=count, degrees=degrees, **coords), lines, samples

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import atlas
+from atlas.analysis.degrees import in_degrees
 from atlas.analysis.frequencies import frequencies, frequencies_of_point, spectral_lines
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
@@ -28,20 +30,34 @@ def test_lines_of_a_real_signal_are_cosines():
     assert np.angle(coefficient[0]) == pytest.approx(0.3, abs=1e-6)
 
 
-def test_rates_of_a_regular_precession():
-    """phi and psi of a torque-free symmetric top in regular precession about the vertical turn at m and n."""
-    n, m, theta = 0.8, 0.3, 0.9
+def regular_precession(n, m, theta):
+    """Motion of a torque-free symmetric top: psi and phi turn at n and m."""
     A = 1.0
     C = A * n * np.cos(theta) / (n * np.cos(theta) + m)  # C (n cos theta + m) = A n cos theta
-    motion = atlas.trajectory(
+    return atlas.trajectory(
         "fixed_point", {"A": A, "B": A, "C": C, "theta0": theta, "n": n, "m": m, "Mg": 0.0},
         duration=120.0, samples=2001,
     )  # fmt: skip
-    ds = frequencies(motion, 1)
+
+
+def test_rates_of_a_regular_precession():
+    n, m, theta = 0.8, 0.3, 0.9
+    ds = frequencies(regular_precession(n, m, theta), 1)
     assert ds.frequency.sel(signal="psi").item() == pytest.approx(n, abs=1e-7)
     assert ds.frequency.sel(signal="phi").item() == pytest.approx(m, abs=1e-7)
     assert ds.amplitude.sel(signal="psi").item() == pytest.approx(np.sin(theta), abs=1e-6)
     assert ds.share.sel(signal="phi").item() == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_motion_answers_by_itself_in_rad_or_degrees():
+    motion = regular_precession(0.8, 0.3, 0.9)
+    lines = motion.atlas.frequencies(4)
+    assert dict(lines.sizes) == {"signal": 3, "line": 4}
+    assert lines.frequency.sel(signal="psi", line=0).item() == pytest.approx(0.8, abs=1e-7)
+    xr.testing.assert_identical(lines, motion.atlas.frequencies(4, trajectory=motion))
+    np.testing.assert_allclose(
+        in_degrees(motion, True).atlas.frequencies(1).frequency, lines.frequency[:, :1], rtol=1e-9
+    )
 
 
 def test_small_librations_have_the_frequency_of_the_linear_equations():
@@ -60,6 +76,8 @@ def test_too_few_samples_are_refused():
     )
     with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
         frequencies(motion, 1)
+    with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
+        motion.atlas.frequencies(1)
 
 
 @pytest.mark.parametrize("rate", [50.6, 2 * np.pi * 100 / 12.6])

@@ -242,6 +242,7 @@ FORMS_OF_A_RUN = (
     "the name must end in .nc, for one file, in /, for a run folder, or in .zarr, for a Zarr store"
 )
 NEVER_REPLACED = "this is the input, which is never replaced; choose another name"
+NO_JOBS = "must be JxP, J jobs of P processors such as 200x16, with --dry-run"
 NO_SHARD = "must be I/N with whole numbers, 1 <= I <= N < 10^9"
 NO_TIME = "must be a time such as 90s, 30m, 2h, 1h30m or 1d"
 TOO_LONG = "aaa...: this name, or the path to it, is too long for the file system"
@@ -278,6 +279,9 @@ COMMANDS = [
     ("stress --threads 0", "--threads 0: must be at least 1"),
     ("stress satellite -o small.toml", "small.toml: not a folder"),
     ("run small.toml --threads 0", "--threads 0: must be at least 1"),
+    ("run small.toml --jobs 200x16", f"--jobs 200x16: {NO_JOBS}"),
+    ("run small.toml --dry-run --jobs 200", f"--jobs 200: {NO_JOBS}"),
+    ("run small.toml --dry-run --jobs 0x4", f"--jobs 0x4: {NO_JOBS}"),
     ("run small.toml -o r/ --shard 0/4", f"--shard 0/4: {NO_SHARD}"),
     ("run small.toml -o r/ --shard 5/4", f"--shard 5/4: {NO_SHARD}"),
     ("run small.toml -o a.nc --shard 1/4", "shard: a.nc is one file; shards need a run folder, a name that ends in /"),

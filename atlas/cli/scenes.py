@@ -69,16 +69,28 @@ SECONDS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
         "OUT", lambda: f"{out_text()} (default: the scene's name with {FILE})", replaces="an existing atlas"
     ),
     argument("--dry-run", action="store_true", help="print the expected size, time, memory and error"),
+    argument(
+        "--jobs",
+        metavar="JxP",
+        help="with --dry-run: also time, memory and SLURM lines of each of J jobs of P processors",
+    ),
     *EXECUTION,
 )
 def run_scene(options: argparse.Namespace) -> None:
     """Integrate a scene and write its labelled atlas."""
+    jobs = None
+    if options.jobs is not None:
+        match = re.fullmatch("([1-9][0-9]{0,5})x([1-9][0-9]{0,3})", options.jobs)
+        if match is None or not options.dry_run:
+            raise BadInput(
+                f"--jobs {options.jobs}: must be JxP, J jobs of P processors such as 200x16, with --dry-run"
+            )
+        jobs = int(match[1]), int(match[2])
     if options.dry_run:
         from ..runs.estimate import dry_run
 
-        scene = read_scene(options.scene)
-        text = dry_run(scene, options.out or "", threads=options.threads, workers=options.workers)
-        say(*text.split("\n"))
+        out, cost = options.out or "", {"threads": options.threads, "workers": options.workers}
+        say(*dry_run(read_scene(options.scene), out, jobs=jobs, **cost).split("\n"))
     else:
         _run(options, options.out or default_name(options.scene) + FILE, ())
 

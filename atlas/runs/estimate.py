@@ -33,7 +33,10 @@ from .refine import expected_points
 CALIBRATION_STEPS = 1e8
 # Largest number of steps (at most 0.2 s) and least number of points from which the saving by early ends of runs is measured.
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
-HEADER_BYTES = 1000  # bytes of the header of a tile
+HEADER_BYTES = 1000  # of a tile
+# Of a run folder beside its tiles, and of a variable of a file or store beside its values: attributes, tables of the format.
+FOLDER_BYTES, VARIABLE_BYTES = 6000, 2300
+START_MINUTES = 5  # of a job until it integrates: imports and compilation
 
 
 @dataclass(frozen=True)
@@ -99,8 +102,15 @@ def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
     )
 
 
-def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers: int | None = None) -> str:
-    """Text about the expected cost of running a scene into a file, folder or store; BadInput as from `run`."""
+def dry_run(
+    scene: Scene,
+    out: str = "",
+    *,
+    threads: int | None = None,
+    workers: int | None = None,
+    jobs: tuple[int, int] | None = None,
+) -> str:
+    """Text about the expected cost of running a scene, in so many jobs of so many processors too; BadInput as `run`."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -108,15 +118,15 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
     points, cost, seconds = expected.points, expected.tile, expected.seconds
     hours = {scene.settings.method: seconds * processors / 3600}
     hours |= {name: ratio * hours[scene.settings.method] for name, ratio in plan.relative_costs.items()}
-    in_flight = 1 if workers else plan.tiles_in_flight(processors)
-    memory = (workers or 1) * (cost.memory + (in_flight - 1) * cost.bytes_per_tile)
+    memory = (workers or 1) * _memory(plan, cost, 1 if workers else processors)
     statistics = _statistics_lines(plan, threads)
     phase_error = plan.step_sizes.dispersion_error[exists].max()
     division, contents = "near the borders that theory predicts", ""
     if scene.refine is None:
         division = f"{tiles.count} tiles of at most {math.prod(tiles.tile)}"
         contents = f"{tiles.count + 3} files, "
-    stored = _stored_bytes(plan, cost, points + expected.proved)
+    names = {*tile_types(scene), *scene.system.parameters, *scene.axes}
+    stored = VARIABLE_BYTES * len(names) + _stored_bytes(plan, cost, points + expected.proved)
     is_joined = "://" not in out and not out.endswith("/") and Path(out).suffix in finished.suffixes()
     folder = _folder_bytes(plan, cost, points + expected.proved, scene.size, is_joined=is_joined)
     lines = [
@@ -128,7 +138,7 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         ),
         *grid.not_computed(scene, plan.sample),
         f"{'store' if finished.is_store(out) else 'file'}: about {stored / 1e6:.3g} MB; run folder: {contents}about"
-        f" {folder / 1e6:.3g} MB",
+        f" {(folder + FOLDER_BYTES) / 1e6:.3g} MB",
         "processor time: " + ", ".join(f"{each:.3g} h by {name}" for name, each in hours.items()),
         f"time: about {clock(seconds)} on {processors} {'processes' if workers else 'threads'}"
         f" ({plan.mean_steps:.4g} steps a point, {1e9 * cost.seconds_per_step * processors:.3g} ns a step and"
@@ -139,8 +149,34 @@ def dry_run(scene: Scene, out: str = "", *, threads: int | None = None, workers:
         f"first call of the kernel: {cost.compile_seconds:.1f} s (compiling, if it was not in the cache)",
         f"memory: about {memory / 1e6:.0f} MB",
         f"expected phase error of the fastest frequency: at most {phase_error:.2g} rad",
+        *plan.step_warnings(),
+        *(_job_lines(plan, expected, processors, *jobs) if jobs else []),
     ]
-    return "\n".join([*lines, *plan.step_warnings()])
+    return "\n".join(lines)
+
+
+def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
+    """Bytes of memory of a process of so many threads."""
+    return cost.memory + (plan.tiles_in_flight(threads) - 1) * cost.bytes_per_tile
+
+
+def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
+    """What the largest shard takes as a job, from the cost on the measured processors, and lines of SLURM that ask for twice as much."""
+    tiles, text, share = plan.tiling.count, "", 1 / jobs  # of a refined scene the jobs share each level
+    if plan.scene.refine is None:
+        most = math.ceil(tiles / jobs)
+        text, share = f"at most {most} of {tiles} tiles each, ", most / tiles
+    integration = (expected.seconds - expected.theory_seconds) * measured / processors
+    seconds = share * (integration + expected.theory_seconds)
+    memory = _memory(plan, expected.tile, processors)
+    hours, minutes = divmod(math.ceil(2 * seconds / 60) + START_MINUTES, 60)
+    return [
+        f"{jobs} jobs of {processors} processors: {text}about {seconds / 3600:.3g} h and {memory / 1e6:.0f} MB a job",
+        f"#SBATCH --array=1-{jobs}",
+        f"#SBATCH --cpus-per-task={processors}",
+        f"#SBATCH --time={hours}:{minutes:02}:00",
+        f"#SBATCH --mem={2 * memory / 1e6:.0f}M",
+    ]
 
 
 def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:

@@ -104,7 +104,8 @@ def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
     began = time.process_time()
     ds = atlas.run(scene, progress=False, threads=1)
     seconds = time.process_time() - began
-    stored = sum(file.stat().st_size for file in (folder / "tiles").iterdir())  # compressed, as the file is
+    atlas.run(scene, tmp_path / "scene.nc", progress=False, threads=1).close()
+    stored = (tmp_path / "scene.nc").stat().st_size
     numbers = 2000 * sum(
         array.dtype.itemsize for array in [*ds.data_vars.values(), ds.k3]
     )  # as tiles hold them until they are joined
@@ -144,6 +145,43 @@ def test_processes_share_the_time_and_add_their_memory(scene_text):
     assert elapsed == pytest.approx(3600 * hours / 3, rel=0.02, abs=1)
     memory = [number(rf"memory: about {NUMBER} MB", text) for text in (one, three)]
     assert 2 < memory[1] / memory[0] < 5
+
+
+@pytest.mark.usefixtures("few_steps")
+def test_a_dry_run_of_few_points_counts_what_every_file_has(scene_text, tmp_path):
+    """Attributes and tables of a file are more than the values of ten points."""
+    scene = load_scene(scene_text({"axes.sigma.count": 5, "axes.theta0.count": 2}))
+    for name in ("small.nc", "small/"):
+        text = estimate.dry_run(scene, name, threads=1)
+        atlas.run(scene, f"{tmp_path}/{name}", progress=False, threads=1).close()
+        place, what = tmp_path / name, "run folder: 4 files," if name == "small/" else "file:"
+        files = [place] if place.is_file() else [each for each in place.rglob("*") if each.is_file()]
+        bytes_written = sum(file.stat().st_size for file in files)
+        assert 1e6 * number(rf"{what} about {NUMBER} MB", text) == pytest.approx(bytes_written, rel=0.25)
+
+
+@pytest.mark.usefixtures("few_steps")
+@pytest.mark.parametrize(("jobs", "processors"), [(7, 1), (50, 16), (1000, 4)])
+def test_a_dry_run_prices_the_job_with_most_tiles(here, capsys, monkeypatch, scene_text, jobs, processors):
+    """Tiles are dealt to the jobs one by one; the limits for the queue are twice the cost, and five minutes for the start."""
+    monkeypatch.setenv("ATLAS_TILE_POINTS", "512")
+    long = {"axes.sigma.count": 400, "axes.theta0.count": 400, "integration.duration": 20_000.0}
+    (here / "s.toml").write_text(scene_text(long))
+    assert main(["run", "s.toml", "--dry-run", "--threads", "1", "--jobs", f"{jobs}x{processors}"]) == 0
+    text = capsys.readouterr().out
+    tiles = int(number(r"to integrate, (\d+) tiles", text))
+    most = len(range(0, tiles, jobs))
+    line = rf"{jobs} jobs of {processors} processors: at most {most} of {tiles} tiles each, about {NUMBER} h and {NUMBER} MB a job"
+    hours, memory = (float(each) for each in re.search(line, text).groups())
+    total = number(rf"processor time: {NUMBER} h by rk4", text)
+    assert hours == pytest.approx(total * most / tiles / processors, rel=0.02)
+    alone = number(rf"memory: about {NUMBER} MB", text)
+    assert (memory == alone) if processors == 1 else (memory >= alone)
+    array, each, limit, most_memory = text.splitlines()[-4:]
+    assert (array, each) == (f"#SBATCH --array=1-{jobs}", f"#SBATCH --cpus-per-task={processors}")
+    parts = [int(part) for part in re.fullmatch(r"#SBATCH --time=(\d+):(\d\d):00", limit).groups()]
+    assert 60 * parts[0] + parts[1] == pytest.approx(120 * hours + 5, rel=0.01, abs=1.01)
+    assert number(r"--mem=(\d+)M", most_memory) == pytest.approx(2 * memory, abs=1)
 
 
 def test_times_are_hours_minutes_and_seconds():

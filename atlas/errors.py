@@ -6,6 +6,7 @@ import difflib
 import logging
 import reprlib
 import sys
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -122,6 +123,18 @@ def option(name: str, value: object) -> str:
     elif value is not True:
         words.append(str(value))
     return " ".join(words)
+
+
+def deprecated(what: str, instead: str, version: str) -> None:
+    """Warn who calls the package, or runs a command, that a version removes something, and what to use instead."""
+    message = f"{what} is deprecated, and version {version} removes it: use {instead}"
+    if _in_shell:
+        logging.getLogger("atlas").warning(message)
+        return
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] == "atlas":
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, FutureWarning, stacklevel=level)
 
 
 class _Short(reprlib.Repr):

@@ -56,6 +56,7 @@ OTHERS = {
     "bench_peers": "below",
     "check_packages": "below",
     "make_faces": "tests/extensions/test_records.py",
+    "make_public": "tests/test_stability.py",
     "draw_page": "tests/extensions/page/test_in_browser.py",
     "mutants": "below",
     "without_extension": "below",

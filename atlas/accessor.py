@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from .errors import BadInput, shown, text_table
+from .errors import BadInput, text_table
 from .extension import load, parts
 from .faces import Questions
 from .plotting.options import takes_map_options
-from .scene.checks import typed, whole_number
+from .scene.checks import typed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from .plotting.options import Width
     from .plotting.trajectory import Film
-
-MAX_LINES = 1000  # of the spectrum of a signal
 
 
 @typed
@@ -380,57 +378,6 @@ class Atlas(Questions):
         from .plotting.trajectory import animate
 
         return animate(self._ds, path, seconds, view)
-
-    def frequencies(
-        self,
-        lines: int = 3,
-        *,
-        samples: int = 8193,
-        trajectory: xr.Dataset | None = None,
-        degrees: bool = False,
-        **coords: float,
-    ) -> xr.Dataset:
-        """Strongest lines in the spectra of one motion, refined beyond the resolution of a Fourier transform.
-
-        Parameters
-        ----------
-        lines : int
-            Number of lines of each signal.
-        samples : int
-            Instants of the motion; where a line is too fast for them, more are taken.
-        trajectory : Dataset, optional
-            A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines. Such a motion answers
-            by itself, too: ``motion.atlas.frequencies()``.
-        degrees : bool, optional
-            Take the angles of the point in degrees; the result is in rad.
-        **coords : float
-            The point, as for `nearest`.
-
-        Returns
-        -------
-        Dataset
-            Over "signal" and "line", the strongest line first: frequency (rad per time unit, signed for psi and phi),
-            amplitude, and share of the variance. Signal "theta" is cos theta, "psi" and "phi" are
-            sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means; of a system with
-            observables the signals are these, with amplitudes in their units. Where there are fewer
-            lines than asked for, the others are nan.
-
-        Notes
-        -----
-        A regular motion has lines that stay the same in both halves of a run; the lines of a chaotic one change.
-        """
-        from .analysis.frequencies import frequencies, frequencies_of_point
-
-        whole_number("lines", lines, 1, MAX_LINES)
-        if trajectory is None and not coords and "time" in self._ds.dims:
-            trajectory = self._ds
-        if trajectory is None:
-            return frequencies_of_point(
-                lambda count: self.trajectory(samples=count, degrees=degrees, **coords), lines, samples
-            )
-        if "time" not in getattr(trajectory, "dims", ()):
-            raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")
-        return frequencies(trajectory, lines)
 
     def roughness(self, x: str | None = None, y: str | None = None) -> xr.DataArray:
         """How roughly the range of theta varies over the grid: a picture of chaos without its cost, not a label.

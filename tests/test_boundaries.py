@@ -32,7 +32,7 @@ REPLACED = {
         files.MIN_FREE_BYTES files.os.fsync files.os.link files.os.replace files.secrets.token_hex
         files.tempfile.TemporaryFile kernel.machine_code.atomic_write plotting.style.atomic_write runs.estimate.check_disk
         runs.estimate.shutil.disk_usage runs.refine.shutil.disk_usage runs/test_folder.py:?.read plotting/test_maps.py:?.savefig
-        store.tile.Tiles.read
+        store.tile.Tiles.read test_stability.py:?.SNAPSHOT test_stability.py:?.public
     """,
     "the network, and what else does not answer": """
         interruption.end_process cli.scenes.print_schema runs.cluster.connect store.place.Folder.names store.place.Objects.?

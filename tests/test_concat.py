@@ -122,7 +122,7 @@ def test_the_whole_answers_what_needs_no_scene(joined):
         lambda ds: ds.atlas.trajectory(**PLACE),
         lambda ds: ds.atlas.trajectory(),
         lambda ds: ds.isel(sigma=0, theta0=0).atlas.trajectory(),
-        lambda ds: ds.atlas.frequencies(**PLACE),
+        pytest.param(lambda ds: ds.atlas.frequencies(**PLACE), marks=pytest.mark.extension("frequencies")),
         lambda ds: ds.atlas.map(),
         lambda ds: ds.atlas.map("theta_max"),
         lambda ds: ds.atlas.boundary(),

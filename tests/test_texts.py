@@ -129,8 +129,6 @@ def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
         (lambda ds: ds.atlas.fractions([]), r"variable = \[\]: must be a text"),
         (lambda ds: ds.atlas.boundary(["drifting"]), "label = .*: must be a text or a whole number"),
         (lambda ds: ds.atlas.nearest(sigma=...), "sigma = Ellipsis: must be a finite number"),
-        (lambda ds: ds.atlas.frequencies("a"), "lines = 'a': must be a whole number"),
-        (lambda ds: ds.atlas.frequencies(trajectory=3), "trajectory = 3: must be a dataset"),
         (lambda ds: atlas.open_atlas(3), "path = 3: must be a text or a path"),
         (lambda ds: atlas.run(ds.atlas_scene, threads="a"), "threads = 'a': must be a whole number"),
         (lambda ds: atlas.run(ds.atlas_scene, "r/", shard=np.ones(2)), "shard = .*: must be a tuple"),

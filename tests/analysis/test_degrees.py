@@ -90,8 +90,6 @@ def test_a_motion_in_degrees(ds):
     assert np.array_equal(deg.psi_dot.values, rad.psi_dot.values)
     labels = [ax.get_ylabel() for figure in deg.atlas.plot().subfigs for ax in figure.axes]
     assert r"$\theta$ (deg)" in labels
-    lines = [ds.atlas.frequencies(1, trajectory=each).frequency.values for each in (rad, deg)]
-    np.testing.assert_allclose(lines[0], lines[1])
 
 
 def test_comparisons_print_degrees(ds):
@@ -107,7 +105,7 @@ def test_comparisons_print_degrees(ds):
 def test_wrong_values_are_one_line(ds, scene_text):
     for ask in (
         ds.atlas.map, ds.atlas.boundary, ds.atlas.select, ds.atlas.nearest, ds.atlas.trajectory,
-        ds.atlas.frequencies, ds.atlas.compare,
+        ds.atlas.compare,
     ):  # fmt: skip
         with pytest.raises(BadInput, match=r"^degrees = 'yes': must be true or false$"):
             ask(degrees="yes")

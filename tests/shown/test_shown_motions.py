@@ -151,29 +151,6 @@ def test_observables_of_another_system_have_their_names_and_units(tmp_path, monk
         np.testing.assert_allclose(height.lines[0].get_ydata(), 1 - np.cos(tr.x), atol=1e-12)
 
 
-def test_lines_of_a_motion_have_the_amplitudes_and_shares_of_its_angles():
-    """sin(theta) exp(i psi) of a small libration about a tilted axis; the shares of all lines are the whole variance."""
-    tr = atlas.trajectory("satellite", {"theta0": 0.3, "m": 1.0, "C": 1.4}, duration=60.0, samples=2001)
-    table = tr.atlas.frequencies(4, trajectory=tr)
-    assert table.share.sum("line").values == pytest.approx(1.0, abs=2e-3)
-    assert (table.frequency.attrs["units"], table.share.attrs["units"]) == ("rad s-1", "1")
-    signals = {"theta": np.cos(tr.theta.values) + 0j}
-    signals |= {name: np.sin(tr.theta.values) * np.exp(1j * tr[name].values) for name in ("psi", "phi")}
-    window = np.hanning(2001)
-    window /= window.sum()
-    for name, signal in signals.items():
-        # The transform of the signal is what the line has alone, where it is far from the others.
-        line = table.sel(signal=name).isel(line=0)
-        wave = np.exp(-1j * float(line.frequency) * tr.time.values)
-        mean = (window @ signal) if name == "theta" else 0.0
-        part = abs(window @ ((signal - mean) * wave)) * (2 if name == "theta" else 1)
-        assert float(line.amplitude) == pytest.approx(part, rel=0.02)
-        variance = window @ np.abs(signal - window @ signal) ** 2
-        assert float(line.share) == pytest.approx(
-            part**2 / variance / (2 if name == "theta" else 1), rel=0.05
-        )
-
-
 def test_a_film_shows_time_and_axis(motion):
     film = motion.atlas.animate(seconds=100.0)
     film._func(150)

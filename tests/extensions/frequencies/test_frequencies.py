@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import xarray as xr
+from refusals import assert_refused
 
 import atlas
 from atlas.analysis.degrees import in_degrees
-from atlas.analysis.frequencies import frequencies, frequencies_of_point, spectral_lines
+from atlas.extensions.frequencies.spectrum import frequencies_of_motion, frequencies_of_point, spectral_lines
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
 
@@ -42,7 +43,7 @@ def regular_precession(n, m, theta):
 
 def test_rates_of_a_regular_precession():
     n, m, theta = 0.8, 0.3, 0.9
-    ds = frequencies(regular_precession(n, m, theta), 1)
+    ds = frequencies_of_motion(regular_precession(n, m, theta), 1)
     assert ds.frequency.sel(signal="psi").item() == pytest.approx(n, abs=1e-7)
     assert ds.frequency.sel(signal="phi").item() == pytest.approx(m, abs=1e-7)
     assert ds.amplitude.sel(signal="psi").item() == pytest.approx(np.sin(theta), abs=1e-6)
@@ -65,7 +66,7 @@ def test_small_librations_have_the_frequency_of_the_linear_equations():
     A, B, C = 1.3, 1.6, 1.0
     start = {"psi0": np.pi / 2 + 1e-3, "theta0": np.pi / 2, "phi0": 0.0}
     motion = atlas.trajectory("satellite", {"A": A, "B": B, "C": C} | start, duration=300.0, samples=3001)
-    psi = frequencies(motion, 2).sel(signal="psi")
+    psi = frequencies_of_motion(motion, 2).sel(signal="psi")
     expected = np.sqrt(3 * (A - C) / B)
     np.testing.assert_allclose(np.sort(psi.frequency), [-expected, expected], atol=1e-5)
 
@@ -75,7 +76,7 @@ def test_too_few_samples_are_refused():
         "fixed_point", {"Mg": 0.0, "theta0": 1.0, "n": 5.0, "m": 3.0}, duration=100.0, samples=180
     )
     with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
-        frequencies(motion, 1)
+        frequencies_of_motion(motion, 1)
     with pytest.raises(atlas.BadInput, match="samples = 180: too few"):
         motion.atlas.frequencies(1)
 
@@ -90,9 +91,9 @@ def test_lines_that_are_too_fast_for_the_samples(rate):
         return atlas.trajectory("satellite", point, duration=12.6, samples=samples, method="rk8")
 
     with pytest.raises(atlas.BadInput, match="samples = 101: too few for a line of") as error:
-        frequencies(sampled(101), 1)
+        frequencies_of_motion(sampled(101), 1)
     for lines in (
-        frequencies(sampled(int(str(error.value).split()[-1])), 1),
+        frequencies_of_motion(sampled(int(str(error.value).split()[-1])), 1),
         frequencies_of_point(sampled, 1, 101),
     ):
         assert float(lines.frequency.sel(signal="phi")[0]) == pytest.approx(rate, abs=1e-3)
@@ -104,3 +105,39 @@ def test_accessor(small_scene):
     table = ds.atlas.frequencies(2, samples=1025, **place)
     assert table.sizes == {"signal": 3, "line": 2}
     assert table.frequency.attrs["units"] == "rad s-1"
+
+
+def test_lines_of_a_motion_have_the_amplitudes_and_shares_of_its_angles():
+    """sin(theta) exp(i psi) of a small libration about a tilted axis; the shares of all lines are the whole variance."""
+    tr = atlas.trajectory("satellite", {"theta0": 0.3, "m": 1.0, "C": 1.4}, duration=60.0, samples=2001)
+    table = tr.atlas.frequencies(4, trajectory=tr)
+    assert table.share.sum("line").values == pytest.approx(1.0, abs=2e-3)
+    assert (table.frequency.attrs["units"], table.share.attrs["units"]) == ("rad s-1", "1")
+    signals = {"theta": np.cos(tr.theta.values) + 0j}
+    signals |= {name: np.sin(tr.theta.values) * np.exp(1j * tr[name].values) for name in ("psi", "phi")}
+    window = np.hanning(2001)
+    window /= window.sum()
+    for name, signal in signals.items():
+        # The transform of the signal is what the line has alone, where it is far from the others.
+        line = table.sel(signal=name).isel(line=0)
+        wave = np.exp(-1j * float(line.frequency) * tr.time.values)
+        mean = (window @ signal) if name == "theta" else 0.0
+        part = abs(window @ ((signal - mean) * wave)) * (2 if name == "theta" else 1)
+        assert float(line.amplitude) == pytest.approx(part, rel=0.02)
+        variance = window @ np.abs(signal - window @ signal) ** 2
+        assert float(line.share) == pytest.approx(
+            part**2 / variance / (2 if name == "theta" else 1), rel=0.05
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"lines": "a"}, "lines = 'a': must be a whole number..."),
+        ({"trajectory": 3}, "trajectory = 3: must be a dataset..."),
+        ({"degrees": "yes"}, "degrees = 'yes': must be true or false"),
+    ],
+)
+def test_wrong_values_are_one_line(options, sentence):
+    points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0)
+    assert_refused(lambda: points.atlas.frequencies(**options), sentence)

@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.signal.windows import hann
 
-from ..errors import BadInput
-from ..label.trajectory import MAX_SAMPLES
-from ..systems.base import Array
-from .degrees import in_rad
-from .metadata import system_of
+from ...analysis.degrees import in_rad
+from ...analysis.metadata import system_of
+from ...errors import BadInput, shown
+from ...label.trajectory import MAX_SAMPLES
+from ...scene.checks import whole_number
+from ...systems.base import Array
 
 Signal = NDArray[np.complex128]
+
+MAX_LINES = 1000  # of the spectrum of a signal
 
 # A line above this share of the Nyquist frequency of the samples may be the alias of a faster one.
 MAX_SHARE_OF_NYQUIST = 0.8
@@ -33,8 +36,58 @@ MIN_AMPLITUDE = 1e-5
 PASSES = 2
 
 
-def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
-    """Strongest lines of each signal of a motion, see `Atlas.frequencies`; BadInput for too few samples."""
+def frequencies(
+    ds: xr.Dataset,
+    lines: int = 3,
+    *,
+    samples: int = 8193,
+    trajectory: xr.Dataset | None = None,
+    degrees: bool = False,
+    **coords: float,
+) -> xr.Dataset:
+    """Strongest lines in the spectra of one motion, refined beyond the resolution of a Fourier transform.
+
+    Parameters
+    ----------
+    lines : int
+        Number of lines of each signal.
+    samples : int
+        Instants of the motion; where a line is too fast for them, more are taken.
+    trajectory : Dataset, optional
+        A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines. Such a motion answers
+        by itself, too: ``motion.atlas.frequencies()``.
+    degrees : bool, optional
+        Take the angles of the point in degrees; the result is in rad.
+    **coords : float
+        The point, as for `nearest`.
+
+    Returns
+    -------
+    Dataset
+        Over "signal" and "line", the strongest line first: frequency (rad per time unit, signed for psi and phi),
+        amplitude, and share of the variance. Signal "theta" is cos theta, "psi" and "phi" are
+        sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means; of a system with
+        observables the signals are these, with amplitudes in their units. Where there are fewer
+        lines than asked for, the others are nan.
+
+    Notes
+    -----
+    A regular motion has lines that stay the same in both halves of a run; the lines of a chaotic one change.
+    """
+    whole_number("lines", lines, 1, MAX_LINES)
+    if trajectory is None and not coords and "time" in ds.dims:
+        trajectory = ds
+    if trajectory is None:
+        return frequencies_of_point(
+            lambda count: ds.atlas.trajectory(samples=count, degrees=degrees, **coords), lines, samples
+        )
+    if "time" not in getattr(trajectory, "dims", ()):
+        raise BadInput(f"trajectory = {shown(trajectory)}: must be a dataset from atlas.trajectory")
+    return frequencies_of_motion(trajectory, lines)
+
+
+def frequencies_of_motion(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
+    """Strongest lines of each signal of a motion; BadInput for too few samples."""
     trajectory = in_rad(trajectory)
     ds, (name, fastest) = _lines(trajectory, lines)
     if fastest:
@@ -46,13 +99,13 @@ def frequencies(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
 
 
 def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
-    """`frequencies` of a motion that a function samples again until the samples resolve its lines."""
+    """Strongest lines of a motion that a function samples again until the samples resolve its lines."""
     while True:
         motion = trajectory(samples)
         ds, (_, fastest) = _lines(motion, lines)
         needed = _samples_for(motion, fastest) if fastest else samples
         if needed <= samples or needed > MAX_SAMPLES:
-            return ds if not fastest else frequencies(motion, lines)
+            return ds if not fastest else frequencies_of_motion(motion, lines)
         samples = needed
 
 

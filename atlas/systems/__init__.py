@@ -34,7 +34,7 @@ BUILT_IN = ("satellite", "fixed_point")
 
 
 class _Systems(UserDict[str, Any]):
-    """Systems of this package, each imported when first asked for, and others that were asked for or registered."""
+    """Systems by name: built-in ones are imported on first access, others are added by `get` and `register`."""
 
     def __getitem__(self, name: str) -> System:
         if self.data[name] is None:
@@ -48,7 +48,7 @@ _ORIGINS: dict[System, plugins.Origin] = {}
 
 
 def __getattr__(name: str) -> Any:
-    """A function of an extension."""
+    """A function that an extension adds to this module."""
     if function := extension.load("functions", f"systems.{name}"):
         return function
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}{extension.not_loaded()}")
@@ -57,8 +57,8 @@ def __getattr__(name: str) -> Any:
 def register(system: System | type[System]) -> System:
     """Make a system available to scenes and functions of this process under its name.
 
-    One that was registered under the same name before is replaced. Other processes, such as the command of the shell and
-    dask workers, find a system by the entry point `atlas.systems` of an installed package.
+    It replaces a system registered earlier under this name. Other processes, such as the shell command and dask workers,
+    find a system by the entry point `atlas.systems` of an installed package.
 
     Parameters
     ----------
@@ -73,13 +73,13 @@ def register(system: System | type[System]) -> System:
     Raises
     ------
     BadInput
-        With one line that names what is wrong with the system, or for the name of a system of this package.
+        If the system has a mistake, which the message names, or the name of a built-in system.
     """
     return _register(system, "")
 
 
 def _register(system: Any, package: str, name: str = "") -> System:
-    """As `register`, for a system of an installed package that gives it this name."""
+    """Register a system; package, name: the installed package that has it and the name of its entry point, or empty."""
     from . import plugins
     from .check import check, check_complete, check_start
 
@@ -89,7 +89,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
         if isinstance(system, type) and issubclass(system, System):
             check_complete(system)
             system = system()
-        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # else it was registered before
+        new = not hasattr(getattr(system, "equations", None), "SOURCES")  # otherwise it is registered already
         if new:
             check(system)
         if system.name in BUILT_IN and not package:
@@ -100,7 +100,7 @@ def _register(system: Any, package: str, name: str = "") -> System:
             raise BadInput(f"its name is {shown(system.name)}; the name of the entry point must be the same")
         if new:
             _ORIGINS[system] = plugins.origin(system, package)
-            # What the equations leave out, and the constant that stands for the kernels' unit of time.
+            # `completed` adds missing functions and TIME_UNIT, the kernels' unit of time as a constant.
             given = len(getattr(system.equations, "CONSTANTS", ()))
             observables = [observable.name for observable in system.observables]
             system.equations = arithmetic.completed(system.equations, observables)
@@ -114,14 +114,14 @@ def _register(system: Any, package: str, name: str = "") -> System:
         check_start(system)
     except BadInput as error:
         raise BadInput(f"{key}: {error}") from None
-    except Exception as error:  # of the author's code, such as its __init__
+    except Exception as error:  # raised by the author's code, such as __init__
         raise BadInput(f"{key}: {type(error).__name__}: {one_line(error)}") from None
     SYSTEMS[system.name] = system
     return system
 
 
 def get(name: object) -> System:
-    """The system of that name, imported from its package if need be; BadInput if there is none, or if it is broken."""
+    """The system of this name, imported from its package if needed; BadInput if there is none or it is broken."""
     if isinstance(name, str):
         if name in SYSTEMS:
             return SYSTEMS[name]
@@ -167,7 +167,7 @@ def available() -> dict[str, System]:
 
 
 def origin(system: System) -> plugins.Origin | None:
-    """Where a system comes from, registered or not; None for the systems of this package."""
+    """Origin of a system, registered or not; None for a built-in one."""
     if system not in _ORIGINS and not (system.name in BUILT_IN and SYSTEMS.get(system.name) is system):
         from . import plugins
 

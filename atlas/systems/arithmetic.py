@@ -1,8 +1,7 @@
-"""Equations of a system as text: what they may contain, and what is filled in where an author omits it.
+"""Equations of a system as source text: checks, and completion of functions that an author omits.
 
-Kernels contain the source of the equations, so that the functions may use only the state, the constants, what
-they assign, and the FUNCTIONS of one number. Mistakes are reported from the syntax tree, one line each,
-before anything is compiled.
+Kernels contain this source, so that the functions may use only the state, the constants, names assigned before
+and FUNCTIONS of one number. Mistakes are found in the syntax tree, before anything is compiled.
 """
 
 from __future__ import annotations
@@ -20,29 +19,29 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 
-# What equations may call -> the NumPy function of arrays and, in kernels, of numbers.
+# Name in equations -> NumPy function, of arrays and, in kernels, of numbers.
 FUNCTIONS = {
     "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
     "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "exp": "exp", "log": "log",
 }  # fmt: skip
 # Constant that is added to equations without `scaled`: the unit of time of a kernel, in time units.
 TIME_UNIT = "time_unit"
-# No other thread may see an unfinished module, or parse at the same time: Python 3.11 keeps one depth of recursion for all
-# threads, and raises SystemError where two conversions of syntax trees overlap.
+# Lock: other threads must not see an unfinished module nor parse at the same time, because Python 3.11 counts the recursion
+# of all threads together and raises SystemError if two conversions of syntax trees overlap.
 PARSING = threading.RLock()
 _ALLOWED = f"allowed: the state, the constants, names assigned before, {', '.join(FUNCTIONS)}"
 _PLAIN = f"allowed: assignments and one return of + - * / **, numbers, {', '.join(FUNCTIONS)}"
 
 
 def functions(equations: Any) -> dict[str, str]:
-    """Source of every function of a module or class of equations without its docstring, by name."""
+    """Name -> source, without docstring, of every function of a module or class of equations."""
     return {name: ast.unparse(node) for name, node in function_trees(equations).items()}
 
 
 def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
-    """Syntax tree of every function of a module or class by name, without docstrings and decorators.
+    """Name -> syntax tree, without docstring and decorators, of every function of a module or class.
 
-    In equations, *_ among the constants becomes their names.
+    A starred name among unpacked constants becomes the names that it stands for.
     """
     constants = getattr(equations, "CONSTANTS", ())
     sources = getattr(equations, "SOURCES", None)
@@ -90,7 +89,7 @@ def numpy_functions() -> dict[str, Callable[..., Any]]:
 
 
 def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Value of an arithmetic text in pi, FUNCTIONS and names; for any other text BadInput, which begins with the key."""
+    """Value of an arithmetic text in pi, FUNCTIONS and names; BadInput, beginning with the key, for other texts."""
     known = {**numpy_functions(), "pi": np.pi, **names}
     try:
         tree = ast.parse(text, mode="eval")
@@ -102,10 +101,10 @@ def value(key: str, text: str, names: Mapping[str, Any]) -> Any:
 
 
 def completed(equations: Any, observables: Collection[str]) -> ModuleType:
-    """Equations with everything that the kernels read, evaluated anew from their source, so that FUNCTIONS take arrays.
+    """Equations with every member that kernels read, compiled from source with FUNCTIONS that take arrays.
 
-    Without ``scaled`` and ``unscaled`` the kernels' unit of time becomes one more constant, TIME_UNIT, by which the right-hand
-    side, the angular velocity of ``frame_motion`` and the losses are multiplied; the state keeps its units.
+    Without ``scaled`` and ``unscaled``, TIME_UNIT, the kernels' unit of time, becomes the last constant and multiplies the
+    right-hand side, the angular velocity of ``frame_motion`` and the losses; the state keeps its units.
     """
     nodes = _used(equations, observables)
     names = {name: value for name, value in vars(equations).items() if name.isupper() or name == "__file__"}
@@ -114,7 +113,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         given = len(names["CONSTANTS"])
         names["CONSTANTS"] = (*names["CONSTANTS"], TIME_UNIT)
         names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
-        # how many of the returned components are rates
+        # number of leading components that are rates; None: all
         rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
         nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
         states, constants = ", ".join(names["STATE"]), ", ".join(names["CONSTANTS"])
@@ -130,7 +129,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
 
 
 def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, str]) -> ModuleType:
-    """Equations with these names in capital letters and these functions, given by their source and evaluated here."""
+    """Module of equations with these names in capital letters and the functions of these sources."""
     module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
     namespace: dict[str, Any] = dict(numpy_functions())
     for name, text in sources.items():
@@ -142,7 +141,7 @@ def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, st
 
 
 def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int | None]) -> ast.FunctionDef:
-    """A function with TIME_UNIT after its constants, by which the first rates[name] of its components are multiplied."""
+    """A function with TIME_UNIT as last constant, which multiplies its first rates[name] components (None: all)."""
     unpacked = False
     for statement in node.body:
         match statement:
@@ -163,7 +162,7 @@ def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int |
 
 
 def with_unit_row(constants: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A method `constants` with the row of TIME_UNIT added, which is 1 in time units."""
+    """The method `constants` with a row of ones, for TIME_UNIT, at the end."""
 
     def extended(points: Any) -> Any:
         one = np.ones((1, *np.shape(next(iter(points.values())))))
@@ -224,7 +223,7 @@ def check(key: str, equations: Any, observables: Collection[str]) -> None:
 
 
 def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str, ...]:
-    """Names of the functions in LOSSES of the equations; BadInput unless they can be used."""
+    """Names of the functions in LOSSES of the equations; BadInput for unusable ones."""
     losses, integrals = getattr(equations, "LOSSES", {}), getattr(equations, "INTEGRALS", {})
     if not isinstance(losses, Mapping) or not all(isinstance(name, str) for name in losses.values()):
         raise BadInput(f"{key}: LOSSES = {shown(losses)}; allowed: a mapping of first integrals to functions")
@@ -234,7 +233,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
                 f"{key}: LOSSES: {shown(name)} is no first integral; {allowed_text(name, integrals)}"
             )
     for name in losses.values():
-        if name in observables:  # which have the units of the caller in a kernel
+        if name in observables:  # observables are in the caller's units inside a kernel
             raise BadInput(f"{key}: LOSSES: {shown(name)} is an observable; choose another function")
     return tuple(losses.values())
 
@@ -242,7 +241,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 def _check_function(
     key: str, node: ast.FunctionDef, state: Sequence[str], constants: Sequence[str], components: int | None
 ) -> None:
-    """Raise BadInput unless a function is plain arithmetic of known names with so many components; 0: a number."""
+    """Raise BadInput unless a function is plain arithmetic; components: of its result, 0: a number, None: any tuple."""
     names, returned = {*FUNCTIONS}, None
     targets: list[ast.expr]
     for statement in node.body:

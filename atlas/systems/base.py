@@ -25,22 +25,21 @@ Mask = NDArray[np.bool_]
 # Every parameter of a system by name, as float64 arrays of one common shape.
 Points = Mapping[str, Array]
 
-# Products and quotients of parameters beyond this magnitude, or of positive ones below its inverse, may overflow.
+# Parameters above this magnitude, or positive ones below its inverse, may have overflowing products and quotients.
 MAX_MAGNITUDE = 1e60
-# A start whose condition residuals are at most this belongs to the family; sin theta of at most this is on the
-# vertical.
+# Largest condition residual (dimensionless) of a start on a family, and largest sin theta on the vertical.
 FAMILY_TOLERANCE = 1e-10
 # Name of `System.natural_rate` in arithmetic of scenes and in datasets.
 NATURAL_RATE = "natural_rate"
 NO_RIGID_BODY = "no rigid body has these moments of inertia"
 _T = TypeVar("_T")
 _F = TypeVar("_F", bound=Callable[..., Any])
-_CHUNK = 16384  # points whose family is identified together, so that the arrays stay in the cache
+_CHUNK = 16384  # points that are identified together; their arrays fit into the cache
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter or start value; the table in the docs is printed from these."""
+    """A physical parameter or start value, with its range."""
 
     name: str
     unit: str  # SI, UDUNITS spelling; "1" for pure numbers
@@ -54,9 +53,10 @@ class Parameter:
 
 
 class TwoAxes(NamedTuple):
-    """A motion about an axis at rest in the body and an axis at rest in the frame, w' = n axis + m spin axis.
+    """A motion with the angular velocity n fixed_axis + m spin_axis relative to the frame.
 
-    Components are in body axes at the start. With a rate of 0 or parallel axes it is a permanent rotation.
+    spin_axis is at rest in the body, fixed_axis in the frame; components are in body axes at the start. With a rate of 0 or
+    parallel axes the motion is a permanent rotation.
     """
 
     spin_axis: Array  # unit vector, (3, points)
@@ -70,12 +70,12 @@ class TwoAxes(NamedTuple):
 
 
 class Geometry(NamedTuple):
-    """Where the third axis of a steady motion is."""
+    """A kind of steady motion, by the path of the third axis."""
 
     text: str  # a sentence
-    # (measured variables, where the axis stayed on the vertical, largest rate and angle that count as zero) -> whether a motion
-    # has this geometry; the first that holds counts. With axis_in_frame, axis_1 and axis_2 are means over the run of the third
-    # axis' components along the first two axes of the frame.
+    # (measured variables, mask of motions on the vertical, largest rate and angle that count as zero) -> mask; the first
+    # geometry that holds is taken. axis_1 and axis_2, measured with axis_in_frame, are means over the run of the third axis'
+    # components along the first two axes of the frame.
     holds: Callable[[Mapping[str, Array], Mask, Array | float, float], Mask]
 
 
@@ -83,18 +83,18 @@ class Geometry(NamedTuple):
 class Observable:
     """A quantity whose mean, standard deviation, extremes and drift are measured along each motion.
 
-    It is the equations' function of its name, of ``(state, constants)``, or else the state of its name.
+    The equations have a function of ``(state, constants)``, or a state, of the same name.
     """
 
     name: str
     unit: str  # UDUNITS spelling; "1" for pure numbers
-    long_name: str  # what it is, in a few words
-    # Largest standard deviation with which it counts as constant, in its unit. None: the rate_tolerance of the scene; inf:
-    # its variation does not count. The table labels.tolerances of a scene comes before it.
+    long_name: str  # description in a few words
+    # Largest standard deviation of a constant, in its unit. None: the scene's rate_tolerance; inf: variation is ignored.
+    # The table labels.std_tolerance of a scene replaces it.
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
-    # Measured at the start and after each of these times alone, in time units: a number, or arithmetic in pi and constants of
-    # the equations such as "2*pi/w". Runs then last whole periods. None: measured throughout.
+    # Period of measurement in time units, a number or arithmetic in pi and constants of the equations, such as "2*pi/w": it is
+    # measured at the start and after each period, and runs last whole periods. None: measured at all times.
     every: str | float | None = None
 
 
@@ -106,61 +106,61 @@ class Condition:
     residual: Callable[[Points], Array]
 
 
-NEAR = "near "  # before the name of one of Family.several: key of points for the value that a scene gives
+NEAR = (
+    "near "  # prefix of a name in Family.several: key in points of the value whose nearest solution is wanted
+)
 
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact steady motions theta = theta0, psi' = n, phi' = m, or alike about other axes, or in the plane."""
+    """A family of exact motions: theta = theta0, psi' = n, phi' = m, the same about other axes, or in a plane."""
 
     name: str
     flag: int = 0  # value of the dataset variable `family`, from 1; see numbered
     title: str = ""
-    equations: str = ""  # numbers in the paper, or where it was derived
+    equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
-    # parameter -> formula that puts a point on the family, nan where the family does not exist; in the order in
-    # which the formulas may be used together
+    # parameter -> formula for its value on the family, nan where there is none; formulas are used in this order
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
-    # parameter with several solutions, or the rate of a start that is solved -> the one that is taken unless a scene asks for another:
-    # for that near a value, which is under its own name and with NEAR in the points; infinity asks for the largest of two or more
+    # parameter with several solutions, or rate from which start values are solved -> text of the default solution. If a scene
+    # wants the solution nearest to a value, points have it under the name and under NEAR + name; inf: the largest of several
     several: Mapping[str, str] = field(default_factory=dict)
-    # points -> (flags.Stability, growth rate in rad per time unit), as System.linear_stability and the function rough_stability
+    # points -> (flags.Stability, growth rate in rad per time unit), see System.linear_stability and `rough_stability`
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
     rough_stability: Callable[[Points], tuple[Flags, Array]] | None = None
     stability_text: str = ""  # what decides the stability, for the catalogue
     # closed form of the motion: (points, t) -> state of the equations, shape (state, *t.shape, *points.shape)
     motion: Callable[[Points, Array], Array] | None = None
-    geometry: str = ""  # flag of the variable `geometry`; empty where it depends on the point
-    labels: str = ""  # label of the motion, by its kinematics, in the frame and in inertial space
+    geometry: str = ""  # name of its Geometry; empty: it depends on the point
+    labels: str = ""  # labels of the motion in the frame and in inertial space, as text
     paper_wording: str = ""
     exists: str = ""  # limits of existence beyond the conditions
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
-    # points -> axes and rates of a motion about any axes, which drifts about the third axis and the vertical; None: the
-    # motion is about these two
+    # points -> axes and rates of a motion that is about other axes than the third and the vertical; None: about these two
     axes: Callable[[Points], TwoAxes] | None = None
-    # (points, durations) -> standard deviation, (points,), of the rate of a body that turns unsteadily about the vertical, with
-    # its third axis on it; infinite durations are of whole periods. None: the motion is steady
+    # (points, durations) -> standard deviation, (points,), of the varying rate of a body that turns about its third axis on
+    # the vertical; an infinite duration means whole periods. None: the motion is steady
     rate_std: Callable[[Points, Array], Array] | None = None
 
 
 def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[str, Family]:
-    """Families by name, their flags counted in this order from 1, or after the families that come before."""
+    """Families by name, with flags counted in this order from 1 + len(after)."""
     return {family.name: replace(family, flag=i) for i, family in enumerate(families, 1 + len(after))}
 
 
 @dataclass(frozen=True)
 class PublishedEquation:
-    """One equation or statement of the system's paper, as printed and as true.
+    """One equation or statement of the system's paper, as printed and as corrected.
 
-    Residuals at random parameters are near 0 where a reading is true, None where nothing can be measured.
+    The residual at random parameters is near 0 for a true reading; None: it cannot be measured.
     """
 
     number: str
-    family: str  # name of the family that it is about; "" for the equations of motion and other formulas
+    family: str  # family that it describes; "" for the equations of motion and other formulas
     printed: str
     true: str
     verdict: str  # true, misprint, false, incomplete, or "true at ..., false at ..."
-    measure: str = ""  # what the residuals are
+    measure: str = ""  # meaning of the residuals
     residual_printed: Callable[[np.random.Generator], float] | None = None
     residual_true: Callable[[np.random.Generator], float] | None = None
     effect: str = ""  # consequence of the difference
@@ -172,28 +172,30 @@ GroupValues = Callable[[Collection[str], Points, Array, Callable[[], None]], Map
 
 @dataclass(frozen=True)
 class DerivedVariable:
-    """A quantity from theory that a scene may ask for as one more variable; computed only then."""
+    """A quantity from theory, computed if a scene lists it among its outputs."""
 
     name: str
     unit: str
     long_name: str
-    # (points before the nudge, duration, pause) -> (points,). What takes longer than a second calls pause() at least
-    # once a second: it raises an exception where the run was interrupted.
+    # (points before the nudge, duration, pause) -> (points,). A long computation calls pause() at least once a second,
+    # which raises an exception if the run was interrupted.
     values: Callable[[Points, Array, Callable[[], None]], NDArray[Any]]
     comment: str = ""
-    # raises BadInput for points and durations where it has no meaning, or where it would take too long
+    # raises BadInput for points and durations at which the variable is undefined or takes too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
-    # of a variable of flags, int8: name -> sentence of the values 0, 1, 2, ...
+    # of int8 flags: name -> sentence, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = False  # whether it is of the motion from its start, refused with a transient
-    # As `values`, of several variables by their names: the same function for all that share intermediate results.
+    from_start: bool = (
+        False  # whether it describes the motion from its start, so that it is refused with a transient
+    )
+    # Values of several variables by name; variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 
     @classmethod
     def of_group(
         cls, group_values: GroupValues, name: str, unit: str, long_name: str, comment: str, **attributes: Any
     ) -> DerivedVariable:
-        """One of the variables that `group_values` computes."""
+        """A variable that `group_values` computes with others."""
 
         def values(points: Points, duration: Array, pause: Callable[[], None]) -> NDArray[Any]:
             return group_values([name], SharedValues(points), duration, pause)[name]
@@ -203,23 +205,22 @@ class DerivedVariable:
 
 @dataclass(frozen=True, eq=False)
 class StressCase:
-    """Specification of stiff or extreme points; its arrays have one length, and numbers hold for all points."""
+    """Stiff or extreme points; arrays have one entry for each point, numbers hold for all points."""
 
     name: str
     description: str
     duration: ArrayLike  # time units
-    columns: Mapping[str, ArrayLike]  # parameters; the others take their defaults
+    columns: Mapping[str, ArrayLike]  # parameters; missing ones take their defaults
     solve: tuple[str, str] | None = None  # family, and the parameter that puts the points on it
     additions: Mapping[str, ArrayLike] = field(default_factory=dict)  # added to parameters after solving
-    may_stay_unresolved: str = ""  # reason for which an automatic step, too, may leave a point unresolved
-    # the exact motion that the points follow, by the name of its class among the exact motions or as a function from one point
-    # to such a motion, or "departure" where the additions are tiny offsets from an unstable equilibrium; empty: the
-    # true label follows from theory or from the reference integrator
+    may_stay_unresolved: str = ""  # why a point may stay unresolved even with an automatic step
+    # exact motion of the points, as the name of its class or a function from a point to the motion; "departure": additions are
+    # tiny offsets from an unstable equilibrium; empty: theory or the reference integrator gives the true label
     truth: str | Callable[[Points], Any] = ""
 
 
 def _or_extension(method: _F) -> _F:
-    """A method of `System` that an extension may have for some systems; its own body is for the others."""
+    """Decorator: a method of `System` that runs only if no extension has a result for it."""
 
     @wraps(method)
     def answer(*arguments: Any, **options: Any) -> Any:
@@ -233,10 +234,9 @@ def _or_extension(method: _F) -> _F:
 class System(ABC):
     """A physical system: what kernels, labels, scenes and figures use of it.
 
-    A system is written as a subclass. What it must give is its names, `equations`, `parameters` and
-    `initial_state`, and either the motion of a body relative to a frame (``frame_motion`` of the equations) or
-    `observables`; every other member has a default, which stands for "this system does not have it". `points`
-    maps every parameter's name to a float64 array, all of one shape, here called ``(points,)``.
+    A system is a subclass that defines its names, `equations`, `parameters` and `initial_state`, and either the motion of
+    a body relative to a frame (``frame_motion`` of the equations) or `observables`; every other member has a default.
+    `points` maps the name of each parameter to a float64 array, all of one shape, called ``(points,)`` here.
 
     Members, in three groups:
 
@@ -250,61 +250,61 @@ class System(ABC):
         `families`, `identify_family`, `linear_stability`, `frame_rate`, `geometries`, `derived`, `equilibria`,
         `equilibria_of_bodies`, `stress_cases`.
 
-    Instances are compared and hashed by identity: kernels are cached by system.
+    Instances are compared and hashed by identity, because kernels are cached by system.
     """
 
     name: str
     """Name in scenes and files, such as "satellite"."""
     title: str
-    """What the system is, in a few words."""
+    """Description in a few words."""
     frame: str = "space"
     """Name of the frame in which theta, psi and phi are measured; its third axis is "the vertical".
 
-    Empty, once a system is registered, where it has `observables` instead.
+    Empty in a registered system with `observables`.
     """
     frame_axes: tuple[str, str, str] = ("$x$", "$y$", "vertical")
-    """Labels of the three axes of that frame in figures."""
+    """Labels of the three axes of the frame in figures."""
     frame_text: str = ""
-    """What these axes are, and what others call them."""
+    """Meaning of the axes of the frame, and their other names."""
     reference: str = ""
     """Citation of the paper that the system comes from."""
     doi: str = ""
-    """DOI of that paper."""
+    """DOI of the paper."""
     bibtex: str = ""
-    """BibTeX entry of that paper; without one `cite` makes it from the citation."""
+    """BibTeX entry of the paper; if empty, `cite` makes one from `reference`."""
 
     # Equations.
 
     equations: Any
     """Module, or class, of plain scalar functions, whose source is pasted into the kernels.
 
-    It defines the names ``STATE`` and ``CONSTANTS`` (tuples of names), and functions of ``(state, constants)``,
-    sequences in the order of those names, of plain arithmetic and the functions of `arithmetic.FUNCTIONS`:
+    It defines ``STATE`` and ``CONSTANTS`` (tuples of names), and functions of ``(state, constants)``, two sequences in
+    the order of these names. The functions are plain arithmetic with `arithmetic.FUNCTIONS`:
 
     - ``rhs``: time derivatives of the state;
     - ``frame_motion``, unless the system has `observables`: angular velocity of the body relative to the frame
       (rad per time unit) and the unit vector of the frame's vertical, three components each, in body axes;
     - one function for each observable that is not a state;
     - ``INTEGRALS`` (optional): name of each first integral -> its power of a rate;
-    - ``LOSSES`` (optional): name of a first integral that dissipation changes -> name of a function that returns what
-      it loses per time, a number; the integral and the sum of its losses are then constant together;
+    - ``LOSSES`` (optional): name of a first integral that dissipation changes -> name of the function for its loss per
+      time, a number; the integral plus its accumulated loss is constant;
     - ``scaled`` (optional), with a third argument h: state and constants in units in which the time h is 1;
       ``unscaled``, with the same arguments: back from a scaled state; ``ONES``: constants that are 1 in these units;
-    - ``OPTIONAL`` (optional): constants that count among those of a point only where they are not 0, so that they may be added;
+    - ``OPTIONAL`` (optional): constants that identify a point only if they are not 0, so that a version may add some;
     - ``FRAME_VECTORS`` (optional): triples of states that are unit vectors at rest in the frame, v' = v x u with the
-      angular velocity u of ``frame_motion``; tangent vectors then have fewer components; the last is the vertical and, with
-      ``axis_in_frame``, the first of two the frame's first axis;
+      angular velocity u of ``frame_motion``, so that tangent vectors have fewer components; the last is the vertical, and
+      with ``axis_in_frame`` the first of two is the frame's first axis;
     - ``axis_in_frame`` (optional): components of the third body axis along the first two axes of the frame;
     - one function for each first integral: the tuple of its terms.
     """
     parameters: Mapping[str, Parameter]
     """Parameters and start values by name, with units, defaults and allowed ranges."""
     observables: tuple[Observable, ...] = ()
-    """What is measured of a system without ``frame_motion``: a motion is steady while none of them varies."""
+    """Quantities measured in a system without ``frame_motion``; a motion is steady if none of them varies."""
     rate_states: tuple[str, ...] = ()
-    """States that are angular velocities; their errors are measured against the frequency bound."""
+    """States that are angular velocities; their errors are relative to the frequency bound."""
     moments_of_inertia: tuple[str, str, str] | None = None
-    """Parameters that are the principal moments of inertia of a rigid body; None: the system has no such three."""
+    """Names of the parameters for the principal moments of inertia; None: the system is no rigid body."""
 
     def constants(self, points: Points) -> Array:
         """Constants that the kernels read, shape (constants, points), in the order of ``equations.CONSTANTS``.
@@ -316,13 +316,13 @@ class System(ABC):
         return np.reshape(np.array(rows, float), (len(rows), *shape))
 
     def integral_scales(self, points: Points) -> Mapping[str, Array]:
-        """Where each first integral is constant, or with its losses, and a lower bound of what it is compared with.
+        """Where each first integral, with its losses, is constant, and the least scale of its relative error.
 
         Returns
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
-            nan where the integral changes otherwise than by its losses; elsewhere the least value, in units of the
-            integral, that the sum of the magnitudes of its terms is given. The default is 0: constant everywhere.
+            nan where the integral is not constant, even with its losses; elsewhere a lower bound, in units of the integral,
+            of the sum of the magnitudes of its terms, which divides its error. The default is 0: constant everywhere.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
@@ -330,13 +330,13 @@ class System(ABC):
         """Upper bound of the fastest frequency of each motion, rad per time unit, shape (points,).
 
         The step sizes and the check for under-resolved points depend on it, so it must hold for the whole
-        motion and not only at the start. The default is the numeric one at the start (`jacobian.frequency`), which is
+        motion and not only at the start. The default is the numeric bound `jacobian.frequency` at the start, which is
         raised along each motion.
         """
         return frequency(self.equations, self.initial_state(points), self.constants(points))
 
     def natural_rate(self, points: Points) -> Array:
-        """The body's own rate, in which default durations and tolerances are measured.
+        """Characteristic rate of each point, the unit of default durations and tolerances.
 
         Returns
         -------
@@ -353,24 +353,23 @@ class System(ABC):
     def specialization(
         self, zero: Set[str], equal: Set[tuple[str, str]]
     ) -> tuple[Set[str], Set[tuple[str, str]]]:
-        """Terms of the equations that a whole scene does not need.
+        """Constants of the equations that are 0, or equal, at every point of a scene.
 
-        Each different answer is a kernel that is compiled once, so there should be few of them. The default
-        leaves nothing out.
+        Each different result is one more kernel to compile, so there should be few. The default leaves nothing out.
 
         Parameters
         ----------
         zero : set of str
             Parameters that are 0 or absent at every point.
         equal : set of pairs of str
-            Parameters that are equal at every point, each pair in the order of `parameters`.
+            Pairs of parameters that are equal at every point, in the order of `parameters`.
 
         Returns
         -------
         zero_constants : set of str
             Constants of the equations that are 0.
         equal_constants : set of pairs of str
-            Constants of which the first equals the second.
+            Pairs of constants that are equal.
         """
         return set(), set()
 
@@ -381,14 +380,13 @@ class System(ABC):
         """State at t = 0, shape (states, points), in the order of ``equations.STATE``."""
 
     def steady_rates(self, points: Points) -> tuple[Array, Array, Array]:
-        """Steady motion theta' = 0, psi' = n, phi' = m that each start would belong to.
+        """Tilt and rates of the steady motion theta' = 0, psi' = n, phi' = m with each start.
 
         Returns
         -------
         sin_theta, n, m : arrays (points,)
-            Pure number and rad per time unit. The default computes them from the initial state; where the
-            third axis is exactly on the vertical n is 0 there and m the whole rate. They are 0 of a system without
-            ``frame_motion``.
+            A pure number, and two rates in rad per time unit. The default computes them from the initial state; where
+            the third axis is exactly on the vertical, n is 0 and m the whole rate. All are 0 without ``frame_motion``.
         """
         if self.observables:
             sine, n, m = np.zeros((3, *shape_of(points)))
@@ -401,9 +399,9 @@ class System(ABC):
         return sine, n, u3 - n * g3
 
     def as_euler_angles(self, points: Points) -> Points:
-        """The same starts, given by angles and their rates where optional start values give them.
+        """The same starts with optional start values replaced by Euler angles and their rates.
 
-        Scenes that add a nudge to angles add it to these. The default returns the points as they are.
+        Scenes add a nudge of angles to the result. The default returns the points unchanged.
         """
         return points
 
@@ -411,11 +409,11 @@ class System(ABC):
     """What `possible_start` tests, such as "the vertical must be a unit vector"."""
 
     def check(self, points: Points) -> None:
-        """Raise BadInput with one line on points that are given incompletely or twice. The default accepts all."""
+        """Raise BadInput with one line for incomplete or contradictory points. The default accepts all."""
         return None
 
     def possible_start(self, points: Points) -> Mask:
-        """Where the start values contain no contradiction, bool (points,). The default is where the state is finite."""
+        """Where the start values are consistent, bool (points,). By default: where the state is finite."""
         with np.errstate(all="ignore"):
             return np.asarray(np.isfinite(self.initial_state(points)).all(axis=0))
 
@@ -424,7 +422,7 @@ class System(ABC):
         return []
 
     def remarks(self, points: Mapping[str, Any]) -> list[str]:
-        """One sentence for each thing that a user who compares labels with theory should know; parameters by name, maybe not all."""
+        """Sentences for users who compare labels with theory; points: some or all parameters by name."""
         return []
 
     # Theory.
@@ -448,7 +446,7 @@ class System(ABC):
         Parameters
         ----------
         body : mapping of str to float
-            Parameters of the body; those left out take their defaults.
+            Parameters of the body; missing ones take their defaults.
 
         Returns
         -------
@@ -462,7 +460,7 @@ class System(ABC):
     def equilibria_of_bodies(
         self, points: Points, pause: Callable[[], None] = lambda: None, **options: Any
     ) -> Mapping[str, NDArray[Any]]:
-        """The same of many bodies.
+        """All relative equilibria or permanent rotations of many bodies, as `equilibria`.
 
         Parameters
         ----------
@@ -476,8 +474,8 @@ class System(ABC):
         Returns
         -------
         mapping of str to array (bodies, places)
-            With unused places at the end of each row, of which the Morse index is -1. Also `completeness`, int8 (bodies,),
-            values of flags.Completeness.
+            Unused places, at the end of each row, have the Morse index -1. `completeness`, int8 (bodies,), has values of
+            flags.Completeness.
         """
         if type(self).equilibria is System.equilibria:
             self.equilibria({})
@@ -493,8 +491,8 @@ class System(ABC):
         flag : int8 array (points,)
             Flag of the first family whose largest condition residual is at most FAMILY_TOLERANCE; 0: none.
         residual : array (points,)
-            That residual, dimensionless; where there is no family, the least residual of any (inf if there
-            are no families).
+            Largest condition residual of that family, dimensionless; without a family the least over all families (inf
+            if there are none).
         """
         others = other_families(self)
         return identify(points, [each for each in families_of(self).values() if each not in others], others)
@@ -503,14 +501,14 @@ class System(ABC):
         """Linear stability of the steady motions.
 
         A motion is stable where every characteristic exponent is imaginary and simple, or the energy has a minimum; unstable
-        where one has a positive real part. Exponents that are 0 along neighbouring steady motions, of other momenta or turned
-        about a symmetry, do not count. Where others are 0 or coincide but for rounding, a distance may grow like a power of
-        time: the stability is unknown and the growth rate 0. The default uses the formula of each family that has one.
+        where one has a positive real part. Zero exponents that come from a symmetry or a conserved momentum are ignored. If
+        others are zero or equal up to rounding, distances may grow like a power of time: then the stability is unknown and
+        the growth rate 0. The default uses the formulas of families.
 
         Parameters
         ----------
         flags : int8 array (points,)
-            Families, as `identify_family` gives them.
+            Flags of families, from `identify_family`.
 
         Returns
         -------
@@ -534,8 +532,7 @@ class System(ABC):
 def possible_body(system: System, points: Points) -> Mask:
     """Where a rigid body can have the moments of inertia, (points,); elsewhere nothing is computed.
 
-    No principal moment of inertia is larger than the sum of the two others; equality is a flat body. Where
-    one is nan there is no answer, and the result is true.
+    No principal moment exceeds the sum of the two others; equality is a flat body. True where a moment is nan.
     """
     possible = np.ones(shape_of(points), bool)
     for total, largest, _ in _triangle(system, points):
@@ -544,7 +541,7 @@ def possible_body(system: System, points: Points) -> Mask:
 
 
 def check_possible(system: System, points: Points) -> None:
-    """Raise BadInput with one line unless body and start are possible at one of the points at least."""
+    """Raise BadInput with one line unless body and start are possible at some point."""
     body = possible_body(system, points)
     others = f", and none of {body.size} points is possible" if body.size > 1 else ""
     if not body.any():
@@ -559,7 +556,7 @@ def check_possible(system: System, points: Points) -> None:
 
 
 def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tuple[str, str, str]]]:
-    """For each moment of inertia the sum of the other two, the moment, and the names in this order."""
+    """Yield, for each moment of inertia, the sum of the other two, the moment, and the three names in this order."""
     if system.moments_of_inertia is None:
         return
     a, b, c = system.moments_of_inertia
@@ -569,9 +566,9 @@ def _triangle(system: System, points: Points) -> Iterator[tuple[Array, Array, tu
 
 
 def within_range(system: System, points: Points) -> Mask:
-    """Where the formulas of theory do not overflow, which make no prediction elsewhere, (points,).
+    """Where formulas of theory cannot overflow, (points,); elsewhere theory predicts nothing.
 
-    Magnitudes are up to MAX_MAGNITUDE, and values of parameters that must be positive at least its inverse.
+    Magnitudes are at most MAX_MAGNITUDE, and positive parameters at least its inverse.
     """
     positive = [name for name, p in system.parameters.items() if p.open_low and p.low == 0]
     too_large = [np.abs(values) > MAX_MAGNITUDE for values in points.values()]
@@ -581,7 +578,7 @@ def within_range(system: System, points: Points) -> Mask:
 
 @cache
 def families_of(system: System) -> Mapping[str, Family]:
-    """Families of steady motions by name: of the system, then of extensions, of which ours have reserved flags and titles."""
+    """Families by name, of the system, then of extensions; extensions of this package have reserved flags and titles."""
     added: dict[str, Family] = {}
     for families in extension.every("families", lambda name: owner_of_family(name) in ("", system.name)):
         added |= families(system)
@@ -597,7 +594,7 @@ def families_of(system: System) -> Mapping[str, Family]:
 
 
 def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
-    """Extensions on which numbers of a system depend: by these variables, and by families, since a start may be on any."""
+    """Extensions that define one of these variables, or a family of the system, on which any start may be."""
     families = families_of(system).keys() - system.families.keys()
     return extension.used([name for name in variables if name not in system.derived], families)
 
@@ -609,7 +606,7 @@ def stress_cases_of(system: System) -> list[StressCase]:
 
 
 def other_families(system: System) -> list[Family]:
-    """Families of motions that are not steady about the third axis and the vertical, of a system and of extensions."""
+    """Families about other axes than the third and the vertical, or of varying rate, also of extensions."""
     return [family for family in families_of(system).values() if family.axes or family.rate_std]
 
 
@@ -618,8 +615,8 @@ def identify(
 ) -> tuple[Flags, Array]:
     """Flag and residual of the first family that each point belongs to, see System.identify_family.
 
-    Families are tested in order, the others last and without a part in the least residual. Conditions are
-    computed one by one, at the points that satisfy the earlier ones, which are few as a rule.
+    Families are tested in order. `others` come last and do not count in the least residual; their conditions are computed
+    one by one, at the usually few points that satisfy the earlier ones.
     """
     shape = shape_of(points)
     flags, residual = np.zeros(shape, np.int8), np.full(shape, np.inf)
@@ -643,7 +640,7 @@ def identify(
 
 
 def _identify_members(points: Points, family: Family, flags: Flags, residual: Array) -> None:
-    """Write flag and residual of the points that belong to this family and to none before, whose flag is 0."""
+    """Write flag and residual of points on this family whose flag is still 0."""
     members = np.flatnonzero(flags == 0)
     worst = np.zeros(members.size)
     part = points if members.size == flags.size else subset(points, members)
@@ -664,7 +661,7 @@ def _magnitude(condition: Condition, points: Points) -> Array:
 
 
 def time_units(system: System, units: str) -> str:
-    """Units of a time, or of a rate, in a system: pure numbers where all its parameters and observables are."""
+    """Units of a time or rate in a system; "1" if all its parameters and observables are pure numbers."""
     own = {parameter.unit for parameter in system.parameters.values()}
     own |= {observable.unit for observable in system.observables}
     return "1" if system.observables and own == {"1"} and units in ("s", "s-1") else units
@@ -693,7 +690,7 @@ def derived_variables(system: System) -> Mapping[str, DerivedVariable]:
 def derived_values(
     system: System, names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
 ) -> dict[str, NDArray[Any]]:
-    """The derived variables of these names, at points before any nudge; shared results are computed once."""
+    """Values of derived variables by name, at points before any nudge; shared results are computed once."""
     variables = [variable for name, variable in derived_variables(system).items() if name in names]
     points, columns = SharedValues(points), dict[str, NDArray[Any]]()
     for variable in variables:
@@ -707,14 +704,14 @@ def derived_values(
 
 
 class SharedValues(dict[str, Array]):
-    """Points, and functions of them that several conditions share, such as their units."""
+    """Points with stored values of functions that several conditions share, such as units of residuals."""
 
     def __init__(self, points: Points):
         super().__init__(points)
         self._values: dict[Callable[[Points], Any], Any] = getattr(points, "_values", {})
 
     def of(self, function: Callable[[Points], _T]) -> _T:
-        """The value of a function of the points, computed when it is first asked for; its arrays cannot be changed."""
+        """Value of a function of the points, computed once; its arrays are read-only."""
         if function not in self._values:
             value: Any = function(self)
             views = [np.asarray(array).view() for array in (value if isinstance(value, tuple) else (value,))]
@@ -725,7 +722,7 @@ class SharedValues(dict[str, Array]):
 
 
 def shared(function: _F) -> _F:
-    """A function of points, or of a system and points, that is computed once for SharedValues."""
+    """Decorator: a function of points, or of a system and points, is evaluated once for each SharedValues."""
 
     @wraps(function)
     def of(*arguments: Any) -> Any:
@@ -738,7 +735,7 @@ def shared(function: _F) -> _F:
 
 
 def subset(columns: Mapping[str, Array], where: Any) -> dict[str, Array]:
-    """Some of the points, by a mask, their indices or a slice."""
+    """Columns at some of the points, given by a mask, indices or a slice."""
     return {name: values[where] for name, values in columns.items()}
 
 
@@ -752,7 +749,7 @@ def unsteady(system: System, flags: Flags) -> Mask:
 
 
 def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
-    """Standard deviation of that rate over runs, 0 of steady motions, (points,)."""
+    """Standard deviation over runs of the rate about the vertical, rad per time unit, (points,); 0 for steady motions."""
     result = np.zeros(flags.shape)
     for family in families_of(system).values():
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:
@@ -761,7 +758,7 @@ def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> A
 
 
 def rough_stability(system: System, points: Points, flags: Flags) -> tuple[Flags, Array]:
-    """As System.linear_stability, with fewer digits of the growth rate where that saves time."""
+    """System.linear_stability, with fewer digits of the growth rate for families that have `rough_stability`."""
     rough = {f.flag: f.rough_stability for f in families_of(system).values() if f.rough_stability}
     stable, growth = system.linear_stability(points, np.where(np.isin(flags, list(rough)), 0, flags))
     for flag, decide in rough.items():
@@ -771,14 +768,14 @@ def rough_stability(system: System, points: Points, flags: Flags) -> tuple[Flags
 
 
 def on_family(family: Family, points: Points) -> Array:
-    """Largest condition residual of the family at each point: 0 on it, inf where it has no such motion."""
+    """Largest condition residual (dimensionless) of a family at each point; inf where a residual is undefined."""
     return np.max([_magnitude(condition, points) for condition in family.conditions], axis=0)
 
 
 def motion_about_axes(axes: TwoAxes, vector: Array, t: Array) -> tuple[Array, Array]:
     """Angular velocity relative to the frame, and a vector at rest in the frame, in body axes at times t.
 
-    A turn of the body by n t about the axis at rest in the frame follows one by m t about its own axis.
+    The body turns by m t about its own axis, then by n t about the axis at rest in the frame.
     """
     s, fixed = axes.spin_axis, axes.fixed_axis
     shape = (3, *np.broadcast_shapes(t.shape, s.shape[1:]))

@@ -1,4 +1,4 @@
-"""What a system must be before anything uses it: every mistake of its author in one line."""
+"""Checks of systems that users write: each mistake gives one line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .base import Observable, Parameter, System
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
 _BY_EQUATIONS = "the equations and their FRAME_VECTORS decide which starts are steady motions"
-# Members that no system has -> what stands for them.
+# Name that no system may have -> what replaces it, for messages.
 REPLACED = {
     "paper": "the rows of a paper are `published` of an extension",
     "complete": _BY_EQUATIONS,
@@ -61,7 +61,7 @@ def check(system: object) -> None:
 
 
 def check_complete(kind: type[System], system: System | None = None) -> None:
-    """Raise BadInput for the first member that a class, or an object of it, leaves out."""
+    """Raise BadInput for a required member that a class, or its object, lacks, or a name in REPLACED that it has."""
     for name in ("name", "title", "equations", "parameters", "initial_state"):
         if not hasattr(system or kind, name) or name in kind.__abstractmethods__:
             raise BadInput(f"{kind.__name__}.{name} is missing")
@@ -71,7 +71,7 @@ def check_complete(kind: type[System], system: System | None = None) -> None:
 
 
 def check_start(system: System) -> None:
-    """Raise BadInput unless a system with completed equations works at the defaults of its parameters."""
+    """Raise BadInput unless a system with completed equations can be evaluated at default parameters."""
     defaults = {name: np.full(2, parameter.default) for name, parameter in system.parameters.items()}
     equations = system.equations
     shapes = {"initial_state": (len(equations.STATE), 2), "constants": (len(equations.CONSTANTS), 2)}
@@ -79,7 +79,7 @@ def check_start(system: System) -> None:
         try:
             with np.errstate(all="ignore"):
                 values = np.asarray(getattr(system, name)(defaults), float)
-        except Exception as error:  # whatever its author's code raises
+        except Exception as error:  # the author's code may raise anything
             text = f"{type(error).__name__}: {' '.join(str(error).split())}"
             raise BadInput(f"{name} fails at the defaults of the parameters: {text}") from None
         if values.shape != shape:
@@ -187,7 +187,7 @@ _BETWEEN = re.compile(r"\s*[*./]\s*|\s+|$")
 
 
 def is_unit(text: object) -> bool:
-    """Whether a text is a unit in the spelling of UDUNITS, in the singular or plural; "1" for pure numbers, never empty."""
+    """Whether a text is a unit in the spelling of UDUNITS, singular or plural; pure numbers have "1"."""
     if not isinstance(text, str) or not text:
         return False
     position = 0

@@ -1,4 +1,4 @@
-"""Numeric bounds of frequencies: the size of a high power of the Jacobian, and how fast the slopes of the states change."""
+"""Numeric bounds of frequencies, from a high power of the Jacobian, and time derivatives of states."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# The derivative of a function is the imaginary part of its value at x + i STEP over STEP, exact but for rounding.
+# Complex step: f'(x) = Im f(x + i STEP) / STEP, exact up to rounding.
 STEP = 1e-30
-# Distance in time, in units of 1 / rate, of two neighbouring instants whose difference gives a derivative.
+# Time, in units of 1 / rate, before and after an instant at which central differences are taken.
 DISTANCE = 1e-3
-# |J^p|^(1/p), p = 2^SQUARINGS, exceeds the spectral radius, of random 6 x 6 matrices by 1 % (at most 6 %); where the units of the
-# states differ by factors of up to 10^6, by 14 % (at most 25 %). The 16th power would give 69 % (135 %) there.
+# |J^p|^(1/p) with p = 2^SQUARINGS exceeds the spectral radius of random 6 x 6 matrices by 1 % (at most 6 %), or 14 % (25 %)
+# if units of states differ by factors of up to 10^6; p = 16 would give 69 % (135 %).
 SQUARINGS = 6
 CHUNK = 4096  # points whose matrices are in memory together
 
@@ -22,7 +22,7 @@ def frequency(
 ) -> NDArray[np.float64]:
     """|J^64|^(1/64) of the Jacobian J of the right-hand side, or a body's angular velocity if larger, rad per time unit.
 
-    It is at least the largest |eigenvalue| of J; nan or infinite where the Jacobian is not finite.
+    The result is at least the largest |eigenvalue| of J; nan or infinite where J is not finite.
     """
     result = np.empty(state.shape[1:])
     flat = result.reshape(-1)
@@ -41,7 +41,7 @@ def frequency(
             flat[chunk] = np.exp(logarithm)
     if not hasattr(equations, "frame_motion"):
         return np.fmax(result, 0.0)
-    # The Jacobian does not contain the rate of turn where the angle of a rotation occurs nowhere in the right-hand side.
+    # A right-hand side independent of the angle of a rotation has a Jacobian without the rate of this rotation.
     with np.errstate(all="ignore"):
         u1, u2, u3, *_ = equations.frame_motion(state, constants)
         return np.fmax(result, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3))
@@ -50,9 +50,9 @@ def frequency(
 def derivatives(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64], rate: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The states and their first three derivatives along the motion, in units of 1 / rate, with errors of about DISTANCE^2.
+    """States and their first three time derivatives, in units of time 1 / rate, with errors of about DISTANCE^2.
 
-    The third contains what the Jacobian cannot: the rate at which the equations themselves change in time.
+    The third derivative, unlike the Jacobian, contains the rate at which the equations change in time.
     """
 
     def first(at: NDArray[Any]) -> NDArray[Any]:
@@ -85,6 +85,6 @@ def jacobian(
 def changes_volume(
     equations: Any, state: NDArray[np.float64], constants: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Whether volumes of states change, as they do where motions are damped or driven: by the trace of the Jacobian, (points,)."""
+    """Where phase volume changes, as in damped or driven motion, by the trace of the Jacobian, (points,)."""
     own = np.diagonal(jacobian(equations, state, constants), axis1=1, axis2=2)
     return np.asarray(np.abs(own.sum(1)) > 1e-12 * np.abs(own).sum(1))

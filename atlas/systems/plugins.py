@@ -18,15 +18,15 @@ GROUP = "atlas.systems"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a system comes from that is not of this package."""
+    """Origin of a system that is not built in."""
 
-    package: str  # name and version of the installed package; empty: it was registered in this process
-    # Hash of its source files as they were when it was registered, or of its code where it has no files
+    package: str  # name and version of the installed package; empty: registered in this process
+    # hash, at registration, of its source files, or of its bytecode if it has no files
     code: str
     files: tuple[Path, ...]  # its source files
 
     def changed(self) -> Path | None:
-        """One of the files that is not as it was when the system was registered, if there is one."""
+        """The file, or the folder of several, if contents have changed since registration; else None."""
         if self.files and _hash_of_files(self.files) != self.code:
             return self.files[0].parent if len(self.files) > 1 else self.files[0]
         return None
@@ -38,9 +38,9 @@ def names() -> list[str]:
 
 
 def load(name: str) -> tuple[object, str] | None:
-    """An object that an installed package names as this system, and the package; None if no package does.
+    """Object of the entry point with this name, and its package; None without such an entry point.
 
-    Raises BadInput if it cannot be imported, or if two packages give the name.
+    Raises BadInput if the object cannot be imported, or if two packages use the name.
     """
     entries = list(entry_points(group=GROUP, name=name))
     if not entries:
@@ -52,7 +52,7 @@ def load(name: str) -> tuple[object, str] | None:
         )
     try:
         value = entries[0].load()
-    except (Exception, SystemExit) as error:  # whatever its code raises
+    except (Exception, SystemExit) as error:  # the package's code may raise anything
         text = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise BadInput(
             f"system = {shown(name)} of {packages[0]} ({entries[0].value}): cannot be imported: {text}"
@@ -61,7 +61,7 @@ def load(name: str) -> tuple[object, str] | None:
 
 
 def origin(system: System, package: str) -> Origin:
-    """Where a system comes from: its package, and the files of the top-level packages, or modules, of its classes and equations."""
+    """Origin of a system: package, and files of the top-level packages (or modules) that define classes and equations."""
     classes, equations = type(system).__mro__[: type(system).__mro__.index(System)], system.equations
     modules = {cls.__module__ for cls in classes}
     modules.add(equations.__name__ if isinstance(equations, ModuleType) else equations.__module__)
@@ -76,7 +76,7 @@ def origin(system: System, package: str) -> Origin:
     files = tuple(sorted(paths))
     if files:
         return Origin(package, _hash_of_files(files), files)
-    texts = []  # of a system without files, such as one of a notebook
+    texts = []  # for a system without files, as in a notebook
     for owner in (*classes, equations):
         for name, value in sorted(vars(owner).items()):
             function = getattr(value, "__func__", value)

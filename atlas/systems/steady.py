@@ -1,4 +1,4 @@
-"""Of which systems the theorem of theory/steady.py speaks, and what rooms below the theory need of it."""
+"""Systems to which the theorem of theory/steady.py applies, and functions that rooms below `theory` need."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .base import FAMILY_TOLERANCE, Array, Mask, Points, System, families_of, sh
 from .jacobian import STEP
 from .vectors import cross, dot, length, principal
 
-# Rounding error of a sum over the magnitudes of its terms, of which each has fewer than 40 roundings.
+# Largest rounding error of a sum, relative to the magnitudes of its terms, if each term has fewer than 40 roundings.
 TERM_ROUNDING = 64 * 2.0**-53
-# A start whose equations fail by more than this of the squared frequency bound is no steady motion, whatever rounding does.
+# Residual of the equations, over the squared frequency bound, that no rounding explains: such a start is no steady motion.
 GATE = 1e-6
 
 
 @cache
 def polynomial_degree(system: System) -> int | str:
-    """Degree of the right-hand side in the states, or why the theorem says nothing about the system."""
+    """Degree of the right-hand side in the states, or a sentence why the theorem does not apply."""
     equations = system.equations
     vectors = {name for triple in getattr(equations, "FRAME_VECTORS", ()) for name in triple}
     if system.observables or len(system.rate_states) != 3 or not vectors:
@@ -69,10 +69,10 @@ def polynomial_degree(system: System) -> int | str:
 
 @np.errstate(all="ignore")
 def growth_about_vertical(system: System, points: Points) -> Array:
-    """Growth rate of the rotation about the vertical of a body that turns about its third axis, which is exactly on it, (points,).
+    """Growth rate, (points,), of the angle about the third axis while this axis is exactly on the vertical, where no tilt grows.
 
-    No tilt can grow then. delta'' = a delta + b delta' for the angle delta about the axis, by the derivatives of the equations.
-    nan elsewhere, and of systems of which the theorem says nothing: rounding decides no label where the rate is 0.
+    The angle obeys delta'' = a delta + b delta' with derivatives a, b of the equations; where the rate is 0, rounding decides no
+    label. nan off the vertical, and for systems to which the theorem does not apply.
     """
     growth = np.full(shape_of(points), np.nan)
     if isinstance(polynomial_degree(system), str):
@@ -99,9 +99,9 @@ def growth_about_vertical(system: System, points: Points) -> Array:
 
 @np.errstate(all="ignore")
 def lacks_theory(system: System, points: Points) -> Mask:
-    """Whether families that a missing extension could give may decide on a start, (points,).
+    """Whether a start may be on a family of an extension that is not installed, (points,).
 
-    Its third axis stays on the vertical at first, while the rate about it changes: no other start can be on such a family.
+    Only these starts can: the third axis stays on the vertical at first while the rate about it changes.
     """
     is_complete = reserved_families(system.name).keys() <= families_of(system).keys()
     if is_complete or isinstance(polynomial_degree(system), str):
@@ -118,7 +118,7 @@ def lacks_theory(system: System, points: Points) -> Mask:
 
 
 def _start(system: System, points: Points) -> tuple[Array, Array]:
-    """States and constants; on the vertical to rounding, without what a fast precession leaves across it, which is rounding too."""
+    """States and constants; on the vertical, transverse rates that are rounding errors of a fast precession are removed."""
     state, constants = np.array(system.initial_state(points), float), system.constants(points)
     sine, n, _ = system.steady_rates(points)
     across = np.array(system.equations.frame_motion(state, constants)[:2])

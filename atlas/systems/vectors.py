@@ -24,7 +24,7 @@ def length(vector: Array) -> Array:
 
 
 def unit(vector: Array, otherwise: Array | float = np.nan) -> Array:
-    """The vector over its length, another one where that is 0."""
+    """Vector divided by its length; `otherwise` where the length is 0."""
     return ratio(vector, length(vector), otherwise)
 
 
@@ -41,10 +41,10 @@ def turned(vector: Array, axis: Array, angle: Array) -> Array:
 
 
 def ratio(value: Array, scale: Array, where_zero: Array | float = 0.0) -> Array:
-    """value / scale, and where the scale is 0 another value, as 0 where nothing moves and nothing acts."""
+    """value / scale; where_zero where the scale is 0, as when nothing moves and nothing acts."""
     return np.where(scale == 0, where_zero, value / np.where(scale == 0, 1.0, scale))
 
 
 def principal(index: NDArray[np.intp]) -> Array:
-    """Unit vectors (3, points) of the principal axes of these numbers."""
+    """Unit vectors (3, points) along the principal axes with these indices, 0 to 2."""
     return (np.arange(3).reshape(3, *(1,) * index.ndim) == index).astype(np.float64)

@@ -10,7 +10,7 @@ from .base import Family
 
 
 def unknown_family(name: str, families: Mapping[str, Family]) -> str:
-    """End of a message about an unknown family: its name here, if the paper calls a family so, else the allowed names."""
+    """End of a message about an unknown family: families that the paper calls by this name, else the allowed names."""
     words = re.escape(name.lower())
     matches = [f for f in families.values() if name and re.search(rf"\b{words}\b", f.paper_wording.lower())]
     if 0 < len(matches) <= 2:

@@ -1,12 +1,12 @@
 """Regular precessions and permanent rotations of the gyrostat about other axes than the third and the vertical.
 
 A motion w = n nu + m s has an axis s at rest in the body and an axis nu at rest in space; theta1 is the angle between them,
-kappa the angle from nu to the vertical g. Its equations are linear in the body, that is in I, l and w = Mg r_c. Written as
+kappa the angle from nu to the vertical g. Its equations are linear in the body, that is in I, l and the weight Mg r_c. Written as
 harmonics of the angles n t and m t they allow, with n, m, sin theta1 not 0:
 
 - kappa not 0 and N not 0: the harmonic 2 n + 2 m and then 2 n + m (n - m in place of n + m if their signs differ)
-  leave a spherical body, of which the field has no effect, and so no weight (next item). `free_precession`;
-- kappa not 0, N = 0 and w not 0: the harmonics n + m and n - m of the weight need |n| = |m| and theta1 = pi/2; what
+  leave a spherical body, on which the field has no effect, without weight (next item): `free_precession`;
+- kappa not 0, N = 0 and Mg r_c not 0: the harmonics n + m and n - m of the weight need |n| = |m| and theta1 = pi/2; what
   remains is `grioli`. Without weight the body is symmetric about s: `free_precession`;
 - kappa = 0 and N = n^2: the field and the centrifugal torque cancel, and s is normal to a circular section of the
   ellipsoid of inertia: `balanced_field`;
@@ -54,12 +54,12 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
-# Start of Grioli's motion, by the body: six formulas need the same one.
+# Start of Grioli's motion for the last body, (shape, bytes) -> state: six formulas share it.
 _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
 class Start(motions.Start):
-    """As motions.Start, in units of the least moment."""
+    """Start of a body about a fixed point; residuals are in units of its least moment."""
 
     def __init__(self, points: Points):
         self.inertia, self.rotor, self.weight, self.N = bodies(points)
@@ -85,7 +85,7 @@ class Start(motions.Start):
         return np.where(spherical, unit(otherwise, axis), axis)
 
     def section_difference(self, s: Array) -> Array:
-        """How far the section of the ellipsoid of inertia normal to s is from a circle, over the largest moment."""
+        """How far the section of the ellipsoid of inertia normal to s is from a circle, divided by the largest moment."""
         first = unit(cross(s, principal(np.abs(s).argmin(0))))
         second = cross(s, first)
         difference = dot(self.inertia * first, first) - dot(self.inertia * second, second)
@@ -174,7 +174,7 @@ class Precession(Start):
     """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
 
     def axes(self) -> TwoAxes:
-        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A the one about s."""
+        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A the rate about s."""
         s = self.axis_of_symmetry((2, 0, 1), self.rotor)
         momentum = self.inertia * self.w + self.rotor
         axial = dot(self.inertia * s, s)
@@ -224,10 +224,9 @@ class Grioli(Start):
         return state[VECTORS.index(name)].copy()
 
     def initial_state(self, near: Array) -> Array:
-        """p0 .. gamma30 of the body at that time.
+        """p0 .. gamma30 at the time at which nu lies in the plane of s and I s; nan where the body has no such motion.
 
-        n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 nearest to a value, the largest positive one where that is nan;
-        nan where the body has no such motion.
+        n is the root of (b n^2 + l n)^2 + d^2 n^4 = |Mg r_c|^2 nearest to `near`, or the largest positive root where near is nan.
         """
         s = unit(self.weight)
         momentum = self.inertia * s
@@ -258,7 +257,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """One coordinate of the centre of mass from the largest other one; the sign given, or +, is kept."""
+        """One coordinate of the centre of mass, on a normal of a circular section, from another one; it keeps its sign."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])
@@ -268,7 +267,7 @@ class Balanced(Start):
     """Precession about the vertical where field and centrifugal torque cancel."""
 
     def axes(self) -> TwoAxes:
-        """With the sign of n that brings the spin axis nearer to a normal of a circular section."""
+        """Axes and rates, with the sign of n for which the spin axis is nearer to a normal of a circular section."""
         candidates, off = [], []
         for sign in (1.0, -1.0):
             n = sign * np.sqrt(self.N)

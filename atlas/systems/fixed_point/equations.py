@@ -7,7 +7,7 @@ and g (gamma) the unit vector of the vertical Z, which points to the attracting 
 
     I w' = (I w + l) x w + Mg r_c x g + N g x (I g) - damping w,     g' = g x w
 
-The damping is not of the paper; with it the energy falls at the rate damping w.w.
+The paper has no damping; with damping the energy falls at the rate damping w.w.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
 is plain arithmetic, which holds for numbers and for arrays of one shape. The source of the functions is
@@ -25,7 +25,7 @@ CONSTANTS = (
 ONES = ()
 # First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"energy": 2, "area": 1, "length_gamma": 0, "lagrange": 1, "clebsch": 2, "kovalevskaya": 4}
-# What damping takes of one of them: name of the function below that returns it per time.
+# First integral that damping changes -> name of the function below for its loss per time.
 LOSSES = {"energy": "energy_loss"}
 
 

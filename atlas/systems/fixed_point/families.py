@@ -1,4 +1,4 @@
-"""Steady motions of the gyrostat about a fixed point: conditions, and solutions of them for one parameter each.
+"""Steady motions of the gyrostat about a fixed point: conditions, and solvers for one parameter each.
 
 A steady motion keeps theta, psi' = n and phi' = m constant, so w = n g + m e3 with e3 the third body axis.
 Put into the equations of motion with g = (s sin phi, s cos phi, c), s = sin theta, c = cos theta,
@@ -56,11 +56,11 @@ def squared_rate(points: Points) -> Array:
     return np.maximum(turn, np.maximum(torque, length(rotor) * np.sqrt(turn)) / least)
 
 
-# What vanishes on the families.
+# Functions that vanish on families, and their units.
 
 
 def _squared_unit(points: Points) -> Array:
-    """Squared unit of rates: that of the start, infinite where it is 0 or too small for a float, so that residuals vanish."""
+    """Squared unit of rates: `squared_rate`, infinite where this is 0 or underflows, so that residuals vanish."""
     square = squared_rate(points)
     return np.where(square == 0, np.inf, square)
 
@@ -98,14 +98,14 @@ def permanent_torque(points: Points, n: Array | None = None) -> Array:
 
 
 def _upright(points: Points) -> Array:
-    """Transverse torque of rotor and weight on the body that stands on the vertical."""
+    """Transverse torque of rotor and weight on a body with its third axis on the vertical, (2, points)."""
     _, rotor, weight, _ = bodies(points)
     state = initial_state(points)
     return state[2] * rotor[:2] + np.sign(state[5]) * weight[:2]
 
 
 def _turning_torque(points: Points) -> Array:
-    """Torques that disturb the resting third axis as phi takes every value; 0 if m = 0."""
+    """Torque that tilts a resting third axis while the body turns about it, over all phi; 0 if m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
@@ -113,18 +113,18 @@ def _turning_torque(points: Points) -> Array:
     return np.where(m == 0, 0.0, torque)
 
 
-# Solutions for one parameter each.
+# Solvers for one parameter each.
 
 
 def _possible_moment(balance: Callable[[Points], Array], name: str, points: Points) -> Array:
-    """The moment of inertia with which a torque vanishes, nan where no symmetric body has it."""
+    """Moment of inertia for which a torque vanishes, nan where no symmetric body has it."""
     x = linear(balance, name, keep=True)[name](points)
     body = {**points, name: x}
     return np.where((x > 0) & (body["C"] <= 2 * body["A"]), x, np.nan)
 
 
 def _solve_theta(points: Points, n: float | None = None) -> Array:
-    """theta0 in [0, pi] of precession = 0; n replaces that of the points."""
+    """theta0 in [0, pi] for which `precession` is 0; n replaces the rate of the points."""
     rate = rates(points)[1] if n is None else n
     offset = precession(points, rate, 0.0)
     slope = (points["C"] - points["A"]) * (rate**2 - fields(points)[1])
@@ -134,7 +134,7 @@ def _solve_theta(points: Points, n: float | None = None) -> Array:
 
 
 def _solve_n(points: Points) -> Array:
-    """The root n of the quadratic that is nearer to the n given: the slow one for 0, the fast one for infinity."""
+    """Root n of `precession`, a quadratic, nearest to the given n: the slow one for 0, the fast one for infinity."""
     a = (points["C"] - points["A"]) * vertical(points)[2]
     b = points["C"] * rates(points)[2] + points["l3"]
     c = precession(points, n=0.0)
@@ -187,7 +187,7 @@ def _solve_rest(angle: str, points: Points) -> Array:
 
 
 def third_axis(points: Points) -> TwoAxes:
-    """e3 and the vertical."""
+    """Motion about e3 at m and the vertical at n."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)
@@ -317,5 +317,5 @@ ORDER = (
 
 
 def identify_family(points: Points) -> tuple[Flags, Array]:
-    """Family about the third axis or the vertical of the motion that starts at each point, and its residual."""
+    """Flag and residual of the family about the third axis and the vertical of the motion from each start."""
     return identify(points, ORDER)

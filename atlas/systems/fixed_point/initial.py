@@ -50,7 +50,7 @@ PARAMETERS = {
 }
 
 VECTORS = ("p0", "q0", "r0", "gamma10", "gamma20", "gamma30")
-UNIT_LENGTH = 1e-9  # by which the length of the vertical of a start may differ from 1
+UNIT_LENGTH = 1e-9  # largest deviation of the length of (gamma10, gamma20, gamma30) from 1
 START_CONDITION = f"(gamma10, gamma20, gamma30) must be a unit vector within {UNIT_LENGTH:g}"
 
 
@@ -100,7 +100,7 @@ def vertical(points: Points) -> Array:
 
 @shared
 def rates(points: Points) -> tuple[Array, Array, Array]:
-    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; of vectors at or beside a pole n = 0 and m = r."""
+    """theta', n and m of the start, w = n gamma + m e3 + theta' about the node; a start by vectors at a pole has n = 0 and m = r."""
     gamma = vertical(points)
     p, q, r = points["p0"], points["q0"], points["r0"]
     sine = np.hypot(gamma[0], gamma[1])
@@ -136,7 +136,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
     turning = (sine <= FAMILY_TOLERANCE) & (theta_dot > 0)
     euler = {
         "theta0": np.arctan2(sine, gamma[2]),
-        # At a pole there is no node, beside it rounding decides; this phi0 makes the transverse part of p0, q0 a rate about it.
+        # At a pole there is no node, and near it rounding decides; this phi0 puts the node along (p0, q0).
         "phi0": np.where(turning, np.arctan2(-points["q0"], points["p0"]), np.arctan2(gamma[0], gamma[1])),
         "theta_dot0": theta_dot,
         "n": n,
@@ -147,7 +147,7 @@ def as_euler_angles(points: Points) -> dict[str, Array]:
 
 
 def check(points: Points) -> None:
-    """Raise BadInput on starts or fields given incompletely or twice."""
+    """Raise BadInput for starts or fields that are given incompletely or twice."""
     for names, what, alternatives in (
         (("M", "lambda", "R"), "M, lambda and R", ("Mg", "N")),
         (VECTORS, "p0 .. gamma30", ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")),
@@ -204,7 +204,7 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
+    """Lower bound of the scale of each integral, nan where it is not constant; see System.integral_scales."""
     inertia, rotor, weight, N = bodies(points)
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
@@ -259,5 +259,5 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without damping. Without any other term a kernel is no faster by more than 5 %."""
+    """Constants that are 0 without damping; leaving out any other term saves at most 5 % of the time."""
     return {"damping"} & zero, set()

@@ -80,12 +80,12 @@ class FixedPoint(Gyrostat):
     )
 
     def identify_family(self, points: Points) -> tuple[Flags, Array]:
-        """Family about the third axis and the vertical, else one about any axes."""
+        """Flag and residual of a family about the third axis and the vertical, else about other axes."""
         return identify(points, families.ORDER, other_families(self))
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:
-        """Families about the third axis or the vertical."""
+        """Flags of families about the third axis and the vertical."""
         return families.identify_family(points)[0]
 
 

@@ -1,4 +1,4 @@
-"""One theory of the gyrostat in a frame that turns uniformly, with two directions at rest in it."""
+"""Theory of gyrostats in a uniformly turning frame with two marked directions."""
 
 from .body import Body, Direction
 from .motions import Equation, about_third_axis, angular_velocity, directions, linear, motion_of

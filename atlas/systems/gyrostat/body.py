@@ -1,8 +1,8 @@
 """A gyrostat in a frame that turns uniformly: its amended potential and its linear equations.
 
-The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in it, normal to gamma, and
-beta = gamma x alpha a third one, without a gradient. Along each direction d the body has the potential (gradient d.I d) / 2 + field.d, with the field given in body axes. Vectors are in
-body axes, of shape (..., 3).
+The frame turns at the rate Omega about its vertical gamma; alpha is a second direction at rest in the frame, normal to gamma,
+and beta = gamma x alpha a third one, without a gradient. Each direction d gives the potential (gradient d.I d) / 2 + field.d.
+Vectors, also fields, are in body axes, of shape (..., 3).
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
-# Share of moments, momenta and torques up to which they are rounding; its root is below the growth rates that count.
+# Moments, momenta and torques below this share of their scale are rounding; its root is below every growth rate that counts.
 NEGLIGIBLE = 1e-13
-# Share of the rates of a free body and its rotor up to which a frame or a field counts as none for its natural rate.
+# Rates of frame and fields below this share of the rate of the free body are ignored in the natural rate.
 SLOW = 1e-4
-_DOUBLE = 8 * np.finfo(float).eps  # relative difference up to which two roots are equal but for rounding
+_DOUBLE = 8 * np.finfo(float).eps  # relative discriminant up to which two roots are equal up to rounding
 
 
 class Direction(NamedTuple):
-    """What acts along a direction d at rest in the frame: the potential (gradient d.I d) / 2 + field.d."""
+    """Potential (gradient d.I d) / 2 + field.d of a direction d at rest in the frame."""
 
     gradient: Array  # squared rate, (...,)
     field: Array  # torque, (..., 3)
 
 
 class Body(NamedTuple):
-    """A gyrostat, the frame in which it moves and what acts on it."""
+    """A gyrostat, the frame in which it moves, and the potentials and damping that act on it."""
 
     inertia: Array  # (..., 3)
     rotor: Array  # (..., 3)
@@ -37,7 +37,7 @@ class Body(NamedTuple):
     alpha: Direction
     beta: Direction
     gamma: Direction
-    damping: Array  # torque over angular velocity relative to the frame, (...,)
+    damping: Array  # torque divided by angular velocity relative to the frame, (...,)
 
     def subset(self, where: Any) -> Body:
         """Some of the bodies."""
@@ -49,7 +49,7 @@ class Body(NamedTuple):
         return Body(inertia, rotor, turn, alpha, beta, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
-        """The same in units of the largest moment of inertia and of a rate."""
+        """The bodies in units of their largest moments of inertia and of these rates."""
         moment = self.inertia.max(-1)
         torque = (moment * rate**2)[..., None]
         each = (self.alpha, self.beta, self.gamma)
@@ -61,7 +61,7 @@ class Body(NamedTuple):
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
-        """A rate of the motion with the angular velocity w, for units; 1 where nothing moves and nothing acts."""
+        """Unit of rates for a motion with the angular velocity w: a sum of its rates, or 1 where that is 0."""
         squares = [
             np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
             for d in (self.alpha, self.gamma, self.beta)
@@ -72,7 +72,7 @@ class Body(NamedTuple):
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
-        """|Omega|, without it the frequency of the fields; where that is at most SLOW of the free body's, its own, else 1."""
+        """|Omega|, or without it the frequency of the fields; the free body's rate where these are below SLOW of it; else 1."""
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
@@ -83,7 +83,7 @@ class Body(NamedTuple):
         return np.select([np.isfinite(rate) & (rate > SLOW * free) for rate in rates], rates, 1.0)
 
     def spherical(self) -> Mask:
-        """Where all moments are equal but for rounding."""
+        """Where all moments are equal up to rounding."""
         return np.ptp(self.inertia, axis=-1) <= NEGLIGIBLE * self.inertia.max(-1)
 
     def acts_along(self, direction: Direction) -> Mask:
@@ -91,13 +91,13 @@ class Body(NamedTuple):
         return ((direction.gradient != 0) & ~self.spherical()) | (direction.field != 0).any(-1)
 
     def acts_across(self) -> Mask:
-        """Where something acts along a direction across the vertical."""
+        """Where alpha or beta exerts a torque on the body in some orientation."""
         return self.acts_along(self.alpha) | self.acts_along(self.beta)
 
     def symmetric_about(self, i: int, rate: Array | float = 0.0) -> Mask:
         """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it.
 
-        rate: where it is not 0, differences that are rounding beside its momentum and torque do not count.
+        rate: unit of rates; where it is above 0, differences at rounding level of its momentum and torque are ignored.
         """
         j, k = (i + 1) % 3, (i + 2) % 3
         limit = np.where(rate > 0, NEGLIGIBLE, 0.0) * self.inertia.max(-1)
@@ -113,7 +113,7 @@ class Body(NamedTuple):
         return symmetric
 
     def amended(self) -> tuple[Direction, Direction]:
-        """alpha and gamma with the parts of the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
+        """Directions alpha and gamma of the amended potential W = V - Omega k.gamma - Omega^2 gamma.I gamma / 2."""
         field = self.gamma.field - self.turn[..., None] * self.rotor
         return self.alpha, Direction(self.gamma.gradient - self.turn**2, field)
 
@@ -126,7 +126,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian of W under rotations xi, symmetric where the gradient vanishes; the torque at rest is -gradient."""
+        """Gradient, minus the torque at rest, and Hessian of W under rotations; where the torque is 0 the Hessian is symmetric."""
         return self._variations(self.amended(), alpha, gamma)
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
@@ -151,7 +151,7 @@ class Body(NamedTuple):
     def _along(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> list[tuple[Direction, Array]]:
-        """Those of alpha and gamma, and beta where it acts, with their vectors."""
+        """Pairs (direction, vector): the two directions with alpha and gamma, and beta if it has a field."""
         pairs = list(zip(directions, (alpha, gamma), strict=True))
         return pairs + [(self.beta, np.cross(gamma, alpha))] * bool(self.beta.field.any())
 
@@ -205,7 +205,7 @@ class Body(NamedTuple):
         return self.rotor + (2 * self.inertia - self.inertia.sum(-1, keepdims=True)) * w
 
     def across_rotation(self, w: Array, u: Array, alpha: Array, gamma: Array) -> Array:
-        """Matrix of the linear system in the parts of (xi, p~) across a constant rotation u; see `floquet`, (..., 4, 4)."""
+        """Matrix (..., 4, 4) of the linear system in the parts of xi and p~ across a constant rotation u; see `floquet`."""
         inertia, W = self.inertia[..., None], cross_matrix(w)
         acceleration = self.turn[..., None] * np.cross(gamma, u)
         E = cross_matrix(self.inertia * w + self.rotor) @ W - W @ (inertia * W)
@@ -238,7 +238,7 @@ class Body(NamedTuple):
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
     """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, as sqrt(norm_1 norm_inf).
 
-    third_alone: for w along e3 alone.
+    third_alone: bodies whose w is along e3.
     """
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):
@@ -251,12 +251,12 @@ def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask |
 
 
 def perron_root(first: Array, second: Array, product: Array) -> Array:
-    """Largest eigenvalue of 2 x 2 matrices of this diagonal and this product of the other entries, all positive."""
+    """Largest eigenvalue of positive 2 x 2 matrices with diagonal (first, second) and product of the other entries."""
     return 0.5 * (first + second) + np.sqrt((0.5 * (first - second)) ** 2 + product)
 
 
 def quadratic_roots(P: Array, Q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Roots of x^2 + P x + Q = 0; the larger one is a sum without cancellation, and gives the other one."""
+    """Roots of x^2 + P x + Q = 0; the larger one is computed without cancellation, the other one is Q divided by it."""
     square = 0.25 * P**2
     square = np.where(np.abs(square - Q) <= _DOUBLE * square, 0.0, square - Q)
     root = np.sqrt(square + 0j)
@@ -270,7 +270,7 @@ def length(v: Array) -> Array:
 
 
 def transverse_axes(v: Array) -> Array:
-    """Two unit vectors in the rows that complete unit vectors (..., 3) to right-handed axes, (..., 2, 3)."""
+    """Two unit vectors, rows of (..., 2, 3), that complete unit vectors (..., 3) to right-handed axes."""
     first = np.cross(v, np.eye(3)[np.abs(v).argmin(-1)])
     first = first / length(first)[..., None]
     return np.stack([first, np.cross(v, first)], -2)

@@ -1,4 +1,4 @@
-"""Floquet multipliers of steady motions that are periodic in the body, of many points at once.
+"""Floquet multipliers of steady motions that are periodic in the body, for many points at once.
 
 A steady motion turns the body relative to the frame with a constant u = w - Omega gamma in body axes, so alpha, gamma
 and w turn about u. A small rotation xi of the body (body axes; delta alpha = alpha x xi, delta gamma = gamma x xi) obeys
@@ -7,7 +7,7 @@ delta w = xi' + w x xi, and with the Euler-Poisson equations
     I xi'' = D xi' + E xi,    D = hat(k + 2 I w - tr(I) w),    E = P + D'/2,    P symmetric,
     E = hat(I w + k) hat(w) - hat(w) I hat(w) - I hat(w') - the Hessian of the potential,
 
-Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In (xi, p), p = I xi' - D xi / 2, this is a linear
+which are Lagrange's equations of (xi'.I xi' - xi'.D xi + xi.P xi) / 2. In (xi, p), p = I xi' - D xi / 2, this is a linear
 Hamiltonian system, of period 2 pi / |u|. Exponents come in pairs +-lambda.
 
 One pair is 0: xi = u is a solution (a shift in time), and the Jacobi integral is constant. With e = u / |u|, d = D e / 2 and
@@ -31,26 +31,25 @@ from ..base import Array, Flags
 from .body import Body, length, quadratic_roots
 from .fundamental import of_harmonics
 
-# |s| - 2 and (s1 - s2)^2 / 4, with s = multiplier + 1/multiplier, up to this are round-off and the error of the integration:
-# at a collision of multipliers at +-1 a shift of s by 1e-7 is a growth by 3e-4 over a period.
+# Largest error of |s| - 2 and (s1 - s2)^2 / 4, s = multiplier + 1/multiplier, from rounding and integration: where multipliers
+# collide at +-1, a shift of s by 1e-7 appears as growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
 _STEP = 1.4  # length of a step times the norm of the system: errors of about 1e-7
-_MIN_STEPS, _MAX_STEPS = 64, 8192  # in a period of rotation; longer periods are not integrated but adiabatic
+_MIN_STEPS, _MAX_STEPS = 64, 8192  # per period; where more are needed, the adiabatic approximation is used
 _ADIABATIC_PHASES = 256
-# Growth over a period, as a logarithm, beyond which the adiabatic approximation decides; it is wrong by a few units.
+# Logarithm of the growth over a period above which the adiabatic value, wrong by a few units, means instability.
 _ADIABATIC_GROWTH = 10.0
-# Distance of the frozen exponents from a collision, over the rate of rotation, beyond which none grows.
+# Distance of frozen exponents from a collision, over the rate of rotation, above which nothing grows.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # along a closed form, for each unit of norm times period: errors of the trace below 1e-7
+_STEPS_PER_NORM = 2  # steps per unit of norm x period along a closed form: errors of the trace below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 
 def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, Array]:
     """Stability and growth rate over the period of the rotation, (points,); w, alpha, gamma (points, 3).
 
-    Stable where all multipliers are simple and on the unit circle; unknown where numerics cannot tell, with the growth 0 where
-    multipliers collide. Rotations of which a period contains more oscillations than are integrated have the adiabatic growth
-    rate.
+    Stable where all multipliers are simple and on the unit circle; unknown within numerical errors, with growth rate 0 where
+    multipliers collide. Periods too long to be integrated have the adiabatic growth rate.
     """
     rotation = _Rotation(body, w, alpha, gamma)
     stable, exponent = rotation.by_multipliers()
@@ -63,20 +62,20 @@ def stability(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Flags, 
 
 
 def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array) -> Array:
-    """Growth from the start to the end of a run, as a logarithm; nan where it is not integrated."""
+    """Logarithm of the growth from the start to the end of runs, (points,); nan where too many steps are needed."""
     rotation = _Rotation(body, w, alpha, gamma, duration)
     return rotation.over_spans(np.full(duration.shape, np.nan), lambda _, log_scale: log_scale)
 
 
 class _Periodic:
-    """Linear systems as a mean and two harmonics over the period, and numbers of steps over a span; infinite: not integrated."""
+    """Periodic linear systems by a mean and two harmonics; steps: their number over a span, infinite: not integrated."""
 
     def __init__(self, harmonics: NDArray[np.complex128], period: Array, span: Array, steps: Array):
         self.harmonics, self.period, self.span = harmonics, period, span
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """Write a function of the fundamental matrices over the spans, where these are integrated, into result, and return it."""
+        """Result, filled with a function of the fundamental matrices over the spans at the points that are integrated."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]
@@ -86,7 +85,7 @@ class _Periodic:
     def by_multipliers(self, ones: int = 0) -> tuple[Flags, Array]:
         """Stability, and the logarithm of the largest multiplier over the period; nan where it is not integrated.
 
-        ones: number of multipliers that are 1 whatever the motion.
+        ones: number of multipliers that are always 1.
         """
         values = np.full((2, *self.period.shape), np.nan)
         self.over_spans(values, lambda matrix, log_scale: np.array(_multipliers(matrix, log_scale, ones)))
@@ -94,7 +93,7 @@ class _Periodic:
 
 
 class _Rotation(_Periodic):
-    """Linear systems of turning bodies."""
+    """Linearised equations of steadily turning bodies."""
 
     def __init__(self, body: Body, w: Array, alpha: Array, gamma: Array, duration: Array | None = None):
         self.rate = np.abs(body.turn) + length(w)
@@ -120,10 +119,10 @@ class _Rotation(_Periodic):
         self.steps[self.steps > _MAX_STEPS] = np.inf
 
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
-        """Growth over a period that is long against all other times, as a logarithm; nan where it is not certain.
+        """Logarithm of the growth over a period much longer than the oscillations; nan where it is uncertain.
 
-        The integral of the largest real part of the frozen exponents, lambda^4 + P lambda^2 + Q = 0. Where none grows and none
-        comes close to a collision, the actions of both oscillations are adiabatic invariants: nothing grows.
+        It is the integral of the largest real part of the frozen exponents, roots of lambda^4 + P lambda^2 + Q = 0. Where all
+        are imaginary and far from a collision, the actions of both oscillations are adiabatic invariants and nothing grows.
         """
         period, harmonics = self.period[members], self.harmonics[:, members]
         total, margin = np.zeros(period.shape), np.full(period.shape, np.inf)
@@ -141,7 +140,7 @@ class _Rotation(_Periodic):
 
 
 def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128]) -> Array:
-    """Matrices at exp(i phase), (..., points), of a mean and two harmonics."""
+    """Matrices of a mean and two harmonics at phase factors exp(i angle), (..., points)."""
     mean, first, second = harmonics
     phase = phase[..., None, None]
     return np.asarray(mean.real + 2 * (first * phase + second * phase**2).real)
@@ -150,9 +149,9 @@ def _matrix_at(harmonics: NDArray[np.complex128], phase: NDArray[np.complex128])
 def _multipliers(monodromy: Array, log_scale: Array, ones: int) -> tuple[Flags, Array]:
     """Stability, and the logarithm of the largest multiplier of the fundamental matrices monodromy * exp(log_scale).
 
-    `ones` of the multipliers are 1, the others two pairs or one pair.
+    ones: number of multipliers equal to 1; the others are one or two reciprocal pairs.
     """
-    # Traces give multipliers on the unit circle exactly, and lose the smaller ones beside large ones.
+    # Traces are accurate for multipliers on the unit circle, but lose small multipliers beside large ones.
     moderate = log_scale < 16
     largest = np.ones(log_scale.shape)
     largest[~moderate] = np.abs(np.linalg.eigvals(monodromy[~moderate])).max(-1)
@@ -182,19 +181,19 @@ def growth_of_periodic_motion(
 
     The linear system of six equations has four multipliers 1: a shift in time, the energy and two integrals that are
     linear or quadratic in the state, such as the area integral and the length of the vertical. The last two are
-    mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; this is exact where the eigenvalues
-    are not, because the eigenvalues 1 are defective. Stable where mu is on the unit circle and not real.
+    mu and 1/mu, so that the trace of the monodromy matrix is 4 + mu + 1/mu; it is accurate where eigenvalues are not,
+    because the eigenvalue 1 is defective. Stable where mu is on the unit circle and not real.
 
-    matrix: (indices of points, times (samples, points)) -> matrices of the linear system, of three rates and the vertical,
-    (samples, points, 6, 6), a mean and two harmonics over the period: time units; nan where there is no motion, of which the
-    stability is unknown and the growth nan.
+    matrix: (indices of points, times (samples, points)) -> matrices (samples, points, 6, 6) of the linear system in three rates
+    and the vertical, with harmonics up to the second. period: time units; where it is nan the stability is unknown and the growth
+    rate nan.
     """
     stable, growth = np.full(period.shape, Stability.UNKNOWN, np.int8), np.full(period.shape, np.nan)
     where = np.flatnonzero(np.isfinite(period))
     if not where.size:
         return stable, growth
     samples = matrix(where, period[where] * np.arange(5)[:, None] / 5)
-    # In units of time in which rates and the vertical change each other as much, to a power of 2, which keeps the bits.
+    # A unit of time that balances the two off-diagonal blocks, rounded to a power of 2, which changes no bits.
     square = (samples**2).reshape(5, -1, 2, 3, 2, 3).sum((0, 3, 5))
     rates, vertical = square[:, 0, 1], square[:, 1, 0]
     quotient = np.divide(rates, vertical, out=np.ones_like(rates), where=rates * vertical > 0)

@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 from ..base import Array
 
-# Points side by side, over which the innermost loops become vector instructions; fewer take as long.
+# Most points integrated side by side by vector instructions, and the multiple to which fewer are padded.
 LANES, GROUP = 64, 8
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
-RESCALING = 16  # steps after which matrices are rescaled, lest they overflow, and phases computed anew
-STEPS = 4096  # largest number in a call, some tenths of a second that cannot be interrupted; a multiple of RESCALING
+RESCALING = 16  # steps after which matrices are rescaled, to avoid overflow, and phases are recomputed
+STEPS = 4096  # most steps of a call, some tenths of a second without interruption; a multiple of RESCALING
 
 
 def of_harmonics(
     harmonics: NDArray[np.complex128], period: Array, span: Array, count: int
 ) -> tuple[Array, Array]:
-    """Fundamental matrices over spans (points,) by equal steps: of largest entry 1, and the logarithms of their factors.
+    """Fundamental matrices over spans (points,), scaled to largest entry 1, and logarithms of the scale factors.
 
-    harmonics: mean and two harmonics over the period, (3, points, size, size), as `np.fft.rfft` gives them over the number of
-    samples; the size is even.
+    harmonics: mean and two harmonics over the period, (3, points, size, size), from `np.fft.rfft` divided by the number of
+    samples; the size is even. count: number of equal steps.
     """
     points, size = harmonics.shape[1:3]
     mean, first, second = harmonics
@@ -47,9 +47,9 @@ def of_harmonics(
 
 
 def of_steps(matrices: Array) -> tuple[Array, Array]:
-    """As `of_harmonics`, over the steps of at most LANES points; factors are powers of 2, largest entries 1 to 2.
+    """Fundamental matrices of at most LANES points, scaled to largest entries from 1 to 2, and logarithms of the factors.
 
-    matrices: of the system at the three Gauss nodes of each step, times the step, (steps, 3, size, size, points).
+    matrices: the system's matrices at the three Gauss nodes of each step, times the step, (steps, 3, size, size, points).
     """
     steps, _, size, _, points = matrices.shape
     result, log_scale = np.tile(np.eye(size), (points, 1, 1)), np.zeros(points)

@@ -26,7 +26,7 @@ def directions(points: Points) -> tuple[Array, Array]:
 
 
 def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
-    """The sum of a rate about the vertical, m about e3 and theta_dot0 about the node, (3, points)."""
+    """Angular velocity (3, points): `rate` about the vertical, m about e3 and theta_dot0 about the node."""
     w = rate * gamma
     w[0] += points["theta_dot0"] * np.cos(points["phi0"])
     w[1] -= points["theta_dot0"] * np.sin(points["phi0"])
@@ -35,19 +35,19 @@ def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
 
 
 def about_third_axis(points: Points) -> TwoAxes:
-    """e3 and the vertical, of starts by angles and rates."""
+    """Motion about e3 at m and the vertical at n, of starts given by angles and rates."""
     gamma = directions(points)[1]
     return TwoAxes(principal(np.full(gamma.shape[1:], 2)), points["m"], gamma, points["n"])
 
 
 def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
-    """An axis s of the body and the vertical; the rates follow from the part of w in their plane."""
+    """Motion about a body axis s and the vertical gamma, with rates from the part of w in their plane."""
     normal = across(gamma, s)
     n = ratio(dot(w, normal), (normal**2).sum(0))
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
 
 
-# Text of Family.stability_text.
+# Family.stability_text of several families.
 NEUTRAL = "Stability, as Family.stability, of motions near which no distance grows faster than t."
 
 
@@ -57,7 +57,7 @@ class Start(ABC):
     rotor: Array
     w: Array
     gamma: Array
-    moment: Array  # of inertia, the unit of residuals
+    moment: Array  # moment of inertia that is the unit of residuals
     field_torque: Array  # largest torque of the fields
     turn: Array | float = 0.0  # rate of the frame about gamma
 
@@ -70,18 +70,18 @@ class Start(ABC):
 
     @property
     def squared_rate(self) -> Array:
-        """Largest squared rate: of the frame, of the body, or torques of fields and rotor over the moment."""
+        """Largest squared rate: of frame or body, or torque of fields or rotor divided by the moment."""
         square = np.maximum((self.w**2).sum(0), np.square(self.turn))
         torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
         return np.maximum(square, torque / self.moment)
 
     def residual(self, torque: Array) -> Array:
-        """A torque, vector or magnitude, over the moment and the largest squared rate."""
+        """Dimensionless residual of a torque, vector or magnitude: divided by the moment and the largest squared rate."""
         size = np.abs(torque) if torque.ndim < self.w.ndim else length(torque)
         return ratio(size / self.moment, self.squared_rate)
 
     def nutation(self) -> Array:
-        """Size of w - (n + turn) gamma - m s over the largest rate."""
+        """|w - (n + turn) gamma - m s| divided by the largest rate."""
         s, m, _, n = self.axes()
         rest = self.w - (n + self.turn) * self.gamma - m * s
         return ratio(length(rest), np.sqrt(self.squared_rate))
@@ -95,7 +95,7 @@ def family_about_axes(
     turn: Callable[[Points], Array] | None = None,
     **attributes: Any,
 ) -> Family:
-    """A family by the class of its starts and the residuals of its conditions, which are functions of the start.
+    """Family from a class of starts and from conditions, whose residuals are functions of a start.
 
     directions, turn: see `motion_of`; attributes: further attributes of the family.
     """
@@ -115,7 +115,7 @@ def motion_of(
 ) -> Callable[[Points, Array], Array]:
     """Closed form of a family, as Family.motion, of a system whose state is w and the directions at rest in its frame.
 
-    directions: points -> these at the start, each (3, points), the vertical as the last; turn: rate of the frame about it.
+    directions: points -> the directions at the start, each (3, points), the vertical last; turn: rate of the frame about it.
     """
 
     def motion(points: Points, t: Array) -> Array:
@@ -136,12 +136,12 @@ Solver = Callable[[Points], Array]
 
 @dataclass(frozen=True, eq=False)
 class Equation(Condition):
-    """function(points) = 0, a number or components of a vector for each point; the residual is its magnitude over `unit`."""
+    """Condition function(points) = 0, a scalar or a vector at each point; its residual is the magnitude divided by `unit`."""
 
     residual: Callable[[Points], Array] = field(init=False)
     function: Callable[[Points], Array]
-    unit: Callable[[Points], Array] | None = None  # None: it is a pure number of order 1
-    # The same equation divided by a factor that may vanish, from which it is solved.
+    unit: Callable[[Points], Array] | None = None  # None: the function is dimensionless, of order 1
+    # The function divided by a factor that may vanish; used for solving.
     form: Callable[[Points], Array] | None = None
 
     def __post_init__(self) -> None:
@@ -154,20 +154,20 @@ class Equation(Condition):
         object.__setattr__(self, "residual", residual)
 
     def solve(self, *names: str) -> Mapping[str, Solver]:
-        """Solvers of the parameters of these names, in each of which the equation is linear."""
+        """Parameter -> solver, for parameters in which the equation is linear."""
         return linear(self.form or self.function, *names)
 
 
 def linear(function: Callable[[Points], Array], *names: str, keep: bool = False) -> Mapping[str, Solver]:
-    """Solvers of function(points) = 0 for parameters in which it is linear.
+    """Parameter -> solver of function(points) = 0, for parameters in which the function is linear.
 
-    keep: where the equation holds for any value of a parameter, this keeps its value; else it becomes nan.
+    keep: whether a parameter, where every value solves the equation, keeps its value instead of becoming nan.
     """
     return each(partial(_solve, function, keep), *names)
 
 
 def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: Points) -> Array:
-    """The root, by least squares over the components; the slope is that of a complex step, exact but for rounding."""
+    """Root of a linear equation, by least squares over its components, with the slope from a complex step."""
     zero = np.zeros_like(points[name])
     with np.errstate(all="ignore"):
         offset = np.asarray(function({**points, name: zero}))
@@ -180,12 +180,12 @@ def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: P
 
 
 def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, Solver]:
-    """The solver of each of these parameters, of a function that takes its name."""
+    """Parameter -> solver, from a function of the name of a parameter and points."""
     return {name: partial(solver, name) for name in names}
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """Of roots, (roots, points), that nearest to a value, the larger of two for an infinite one; nan where it is not finite."""
+    """Root, among (roots, points), nearest to a value, or the largest of several for near = inf; nan where there is none."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]
@@ -193,5 +193,5 @@ def nearest_root(roots: Array, near: Array) -> Array:
 
 
 def relative_to(value: Array, scale: Array) -> Array:
-    """value / scale, 0 where value is 0, nan where only scale is."""
+    """value / scale; 0 where value is 0, nan where scale alone is 0."""
     return ratio(value, scale, np.where(value == 0, 0.0, np.nan))

@@ -1,11 +1,11 @@
 """Linear stability of motions that are equilibria in some frame, small oscillations about them, and stability by the energy.
 
 A motion that is no equilibrium may be equivalent to an equilibrium of another body. A body that turns about an axis of
-symmetry, with rotor and fields along it, is the same as one at rest with the rotor k_i + I_i u_i, u the rotation relative to
-the frame: the moment I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts
-along alpha the rate of the frame about gamma may be chosen, and where nothing acts at all its vertical is along the angular
-momentum. Other turning bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the
-rate of rotation: they have none here.
+symmetry, with rotor and fields along it, is equivalent to a body at rest with the rotor k_i + I_i u_i, u the rotation relative
+to the frame: I_i enters the motion of the axis only through the constant momentum I_i w_i + k_i. Where nothing acts along alpha
+the rate of the frame about gamma may be chosen, and where nothing acts at all its vertical is chosen along the angular momentum.
+Other turning bodies have periodic linear equations (`floquet`), whose frequencies are defined up to multiples of the rate of
+rotation; no frequencies are given for them.
 
 At an equilibrium a small turn xi of the body (delta d = d x xi for both directions d of the frame) obeys
 
@@ -21,10 +21,10 @@ momenta and do not concern stability; rounding would turn them into a pair +-1e-
 coefficient of the cubic, which is 0, is left out with its root.
 
 The Jacobi integral is xi'.I xi' / 2 + W, so that an equilibrium is stable by energy where W'' is positive definite (Lagrange,
-Dirichlet); with constant momenta about the cyclic directions E that of W on their level, W'' + F (E^T I E)^-1 F^T with
-F = v x E (Routh, Rumyantsev). Damping destroys the momenta and leaves W as it is. Dissipation inside the body keeps the momentum
-about a direction about which the frame is symmetric, and not that about an axis of symmetry of the body: see `energy_minima`.
-The frequencies are those without damping.
+Dirichlet). If the momenta about cyclic directions E are constant, the Hessian at fixed momenta counts instead,
+W'' + F (E^T I E)^-1 F^T with F = v x E (Routh, Rumyantsev). Damping destroys the momenta and does not change W. Dissipation
+inside the body conserves the momentum about an axis of symmetry of the frame, but not of the body: see `energy_minima`.
+Frequencies are computed without damping.
 P. C. Hughes, Spacecraft Attitude Dynamics (1986), chapters 9 and 10; V. V. Rumyantsev, J. Appl. Math. Mech. 30 (1966) 1090;
 N. G. Chetaev, The Stability of Motion, Pergamon 1961.
 """
@@ -40,30 +40,31 @@ from ...flags import EnergyStability, Stability
 from ..base import FAMILY_TOLERANCE, Array, Flags, Mask
 from .body import Body, cross_matrix, length, quadratic_roots, transverse_axes
 
-# Exponents that are closer than this, in units of a rate of the motion, coincide: a double root has the square root of rounding
-# as its error.
+# Exponents closer than this, in units of Body.rate, coincide: the error of a double root is the square root of rounding.
 GROWTH_TOLERANCE = 1e-6
 _PARALLEL = 1e-9  # sine of an angle between parallel axes
 _ZERO = 1e-6  # frequencies and real parts below this, relative to the largest exponent, are zero
 
 
 class Equilibria(NamedTuple):
-    """Motions as equilibria, in units of the largest moment of inertia and of a rate."""
+    """Motions that are equilibria in some frame, in units of the largest moment of inertia and of `rate`."""
 
-    points: NDArray[np.int64]  # which of the motions given are equilibria
+    points: NDArray[np.int64]  # indices of the given motions that are equilibria
     body: Body
     alpha: Array  # (points, 3)
     gamma: Array
-    rate: Array  # the unit, (points,)
-    cyclic: Array  # cyclic directions in the columns, of the vertical and of the axis of symmetry; 0: none, (points, 3, 2)
-    free: Mask  # nothing acts, and the vertical is along the angular momentum, which turns about it at the rate of the frame
+    rate: Array  # unit of rates, rad per time unit, (points,)
+    cyclic: (
+        Array  # columns: the vertical and the axis of symmetry where these are cyclic, else 0, (points, 3, 2)
+    )
+    free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """The equilibria among some motions; w, alpha, gamma: at the start, (points, 3).
 
-        from_space: the frame of an axis of symmetry on the vertical, where nothing acts along alpha, is at rest in space; else
-        its rate makes both oscillations of the axis equally fast, which gives the energy its largest minimum.
+        from_space: whether the frame, for an axis of symmetry on the vertical where nothing acts along alpha, is at rest in
+        space; else its rate makes both oscillations of the axis equally fast, which gives the energy its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -115,7 +116,7 @@ class Equilibria(NamedTuple):
         finite = np.asarray(np.isfinite(companion).all((1, 2)))  # squares of the smallest rates underflow
         result[cubic[finite]] = np.linalg.eigvals(companion[finite])
         result[cubic[~finite]] = result[~np.isfinite(P + Q)] = np.inf
-        # The angular momentum of a free body, turned aside, turns with the frame: x = -Omega^2 is no oscillation.
+        # In the frame a free body's angular momentum, displaced from gamma, turns at -Omega: x = -Omega^2 is no oscillation.
         free = np.flatnonzero(self.free & (degree > 0))
         result[free, 0] = -P[free] + self.body.turn[free] ** 2
         result[free, 1] = np.nan
@@ -140,7 +141,7 @@ class Equilibria(NamedTuple):
         return exponents
 
     def stability(self) -> tuple[Flags, Array]:
-        """Spectral stability and growth rate, rad per time unit, as System.linear_stability; (points,)."""
+        """Spectral stability and growth rate (rad per time unit), (points,), as in System.linear_stability."""
         with np.errstate(all="ignore"):
             exponents = self.exponents()
         finite = np.logical_not(np.isinf(exponents.real).any(1))
@@ -169,7 +170,7 @@ class Equilibria(NamedTuple):
         return -np.sort(-values, axis=-1)  # nan last
 
     def hessian_eigenvalues(self) -> Array:
-        """Ascending eigenvalues of the Hessian of W on the level of the momenta, over its size; 1 for cyclic directions."""
+        """Ascending eigenvalues of the Hessian of W at fixed momenta, divided by its largest entry; 1 for cyclic directions."""
         E = self.cyclic
         forces = cross_matrix(self.body.gyroscopic(self.body.turn[:, None] * self.gamma)) @ E
         moments = np.swapaxes(E, 1, 2) @ (self.body.inertia[..., None] * E)
@@ -182,17 +183,17 @@ class Equilibria(NamedTuple):
         return np.any([self.body.symmetric_about(i) for i in range(3)], axis=0)
 
     def energy_stability(self) -> Flags:
-        """Whether the motions are stable by the energy with every momentum held, values of flags.EnergyStability, (points,)."""
+        """Stability by the energy at fixed momenta, values of flags.EnergyStability, (points,)."""
         with np.errstate(all="ignore"):
             least = self.hessian_eigenvalues()[:, 0]
-            # The energy on the level of a momentum that is constant in space: a maximum is as good as a minimum.
+            # The energy of a free body at fixed angular momentum: a maximum proves stability as a minimum does.
             polhode = -self.squared_exponents()[:, 0].real
             least = np.where(self.free, np.where(np.isnan(polhode), 1.0, polhode), least)
             return _verdict(least)
 
 
 def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
-    """Whether motions are minima of the energy on the level of what internal dissipation keeps.
+    """Whether motions are minima of the energy at fixed values of the momenta that internal dissipation conserves.
 
     w, alpha, gamma: at the start, (points, 3). Values of flags.EnergyStability, (points,).
     """
@@ -203,7 +204,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
     any_frame = ~body.acts_across()
     free = any_frame & ~body.acts_along(body.gamma)
     with np.errstate(all="ignore"):
-        # On the level of the momentum about the vertical, in the frame of the rotation, where the vertical is the only direction.
+        # If nothing acts across gamma: at fixed momentum about gamma, in the frame that turns at w.gamma.
         turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
         force = np.cross(body.gyroscopic(turn[:, None] * gamma), gamma)
         kept = np.where(any_frame & (body.damping == 0), 1.0 / (body.inertia * gamma**2).sum(-1), 0.0)
@@ -213,7 +214,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         hat = cross_matrix(vertical)
         turns = np.where(axes & ~(any_frame[:, None] & (length(hat) <= _PARALLEL))[:, None], np.eye(3), 0.0)
-        # Where nothing acts, that of the angular momentum M, on which the energy is (M - k).I^-1 (M - k) / 2.
+        # If nothing acts: at fixed angular momentum M, where the energy is (M - k).I^-1 (M - k) / 2.
         momentum = body.inertia * w + body.rotor
         square = (momentum**2).sum(-1)
         share = np.where(square > 0, (w * momentum).sum(-1) / square, 0.0)
@@ -232,7 +233,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
 
 
 def _eigenvalues(hessian: Array, still: Array) -> Array:
-    """Ascending eigenvalues of Hessians (points, 3, 3) over their size; 1 for directions that do not count, the columns `still`."""
+    """Ascending eigenvalues of Hessians (points, 3, 3) divided by their largest entry; 1 in the span of the columns `still`."""
     scale = np.abs(hessian).max((1, 2))
     projection = still @ np.linalg.pinv(still, rcond=1e-12)
     complement = np.eye(3) - projection
@@ -244,13 +245,13 @@ def _eigenvalues(hessian: Array, still: Array) -> Array:
 
 
 def _verdict(least: Array) -> Flags:
-    """Values of flags.EnergyStability by the least eigenvalue of a second variation."""
+    """Values of flags.EnergyStability from the least eigenvalue of a second variation."""
     flags = np.where(least > 0, EnergyStability.YES, EnergyStability.NO).astype(np.int8)
     return np.where(np.abs(least) > FAMILY_TOLERANCE, flags, np.int8(EnergyStability.UNKNOWN))
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Body and motion in other axes of a sphere, all of which are principal: the first along rotor and fields, or across w."""
+    """Body and motion, for spherical bodies in new axes: the first along rotor and fields, or without them across w."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
@@ -276,7 +277,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Rates of frames in which bodies rest but for a turn about an axis of symmetry, the axes (-1: none), and where."""
+    """Rate of a frame in which the body rests or turns about an axis of symmetry, that axis (-1: none), whether one exists."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

@@ -9,18 +9,18 @@ from ..base import Array, Mask
 from ..vectors import length, unit
 from .body import Body
 
-PLACES = 12  # columns of directions
-NEARLY = np.int8(-2)  # dimension of a direction at which two complex solutions are nearly one
+PLACES = 12  # most directions of a body
+NEARLY = np.int8(-2)  # `dimension` of a direction near which two complex solutions almost coincide
 
 
 class SecularEquation:
-    """sum b_i^2 / (d_i - L)^2 = 1 for L, as origin + shift with the origin at a pole d_i; arrays (3, points)."""
+    """Equation sum b_i^2 / (d_i - L)^2 = 1 with roots L = origin + shift, origin a pole d_i; arrays (3, points)."""
 
     def __init__(self, d: Array, b: Array):
         active = b != 0
-        self.d, self.b = np.where(active, d, np.inf), b  # a pole without residue may be met exactly
+        self.d, self.b = np.where(active, d, np.inf), b  # L may equal a d_i with b_i = 0
         self.exists = active.any(0)
-        # A pole without residue is moved onto one that has it: the empty interval between them has no root.
+        # A d_i with b_i = 0 is moved onto a pole: the empty interval between them has no root.
         anchor = np.take_along_axis(d, active.argmax(0)[None], 0)
         self.poles = np.sort(np.where(active, d, anchor), axis=0)
         self.total = length(b)
@@ -94,8 +94,8 @@ def critical_directions(
     g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
     and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: directions, (3, points), to which the nearest member of a circle of solutions is given. Returns g, (3, 12, points),
-    nan in unused columns, and the dimension of the set that each belongs to, (12, points): 0 isolated, 1 a circle, 2 every
+    towards: directions (3, points); of a circle of solutions the member nearest to them is returned. Returns g, (3, 12, points),
+    nan in unused columns, and the dimension of the set of solutions around each g, (12, points): 0 isolated, 1 a circle, 2 every
     direction, -1 unused, with nearly also NEARLY.
     """
     order = np.argsort(d, axis=0, kind="stable")
@@ -104,7 +104,7 @@ def critical_directions(
     g, dimension = np.full((3, PLACES, *d.shape[1:]), np.nan), np.full((PLACES, *d.shape[1:]), -1, np.int8)
     with np.errstate(all="ignore"):
         SecularEquation(d, b).write_directions(g, dimension)
-        for i in range(3):  # the solutions L = d_i, of which the components g_i are free, in columns 6 to 11
+        for i in range(3):  # solutions L = d_i, whose components g_i are free, in columns 6 to 11
             group = d == d[i]
             free = ~(group & (b != 0)).any(0) & (group.argmax(0) == i)
             fixed = np.where(group, 0.0, -b / (d - d[i]))

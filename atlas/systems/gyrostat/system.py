@@ -1,4 +1,4 @@
-"""What a gyrostat has from its body and its families alone: stability, small oscillations, stability by the energy."""
+"""Theory common to all gyrostats: linear stability, small oscillations and stability by the energy."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from .oscillations import Equilibria, energy_minima
 
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 _CHUNK = 2048  # points whose exponents are computed together
-# Growth over a run, as a logarithm, up to which amplitudes may change without an instability.
+# Logarithm of the largest growth of an amplitude over a run that is no sign of an instability.
 _AMPLITUDE_GROWTH = 10.0
 
 
 class Gyrostat(System):
     """Gyrostat in a frame that turns uniformly about its vertical; the theory follows from `body`.
 
-    Its states are `rate_states`, the angular velocity in space, and the ``FRAME_VECTORS`` of its equations, of which the last
-    is the vertical; of two the first is the other direction of `Body`.
+    Its states are `rate_states`, the angular velocity in space, and the ``FRAME_VECTORS`` of its equations: the vertical gamma,
+    or alpha and gamma, as in `Body`.
     """
 
     moments_of_inertia = ("A", "B", "C")
     frequency_comment = "nan for exponents that are 0 or have a real part, and off every family"
-    """Where the variables of frequencies have no value."""
+    """Comment of the variables of frequencies: where they are nan."""
     axial_rotor: str = ""
     """Parameter of the rotor along the third axis; empty: there is none."""
     energy_comment = "on the level of what dissipation inside the body keeps"
-    """On which level of which integrals the energy decides."""
+    """Comment of the variables of stability by the energy: which momenta are fixed."""
 
     def __init__(self) -> None:
         self.derived = {**type(self).derived, **oscillation_variables(self)}
@@ -52,16 +52,16 @@ class Gyrostat(System):
 
     @abstractmethod
     def body(self, points: Points) -> Body:
-        """The body, the frame and what acts, with vectors of shape (points, 3)."""
+        """The gyrostat at each point as a `Body`, with vectors of shape (points, 3)."""
 
     def frequency_bound(self, points: Points) -> Array:
-        """From the energy, see Body.frequency_bound."""
+        """Bound of frequencies from the energy, see Body.frequency_bound."""
         w, alpha, gamma = self.start(points)
         return self.body(points).frequency_bound(w, alpha, gamma)
 
     @shared
     def natural_rate(self, points: Points) -> Array:
-        """Of the frame, else of the fields, else of the start and the rotor, see Body.natural_rate."""
+        """Rate of the frame, else of the fields, else of start and rotor, see Body.natural_rate."""
         with np.errstate(all="ignore"):
             return self.body(points).natural_rate(self._triples(self.initial_state(points))[0])
 
@@ -70,7 +70,7 @@ class Gyrostat(System):
         return self.vectors(self.initial_state(points))
 
     def vectors(self, states: Array) -> tuple[Array, Array, Array]:
-        """w, alpha and gamma of states (states, points), each (points, 3); alpha is any across gamma if the frame has none."""
+        """w, alpha and gamma of states (states, points), each (points, 3); a frame without alpha has any vector normal to gamma."""
         w, *others, gamma = self._triples(states)
         return w, others[0] if others else transverse_axes(gamma)[..., 0, :], gamma
 
@@ -78,20 +78,20 @@ class Gyrostat(System):
         """The angular velocity and the directions at rest in the frame of states (states, points), each (points, 3)."""
         state = dict(zip(self.equations.STATE, states, strict=True))
         names = self.rate_states, *self.equations.FRAME_VECTORS
-        # Components lie one behind another in memory: sums over them are several times as fast.
+        # Each component is contiguous in memory, which makes sums over components several times as fast.
         return [np.moveaxis(np.array([state[name] for name in triple]), 0, -1) for triple in names]
 
     @shared
     def oscillation_families(self, points: Points) -> Flags:
-        """Families of the motions of which the frequencies and the stability by the energy are given."""
+        """Flags of the families for which frequencies and stability by the energy are computed."""
         return self.identify_family(points)[0]
 
     def squared_unit(self, points: Points) -> Array:
-        """Square of the unit of rates in `condition_residual`, (points,): by default that of the frequency bound."""
+        """Square of the unit of rates in `condition_residual`, (points,); by default the squared frequency bound."""
         return self.frequency_bound(points) ** 2
 
     def linear_stability(self, points: Points, flags: Flags) -> tuple[Flags, Array]:
-        """From the linear equations, or by the family where these have no steady frame."""
+        """Stability by the formula of the family if it has one, else from the linear equations."""
         stable, growth = super().linear_stability(points, flags)
         remaining = np.flatnonzero((flags > 0) & ~unsteady(self, flags) & (stable == Stability.UNKNOWN))
         if remaining.size:
@@ -122,14 +122,14 @@ class Gyrostat(System):
         return stable, growth
 
     def with_defaults(self, body: Mapping[str, float]) -> Points:
-        """Every parameter of one body, arrays (1,); those left out take their defaults."""
+        """Every parameter of one body, arrays (1,); missing ones take their defaults."""
         return {k: np.full(1, float(body.get(k, p.default))) for k, p in self.parameters.items()}
 
     def frequencies(self, points: Points, flags: Flags) -> Array:
         """Frequencies of small oscillations about steady motions, rad per time unit, the largest first, (points, 3).
 
-        flags: families, of which only whether there is one counts. nan for exponents that are 0 or have a real part, off every
-        family, and where the linear equations are periodic.
+        flags: families, 0: none, which gives nan. nan also for exponents that are 0 or have a real part, and where the linear
+        equations are periodic.
         """
         result, members = np.full((flags.size, 3), np.nan), np.flatnonzero(flags > 0)
         with np.errstate(all="ignore"):
@@ -139,7 +139,7 @@ class Gyrostat(System):
         return result
 
     def energy_stability(self, points: Points, flags: Flags) -> Flags:
-        """Whether steady motions are minima of the energy on the level of what internal dissipation keeps, as EnergyStability."""
+        """Whether steady motions minimise the energy at the momenta that internal dissipation conserves, as EnergyStability."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         part = subset(points, members)
         body, start = self.body(part), self.start(part)
@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Whether steady motions are stable by the energy with every momentum held, and where by that about an axis of symmetry."""
+        """Stability by the energy at fixed momenta, as EnergyStability, and where it holds for a body with an axis of symmetry."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)
@@ -159,13 +159,13 @@ class Gyrostat(System):
         return result, symmetric & (result == EnergyStability.YES)
 
     def conserves_axial_momentum(self, points: Points) -> Mask:
-        """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through it alone."""
+        """Where C w3 + rotor is constant, so that the motion of the third axis depends on spin and rotor through this sum alone."""
         return np.zeros(shape_of(points), bool)
 
     def despun(self, points: Points) -> tuple[Points, Array]:
-        """Points with the same motion of the third axis, and how much larger their phi' is, rad per time unit, (points,).
+        """Points with the same motion of the third axis but slower rotation, and the excess of their phi', rad per time unit.
 
-        Without the rotor along the third axis, where C w3 + rotor is constant and the rotation is slower then: they are cheaper
+        Where C w3 + rotor is constant, the rotor is replaced by spin if that lowers the frequency bound: such points are cheaper
         to integrate accurately.
         """
         if not (rotor := self.axial_rotor):
@@ -182,9 +182,8 @@ class Gyrostat(System):
 def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array, duration: Array) -> Array:
     """Logarithm of the growth of a small distance from the steady motions over runs, (points,); nan: unknown.
 
-    It is growth_rate x duration unless the linear system varies more slowly than the run lasts: the run of a gyrostat that is
-    shorter than the period of the linear system may meet its unstable phases alone. There it is the growth from the start to
-    the end of the run, where that is larger than changes of the amplitude.
+    It is growth_rate x duration, except for a gyrostat whose run is shorter than the period of the linear system and may contain
+    its unstable phases alone: there the growth from start to end of the run counts, if it is more than a change of amplitude.
     """
     result = growth_rate * duration
     if not isinstance(system, Gyrostat):
@@ -212,7 +211,7 @@ def log_growth(system: System, points: Points, flags: Flags, growth_rate: Array,
 
 
 def _turning_motions(rest: Equilibria, body: Body, start: tuple[Array, Array, Array]) -> NDArray[np.int64]:
-    """Motions that are no equilibria, and turn steadily."""
+    """Indices of motions that turn steadily and are no equilibria."""
     moving = np.delete(np.arange(body.turn.size), rest.points)
     if not moving.size:
         return moving
@@ -221,7 +220,7 @@ def _turning_motions(rest: Equilibria, body: Body, start: tuple[Array, Array, Ar
 
 @shared
 def steady_families(system: Gyrostat, points: Points) -> Flags:
-    """Families of the steady motions of which frequencies and stability by the energy are given."""
+    """Flags of `oscillation_families`, 0 for motions with a varying rate."""
     flags = system.oscillation_families(points)
     return np.where(unsteady(system, flags), 0, flags)
 
@@ -246,7 +245,7 @@ def kinds_of_stability(system: Gyrostat, points: Points) -> Flags:
 
 
 def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
-    """Frequencies, the largest first, stability by the energy, and its kind."""
+    """Derived variables: three frequencies, stability by the energy, and the kind of stability."""
 
     def group_values(
         names: Collection[str], points: Points, duration: Array, pause: Callable[[], None]
@@ -279,7 +278,7 @@ def oscillation_variables(system: Gyrostat) -> dict[str, DerivedVariable]:
 def stability_kind(linear: Flags, growth: Array, energy: Flags, axial: Mask | bool = False) -> Flags:
     """Values of flags.StabilityKind, (points,), from linear stability, growth rate and stability by the energy.
 
-    axial: where the energy decides with the momentum about an axis of symmetry.
+    axial: where the energy proves stability at a fixed momentum about an axis of symmetry.
     """
     stable = linear == Stability.STABLE
     kinds = {

@@ -1,4 +1,4 @@
-"""Equations of the families of steady motions of the satellite, and their quantities.
+"""Equations of the families of steady motions of the satellite, and the quantities in them.
 
 `families` explains the short names, the equations (*) and the scales of the residuals.
 """
@@ -16,14 +16,14 @@ from .initial import body_vectors, directions, drag_vector
 
 
 def sine_cosine(angle: Array) -> tuple[Array, Array]:
-    """sin and cos, zero where only the rounding of pi keeps them from it."""
+    """sin and cos of an angle; magnitudes below 1e-14, which come from the rounding of pi, become 0."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.where(np.abs(sine) < 1e-14, 0.0, sine), np.where(np.abs(cosine) < 1e-14, 0.0, cosine)
 
 
 @shared
 def tilt(p: Points) -> tuple[Array, Array]:
-    """s and c."""
+    """s = sin theta0 and c = cos theta0."""
     return sine_cosine(p["theta0"])
 
 
@@ -49,7 +49,7 @@ def rate_scale(p: Points) -> Array:
 
 @shared
 def momentum_scale(p: Points) -> Array:
-    """Largest moment of inertia times the sum of the rates, and the rotor's momentum."""
+    """Largest moment of inertia times the sum of the rates, plus the rotor's momentum."""
     return largest_inertia(p) * rate_scale(p) + np.sqrt(p["k1"] ** 2 + p["k2"] ** 2 + p["k3"] ** 2)
 
 
@@ -61,19 +61,19 @@ def magnetic_moment(p: Points) -> Array:
 
 @shared
 def field_torque(p: Points) -> Array:
-    """The largest torques of magnet and drag."""
+    """Sum of the largest torques of magnet and drag."""
     return magnetic_moment(p) * np.hypot(p["h1"], p["h3"]) + length(drag_vector(p))
 
 
 @shared
 def torque_scale(p: Points) -> Array:
-    """Rate times momentum, and the largest torques of magnet and drag."""
+    """Scale of rates times scale of momenta, plus the largest torques of magnet and drag."""
     return rate_scale(p) * momentum_scale(p) + field_torque(p)
 
 
 @shared
 def node_field(p: Points) -> tuple[Array, Array, Array]:
-    """H in the axes of the node: node, across it, third body axis."""
+    """Components of the field H along the node, across the node, and along the third body axis."""
     (s, c), (sp, cp) = tilt(p), node(p)
     return p["h1"] * cp, p["h3"] * s - p["h1"] * c * sp, p["h3"] * c + p["h1"] * s * sp
 
@@ -95,12 +95,12 @@ def rest_torque(p: Points, with_rotor: bool = True) -> tuple[Array, Array, Array
 
 
 def flatness(p: Points) -> Array:
-    """a - C."""
+    """a - C with a = (A + B) / 2."""
     return 0.5 * (p["A"] + p["B"]) - p["C"]
 
 
 def _pair(p: Points, factor: Array, imaginary: Array | float, real: Array) -> Array:
-    """factor K - (real + i imaginary) U, its real and its imaginary part."""
+    """Real and imaginary part of factor K - (real + i imaginary) U, (2, points)."""
     return np.array(
         [
             factor * p["k1"] - real * p["mu1"] + imaginary * p["mu2"],
@@ -117,7 +117,7 @@ def tilt_balance(p: Points) -> Array:
 
 
 def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
-    """The balance of the tilt over s, or over Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = drag3 cos psi0."""
+    """`tilt_balance` divided by s, or by Omega s; at s = 0 the limit, if h1 mu3 sin psi0 = drag3 cos psi0."""
     (s, c), (sp, cp) = tilt(p), node(p)
     radial = p["mu3"] * p["h1"] * c * sp - p["drag3"] * c * cp
     field = p["mu3"] * p["h3"] - np.where(radial == 0, 0.0, ratio(radial, s, np.nan))
@@ -126,7 +126,7 @@ def tilt_over_sine(p: Points, by_rate: bool = False) -> Array:
 
 
 def oblique_balance(p: Points, without_pole: bool = False) -> Array:
-    """The balance of an oblique axis; without_pole: times cos psi0."""
+    """Balance of an oblique axis; without_pole: times cos psi0, which removes the pole at cos psi0 = 0."""
     sp, cp = node(p)
     balance, drag = 3 * p["Omega"] ** 2 * tilt(p)[0] * sp * flatness(p) - p["h1"] * p["mu3"], p["drag3"] * sp
     return (

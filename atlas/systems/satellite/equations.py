@@ -8,7 +8,7 @@ unit vector along the radius, g (gamma) the unit normal of the orbit; beta = gam
     I w' = (I w + k) x w + 3 Omega^2 a x (I a) + H x mu + beta x drag - damping u,     H = h1 a + h3 g
     a' = a x u,   g' = g x u,                                                           u = w - Omega g
 
-Drag, of the potential drag.beta, and damping are not of the paper; with damping the Jacobi integral falls at the rate
+The paper has neither drag, with the potential drag.beta, nor damping; with damping the Jacobi integral falls at the rate
 damping u.u.
 
 Every function takes the state and the constants as sequences in the order of STATE and CONSTANTS and
@@ -39,7 +39,7 @@ OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 ONES = ("N", "Omega")
 # First integrals: name of the function below, and the power of a rate in its unit.
 INTEGRALS = {"jacobi": 2, "length_alpha": 0, "length_gamma": 0, "length_sum": 0, "axial_momentum": 1}
-# What damping takes of some of them: name of the function below that returns it per time.
+# First integral that damping changes -> name of the function below for its loss per time.
 LOSSES = {"jacobi": "jacobi_loss", "axial_momentum": "axial_momentum_loss"}
 
 
@@ -167,7 +167,7 @@ def axial_momentum(state, constants):
     return C * w3, k3
 
 
-# Losses, with one quotient of the damping, so that the balance also compares the three quotients.
+# Losses use damping_A alone, so that the balance also tests damping_B and damping_C.
 
 
 def jacobi_loss(state, constants):

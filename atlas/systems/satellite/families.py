@@ -1,7 +1,7 @@
 """The families of exact steady motions theta = theta0, psi' = n, phi' = m of the satellite.
 
-Together they are all of them for Omega > 0 without drag. They follow from the equations of motion of (1)-(3) of
-Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by asking that w' = n gamma + m e3 be a
+Together they are all such motions for Omega > 0 without drag. They follow from the equations of motion of (1)-(3) of
+Yehia & El-kenani 2021 (doi 10.22055/JACM.2021.37913.3113) by the condition that w' = n gamma + m e3 is a
 solution for all t; `tests/systems/test_satellite_families.py` proves each from those equations. Short names:
 c, s = cos, sin theta0; H = (h1 cos psi0, h3 s - h1 c sin psi0, h3 c + h1 s sin psi0) is the field in
 the axes of the node, where e3 is the third; w3 = (n + Omega) c + m; K = k1 + i k2, U = mu1 + i mu2;
@@ -10,14 +10,14 @@ a = (A + B) / 2. With n = 0 and A = B the motion is steady if and only if (m not
     w3 K = H3 U,   Omega s K = (H2 + i H1) U,   cos psi0 (3 Omega^2 s sin psi0 (a - C) - h1 mu3) = 0,
     Omega s (k3 + C m) = Omega^2 s c (a - C) (1 + 3 sin^2 psi0) + mu3 H2.                       (*)
 
-Drag along the third axis adds drag3 sin psi0 to the right side of the third equation, read as its part in braces times cos psi0,
-and drag3 c cos psi0 to that of the last: perp_radius and oblique have it, equilibrium any drag, the others none. With drag across
-the axis there are more motions, which the equations alone find.
+Drag along the third axis adds drag3 sin psi0 to the right side of the third equation and drag3 c cos psi0 to the right side of
+the last; perp_radius and oblique allow such drag, equilibrium any drag, the other families none. Drag across the axis allows more
+motions, which only the test of the equations finds.
 
-Their equations are in `conditions` and give the parameters in which they are linear. The families overlap; a point belongs to the first that holds, in the order of FAMILIES. Residuals are divided by natural scales: largest inertia J, rate
-w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(|mu| |h| / J), momentum J w + |k|, torque w (J w + |k|) + |mu| |h|, to which |mu| |h|
-drag adds |drag|. With Omega = 0 every
-family below is still exact, but a free or heavy body has more steady motions than these. With damping a steady
+`conditions` has the equations, which are solved for parameters in which they are linear. The families overlap; a point belongs
+to the first in the order of FAMILIES. Residuals are divided by scales: largest inertia J, rate
+w = Omega + |n s| + |n c + m| + |theta_dot0| + sqrt(T / J), momentum J w + |k|, torque w (J w + |k|) + T, T = |mu| |h| + |drag|.
+With Omega = 0 every family below is still exact, but a free or heavy body has more steady motions. With damping a steady
 motion keeps its Jacobi integral only at rest in the orbital frame, w' = 0: these motions alone remain.
 """
 
@@ -41,7 +41,7 @@ from .initial import body_vectors, directions, initial_state
 steady_motion = motion_of(about_third_axis, directions, lambda points: points["Omega"])
 
 
-# Angles, roots and what is not linear; the other parameters follow from the equations.
+# Solvers for parameters in which the equations are not linear.
 
 
 def _psi_on_velocity(p: Points) -> Array:
@@ -50,12 +50,12 @@ def _psi_on_velocity(p: Points) -> Array:
 
 
 def nearest_pole(name: str, p: Points) -> Array:
-    """The nearest of 0 and pi (mod 2 pi)."""
+    """The multiple of pi nearest to an angle."""
     return np.pi * np.round(p[name] / np.pi)
 
 
 def _theta(p: Points) -> Array:
-    """Tilt in [0, pi] from k3 and m; with h1 mu3 sin psi0 or drag3 cos psi0, where there are several, only near a value, else nan."""
+    """Tilt in [0, pi] from k3 and m; where h1 mu3 sin psi0 or drag3 cos psi0 gives several, the nearest to a wanted one, else nan."""
     sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)
@@ -70,7 +70,7 @@ def _theta(p: Points) -> Array:
 
 
 def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
-    """The angles in (-pi, pi] at which a function, harmonics of one angle up to the second, vanishes, nan for complex ones, (4, points)."""
+    """Zeros in (-pi, pi] of a trigonometric polynomial of degree 2 in one parameter, (4, points); nan for complex ones."""
     angles = np.arange(8.0).reshape(8, *(1,) * p[name].ndim) * np.pi / 4
     values = function(
         {each: value[None] + 0 * angles for each, value in p.items()} | {name: angles + 0 * p[name]}
@@ -110,7 +110,7 @@ def _rotor_at_rest(p: Points) -> tuple[Array, Array]:
 
 
 def _psi_oblique(p: Points) -> Array:
-    """sin psi0 = h1 mu3 / (3 Omega^2 s ((A + B)/2 - C)), on the side of the given cos psi0; with drag3 the nearest root off the plane of perp_radius."""
+    """psi0 from sin psi0 = h1 mu3 / (3 Omega^2 s (a - C)), with the given sign of cos psi0; with drag3 the nearest root."""
     sine = ratio(p["h1"] * p["mu3"], 3 * p["Omega"] ** 2 * tilt(p)[0] * flatness(p), np.nan)
     angle = np.arcsin(np.where(np.abs(sine) <= 1, sine, np.nan))
     angle = np.where(np.cos(p["psi0"]) < 0, np.pi - angle, angle)
@@ -319,7 +319,7 @@ _TABLE = (
         equations="derived from (1)-(3); not in the paper",
         conditions=(the.NO_SPIN, the.SYMMETRY_ABOUT_NORMAL, the.NO_RADIAL_TORQUE, the.NORMAL_ROTOR),
         solve=each(
-            # a rotor of which (n + Omega) k - h3 mu vanishes, and the normal
+            # a rotor with (n + Omega) k = h3 mu, and the normal
             partial(
                 _k_along,
                 lambda p: (ratio(p["h3"] * body_vectors(p)[2], p["n"] + p["Omega"], np.nan), directions(p)[1]),

@@ -112,7 +112,7 @@ def conserves_axial_momentum(points: Points) -> Mask:
 
 
 def integral_scales(points: Points) -> dict[str, Array]:
-    """Lower bound of the magnitude of each integral, nan where it has no balance; see System.integral_scales."""
+    """Lower bound of the scale of each integral, nan where it is not constant; see System.integral_scales."""
     axial = symmetric_about_third_axis(points)
     rates = sum(np.abs(points[name]) for name in ("Omega", "n", "m", "theta_dot0"))
     scales = dict.fromkeys(INTEGRALS, np.zeros_like(points["A"]))
@@ -164,10 +164,10 @@ def frequency_bound(points: Points) -> Array:
 
 
 def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str], set[tuple[str, str]]]:
-    """Constants that vanish without magnet, transverse rotor, orbit, drag or damping; those equal on an axially symmetric body.
+    """Constants that are 0 without magnet, transverse rotor, orbit, drag or damping, and pairs equal by axial symmetry.
 
-    Each set is a kernel to compile. So the term with k3 stays, as does D3 with damping and without magnet: both cost 3 %. An
-    asymmetric body keeps all of the rotor beside a magnet, for 10 %.
+    Each result is a kernel to compile, so some terms stay though they are 0: k3, or D3 with damping and no magnet, cost 3 % of
+    the time, the transverse rotor of an asymmetric body with a magnet 10 %.
     """
     magnet, drag = {"mu1", "mu2", "mu3", "h1", "h3"}, {"drag1", "drag2", "drag3"}
     rows = (

@@ -96,7 +96,7 @@ class Satellite(Gyrostat):
     )
 
     def possible_start(self, points: Points) -> Mask:
-        """Everywhere: numbers that overflow get the status not_finite."""
+        """True everywhere: points whose numbers overflow get the status not_finite."""
         return np.ones(shape_of(points), bool)
 
     def frame_rate(self, points: Points) -> Array:

@@ -1,4 +1,4 @@
-"""Check what is in the wheel and the source distribution of a folder: python scripts/tools/check_packages.py dist"""
+"""Check the contents of the wheel and the source distribution in a folder: python scripts/tools/check_packages.py dist"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Files that are in the source distribution besides every module of the package.
+# Files that the source distribution must have besides the modules of the package.
 SOURCES = (
     "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md",
     "configs/quickstart.toml", "scripts/quickstart.sh", "scripts/test.sh", "tests/conftest.py", "tests/small.toml",
@@ -28,7 +28,7 @@ def modules() -> set[str]:
 
 
 def missing(folder: Path) -> list[str]:
-    """What is missing in the wheel or the source distribution of a folder, and what is in the wheel by mistake."""
+    """Files that are missing in the wheel or the source distribution of a folder, and files that the wheel must not have."""
     (wheel,), (source,) = folder.glob("*.whl"), folder.glob("*.tar.gz")
     in_wheel = set(zipfile.ZipFile(wheel).namelist())
     with tarfile.open(source) as archive:

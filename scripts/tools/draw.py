@@ -1,4 +1,4 @@
-"""Draw the angles of the glossary, docs/angles.svg, the axes of the labels, docs/labels.svg, and the way of theory, docs/theory.svg.
+"""Draw the angles of the glossary, docs/angles.svg, the axes of the labels, docs/labels.svg, and the steps of theory, docs/theory.svg.
 
 python scripts/tools/draw.py [--out docs]
 """
@@ -21,7 +21,7 @@ from atlas.systems.satellite.initial import directions
 
 DOCS = Path(__file__).parents[2] / "docs"
 FRAME, BODY, ANGLE, PALE = "#262626", COLOURS["regular_precession"], "#b35806", "#9a9a9a"
-PSI, THETA, PHI = np.radians([52.0, 42.0, 48.0])  # of the body that is drawn
+PSI, THETA, PHI = np.radians([52.0, 42.0, 48.0])  # angles of the drawn body, rad
 X, Y, Z = np.eye(3)
 
 
@@ -131,7 +131,7 @@ def draw_top(axes: Axes) -> None:
     view = View(axes, azimuth=-60.0, elevation=10.0, centre=(0.1, 0.2), half=1.35)
     tilt = np.radians(155.0)
     e3 = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
-    gamma = -Z  # the page has its top up; theta is measured from gamma, which points down
+    gamma = -Z  # gamma points down on the page; theta is measured from gamma
     axis = np.array([e3[0], 0.0, -e3[2]])
     first, second = np.cross(axis, Y), Y
     for height, radius in ((0.62, 0.40), (0.70, 0.40)):
@@ -150,7 +150,7 @@ def draw_top(axes: Axes) -> None:
 
 
 def direction(tilt: float, azimuth: float) -> np.ndarray:
-    """Unit vector at angles from Z and, about it, from X, in degrees."""
+    """Unit vector at a tilt from Z and an azimuth about Z from X, in degrees."""
     t, a = np.radians([tilt, azimuth])
     return np.array([np.sin(t) * np.cos(a), np.sin(t) * np.sin(a), np.cos(t)])
 
@@ -233,7 +233,7 @@ BOXES = {
     "predicted": (0.93, 0.37, "predicted", ANGLE),
 }
 ARROWS = (
-    # from, to, text, its place
+    # from, to, text, place of the text
     ("equations", "steady", "", (0.0, 0.0)),
     ("steady", "label", "exactly", (0.42, 0.72)),
     ("steady", "none", "nearly", (0.445, 0.46)),
@@ -247,7 +247,7 @@ ARROWS = (
 
 
 def draw_theory(axes: Axes) -> None:
-    """The way from the equations to the label that theory predicts."""
+    """The steps from the equations to the label that theory predicts."""
     axes.set_xlim(0.0, 1.02)
     axes.set_ylim(0.0, 1.0)
     axes.axis("off")

@@ -1,9 +1,9 @@
-"""Run comparisons with independent computations and keep their counts, of which make_docs.py makes the table of docs/evidence.md.
+"""Run comparisons with independent computations and save their counts, from which make_docs.py writes the table of docs/evidence.md.
 
 python scripts/tools/evidence.py [--out docs/evidence.json] [--only NAME ...]
 
-Each is a command as the page prints it; what it prints or writes is counted, nothing is typed. All take about half an hour of one processor; with
---only the others stay as they are in the file.
+Each comparison is a command, which the page prints; its counts are read from the command's output or files. All comparisons take
+about half an hour of one processor; --only keeps the counts of the others in the file.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ import atlas
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "docs" / "evidence.json"
-LAST = -300  # characters of what a command that fails has printed
+LAST = -300  # last characters of the output of a failed command, which are shown
 
-Counts = tuple[int, int]  # how many were compared, how many of them differ
+Counts = tuple[int, int]  # numbers of compared items and of those that differ
 
 
 class Check(NamedTuple):
@@ -35,12 +35,12 @@ class Check(NamedTuple):
 
     what: str
     against: str
-    command: str  # in a folder in which ROOT's files have their names
-    counts: Callable[[str, Path], Counts]  # of what it prints, and of the folder
+    command: str  # run in a folder with links to the files of ROOT
+    counts: Callable[[str, Path], Counts]  # a function of its output and its folder
 
 
 def sums(compared: str, wrong: str) -> Callable[[str, Path], Counts]:
-    """Counts that are sums of the numbers that two patterns find in what is printed."""
+    """A function for `Check.counts`: sums of the numbers that two patterns find in the output."""
 
     def counts(text: str, folder: Path) -> Counts:
         found = [[int(number) for number in re.findall(pattern, text)] for pattern in (compared, wrong)]
@@ -50,20 +50,20 @@ def sums(compared: str, wrong: str) -> Callable[[str, Path], Counts]:
 
 
 def passed(text: str, folder: Path) -> Counts:
-    """Tests that ran and that failed."""
+    """Numbers of tests that ran and that failed."""
     good, bad = sums(r"(\d+) passed", r"(\d+) failed")(text, folder)
     return good + bad, bad
 
 
 def accuracy(text: str, folder: Path) -> Counts:
-    """Labels of the scene's own setting."""
+    """Numbers of compared and of wrong labels at the scene's own setting."""
     with (folder / "accuracy.csv").open(newline="") as file:
         (row,) = (row for row in csv.DictReader(file) if row["own_setting"] == "True")
     return int(row["labels_compared"]), int(row["labels_wrong"])
 
 
 def published(text: str, folder: Path) -> Counts:
-    """Numbers, and those that differ."""
+    """Numbers of published numbers, and of those that differ."""
     ((agreeing, count),) = re.findall(r"(\d+) of (\d+) numbers of others", text)
     return int(count), int(count) - int(agreeing)
 
@@ -147,7 +147,7 @@ CHECKS = {
 
 
 def row(check: Check) -> dict[str, str | int]:
-    """Run a comparison in a folder of its own, and count."""
+    """Run a comparison in a temporary folder; returns its row of the file."""
     words = shlex.split(check.command)
     command = [sys.executable, *(["-m", "atlas", *words[1:]] if words[0] == "atlas" else words[1:])]
     with tempfile.TemporaryDirectory() as name:

@@ -2,7 +2,7 @@
 
 python scripts/tools/fuzz_scenes.py [--count 20000] [--runs 500] [--points 500] [--seed 0]
 
-The exit code is 1 if there was any. Case I of seed S is reproduced by the same S; the list names it as S:I.
+The exit code is 1 if the list has an entry. Entry S:I is case I of seed S, and the same seed gives it again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SLOW = 5.0  # seconds
 
 
 def main() -> int:
-    """Try the cases; 1 if any had another outcome."""
+    """Try all cases; returns 1 if any had an outcome other than a result or BadInput."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=20_000, help="scenes to read and check")
     parser.add_argument("--runs", type=int, default=500, help="scenes to run")

@@ -1,11 +1,11 @@
-"""Make every figure of the gallery from its scene; with --docs also the pictures and the page in docs/.
+"""Make all figures of the gallery from their scenes; with --docs also the pictures and the page in docs/.
 
     python scripts/tools/gallery.py [--out FOLDER] [--only NAME ...] [--force] [--docs [DOCS]] [--count N]
 
-Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas there is
-used again if it comes from the same scene; --force computes all anew. --docs writes docs/gallery/*.png, the pages of some of
-the atlases beside them, docs/gallery.md and the paper's figures in docs/fixed_point_checks.md. All scenes take about five
-minutes on two cores.
+Atlases, and figures as PNG and PDF, are written to FOLDER, by default out/gallery of the repository. An atlas in FOLDER is
+used again if it is of the same scene; --force computes all atlases anew. --docs writes docs/gallery/*.png, the pages of some
+atlases in the same folder, docs/gallery.md and the figures of docs/fixed_point_checks.md. All scenes take about five minutes
+on two cores.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from atlas.systems import System
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAPER_FIGURES = (1, 4, 11)  # those shown in docs/fixed_point_checks.md
+PAPER_FIGURES = (1, 4, 11)  # of Amer et al. (2013), shown in docs/fixed_point_checks.md
 DPI = 300  # of the pictures in docs
-# Scenes whose pages are in the repository, with at most so many points each; scripts/docs.sh makes the others.
+# Scenes whose pages are in the repository, with at most PAGE_POINTS points each; scripts/docs.sh makes the other pages.
 PAGES = (
     "stability_cylindrical",
     "gravity_gradient",
@@ -55,7 +55,7 @@ BRANCHES = (
         "n", np.tan(np.linspace(-1.5, 1.5, 301)), "gamma",
     ),
 )  # fmt: skip
-# Its borders: file, system, body, ranges, and the spacing of points that are drawn beside them, half of it from 0; 0: none.
+# Borders in docs/branches.md: file, system, body, ranges, and spacing of the grid of points that is drawn too (0: no grid).
 BORDERS = (
     ("borders_island", "satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (0.83, 1.27), "k2": (-0.17, 0.17)}, 0.1),
     ("borders_cusps", "satellite", {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}, {"k1": (-2.6, 2.6), "k2": (-1.5, 1.5)}, 0.0),
@@ -72,14 +72,14 @@ class Picture:
 
     scene: str  # file in the folder without suffix
     caption: str
-    # The flag whose probability over the axis `draw` is drawn, and its variable; empty: the map of the atlas
+    # Flag, and its variable, of which the map shows the probability over the axis `draw`; empty: the map of the atlas
     probable: str = ""
     variable: str = "label"
-    folder: str = "configs"  # of the scene, or of an example whose system is not installed
+    folder: str = "configs"  # of the scene; that of an example has a system that is not installed
 
     @property
     def file(self) -> Path:
-        """The scene."""
+        """File of the scene."""
         return ROOT / self.folder / f"{self.scene}.toml"
 
     @property
@@ -294,7 +294,7 @@ PICTURES = (
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Write a figure for a page, with all its colours."""
+    """Write a figure for a page as PNG."""
     with rc_context(style.STYLE):
         figure.savefig(path, format="png", dpi=DPI, pil_kwargs={"optimize": True})
 
@@ -331,7 +331,7 @@ def is_example(picture: Picture) -> bool:
 
 
 def register_example(picture: Picture) -> None:
-    """Register the system of an example, which its package defines in its first module."""
+    """Register the system of an example, which the `__init__` of its package defines."""
     sys.path.insert(0, str(picture.file.parent))
     for kind in vars(importlib.import_module(picture.file.parent.name)).values():
         if isinstance(kind, type) and issubclass(kind, System) and getattr(kind, "name", "") == picture.scene:
@@ -339,7 +339,7 @@ def register_example(picture: Picture) -> None:
 
 
 def commands(picture: Picture) -> list[str]:
-    """The commands that make the figure, and the same in Python, as two blocks."""
+    """Two blocks of Markdown: the commands that make the figure, and the same in Python."""
     name = picture.scene
     run = [f"atlas new {name}", f"atlas run {name}.toml"]
     scene = f'atlas.example("{name}")'
@@ -372,7 +372,7 @@ def is_current(file: Path, scene: atlas.Scene) -> bool:
 def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int | None) -> list[str]:
     """Compute the atlas of a picture if need be, and draw it; returns its section of the page."""
     file = out / f"{picture.scene}.nc"
-    if is_example(picture):  # scripts/docs.sh makes pages of the others
+    if is_example(picture):  # apart from the atlases whose pages scripts/docs.sh makes
         register_example(picture)
         (out / "examples").mkdir(exist_ok=True)
         file = out / "examples" / file.name
@@ -401,7 +401,7 @@ def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int
 def border_figure(
     system: str, body: dict[str, float], ranges: dict[str, tuple[float, float]], spacing: float
 ) -> Figure:
-    """The borders of bodies, and points of a grid that meets none of the regions between them."""
+    """The borders of bodies, and a grid of points, none of which is in the regions between the borders."""
     figure = atlas.borders(system, body, ranges).atlas.diagram()
     (ax,) = figure.axes
     for set_limits, limits in zip((ax.set_xlim, ax.set_ylim), ranges.values(), strict=True):
@@ -445,7 +445,7 @@ def main() -> None:
         print(f"{i} of {len(chosen)}: {picture.scene}", flush=True)
         lines += draw(picture, options.out, options.force, options.docs, options.count)
     if options.docs:
-        from amer2013_figures import figures  # whose folder make_docs puts on the path
+        from amer2013_figures import figures  # make_docs puts its folder on the path
 
         for number in PAPER_FIGURES:
             write_picture(figures.draw(number), options.docs / f"fixed_point_figure_{number:02d}.png")

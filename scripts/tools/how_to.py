@@ -1,4 +1,4 @@
-"""Run the blocks of docs/how_to.md, my_satellite.md, my_top.md and teaching.md that have a picture, and draw it into the folder of the page.
+"""Run the blocks of docs/how_to.md, my_satellite.md, my_top.md and teaching.md that draw a picture, and save it in the page's folder.
 
 python scripts/tools/how_to.py [--out docs] [--only NAME ...]
 """
@@ -20,12 +20,12 @@ from PIL import Image
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("how_to", "my_satellite", "my_top", "teaching")
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
-LARGEST = (1100, 600)  # pixels of a picture: the page has many
+LARGEST = (1100, 600)  # pixels; small, because a page has many pictures
 COLOURS = 128
 
 
 def blocks() -> dict[str, tuple[str, str]]:
-    """Page and block of each picture by its name, in the order of the pages."""
+    """Page and code of each picture, by the name of the picture, in the order of the pages."""
     of_pictures = {}
     for page in PAGES:
         text = (DOCS / f"{page}.md").read_text()
@@ -36,7 +36,7 @@ def blocks() -> dict[str, tuple[str, str]]:
 
 
 def draw(name: str, page: str, block: str, out: Path) -> None:
-    """Run a block in a folder of its own, with the modules of its page, and keep its picture, small and with few colours."""
+    """Run a block in a temporary folder, with the modules of its page, and save its picture, small and with few colours."""
     texts = BLOCK.findall((DOCS / f"{page}.md").read_text())
     modules = {match[1]: text for text in texts if (match := re.match(r"# (\w+)\.py\n", text))}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):

@@ -5,8 +5,8 @@
 Random motions are compared with DOP853 at its smallest tolerance, motions of the catalogue with their closed
 forms. The error is the largest difference of a component of (w in units of the largest rate, alpha, gamma)
 at the end. Near sin theta = 0 the rates of the angles are unbounded, so a run in Euler angles counts as unresolved
-if it is not finite, if an angle turned by more than TURN in one step, if theta left (0, pi), if the Jacobi
-integral drifted by more than DRIFT or if half as many steps end more than HALVED away.
+if it is not finite, if an angle turned by more than TURN rad in one step, if theta left (0, pi), if the Jacobi
+integral drifted by more than DRIFT or if the error of half as many steps is above HALVED.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def run(points: Points, duration: float, steps: int, form: str) -> tuple[Array, 
 
 
 def integrate(points: Points, duration: float, steps: int, form: str) -> tuple[Array, np.ndarray]:
-    """As `run`, with Lagrange's form compared with half as many steps as well; see the module."""
+    """As `run`; for Lagrange's form the run is also compared with half as many steps, see the module."""
     state, resolved = run(points, duration, steps, form)
     if form == "Lagrange":
         with np.errstate(all="ignore"):
@@ -84,7 +84,7 @@ def integrate(points: Points, duration: float, steps: int, form: str) -> tuple[A
 
 
 def error(points: Points, state: Array, exact: Array) -> Array:
-    """Largest difference of the components at the end, (points,); inf where not finite."""
+    """Largest difference of two states in a component, see the module, (points,); inf where not finite."""
     first = initial_state(points)
     unit = np.maximum(points["Omega"], np.abs(first[:3]).max(0))
     scale = np.concatenate([np.broadcast_to(unit, (3, unit.size)), np.ones((6, unit.size))])
@@ -108,7 +108,7 @@ def reference(points: Points, duration: float) -> Array:
 def random_points(size: int, seed: int, **given: float | Array) -> dict[str, Array]:
     """Random bodies, rotors, magnets and starts of order 1, tilted by 0.5 to 2.6 rad."""
     rng = np.random.default_rng(seed)
-    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    absent = ("damping", "drag1", "drag2", "drag3")  # torques that the paper does not have
     names = [name for name in PARAMETERS if name not in absent]
     points = {name: rng.uniform(-1, 1, size) for name in names} | dict.fromkeys(absent, np.zeros(size))
     points |= {name: rng.uniform(0.7, 1.3, size) for name in ("A", "B", "C")}
@@ -125,7 +125,7 @@ def tilted(tilts: Array, psi0: float, family: str, **given: float) -> dict[str, 
 
 
 def cost(form: str, size: int, steps: int = 40) -> float:
-    """Nanoseconds for each point and step."""
+    """Time of one step of one point, ns."""
     points = random_points(size, 2)
     run(points, 0.2, 2, form)
     began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Write the tables of the pages in docs from the registries and from theory; --check compares only.
+"""Write the tables of the pages in docs from the registries and from theory; --check only compares them.
 
 python scripts/tools/make_docs.py [--check] [--docs FOLDER]
 """
@@ -47,7 +47,7 @@ OPERATORS = {*SIGNS, *"=<>+-/|()[]", "!="} - {"x", "*", ".", "..", "...", "{", "
 def with_formulas(text: str) -> str:
     """Prose with the formulas between its words, such as "stable for C > A", as LaTeX between dollars.
 
-    Code, links and formulas in LaTeX stay. A letter after a number, "2 s", is a unit, and one before a point an initial.
+    Code, links and LaTeX are not changed. A letter after a number, as in "2 s", is a unit; a letter before a point is an initial.
     """
     if text.startswith("|") and text.endswith("|"):  # a row of a table
         return "|".join(map(with_formulas, re.split(r"(?<!\\)\|", text[1:]))).join(["|", ""])
@@ -59,7 +59,7 @@ def with_formulas(text: str) -> str:
 
 
 def _set(text: str) -> str:
-    """The same of text without what stays."""
+    """`with_formulas` for text without code, links and LaTeX."""
     tokens = [(m[0], m.start(), m.end()) for m in TOKEN.finditer(text)]
     runs: list[list[tuple[str, int, int]]] = [[]]
     for token in tokens:
@@ -94,7 +94,7 @@ def _set(text: str) -> str:
 
 
 def _trim(run: list[tuple[str, int, int]], text: str) -> None:
-    """Remove what belongs to the prose from both ends of a run: articles, list marks, brackets and functions without argument."""
+    """Remove tokens of the prose from both ends of a run: articles, list marks, brackets and functions without argument."""
     while run:
         (first, start, end), last = run[0], run[-1][0]
         follows = run[1][0] if len(run) > 1 else ""
@@ -133,7 +133,7 @@ def _is_formula(token: str) -> bool:
 
 
 def _depth(run: list[tuple[str, int, int]]) -> int:
-    """Brackets that are open at the end of a run."""
+    """Number of brackets that are open at the end of a run."""
     words = [token for token, _, _ in run]
     return sum(words.count(sign) for sign in "([") - sum(words.count(sign) for sign in ")]")
 
@@ -247,7 +247,7 @@ def claim_table(system: System) -> str:
 
 
 def numbers(system: System) -> str:
-    """Table of the numbers of each source beside ours."""
+    """Tables of the published numbers of each source and of those of the package."""
     parts = []
     for source, group in groupby(published_numbers(system), key=lambda row: row["source"]):
         rows = list(group)
@@ -301,12 +301,12 @@ def _readings(row: dict[str, Any]) -> list[str]:
 
 
 def _effect(row: dict[str, Any]) -> str:
-    """What follows from a difference, else what the residuals measure."""
+    """The effect of a difference between the readings, or else the meaning of the residuals."""
     return _starred(with_formulas(row["effect"] or row["measure"]))
 
 
 def _starred(text: str) -> str:
-    """A text whose stars between formulas are stars."""
+    """A text in which stars outside formulas are escaped for Markdown."""
     return "".join(
         part if part[:1] == "$" else part.replace("*", r"\*") for part in re.split(r"(\$[^$]*\$)", text)
     )
@@ -318,7 +318,7 @@ def _rounded(residual: float | None) -> str:
 
 
 def evidence(folder: Path) -> str:
-    """Table of the counts that evidence.py has kept."""
+    """Table of the counts that evidence.py has saved."""
     rows = [("what", "against", "compared", "differ", "command")]
     for each in json.loads((DOCS / "evidence.json").read_text()).values():
         counts = (f"{each[name]:,}".replace(",", "\N{NO-BREAK SPACE}") for name in ("compared", "differ"))
@@ -327,7 +327,7 @@ def evidence(folder: Path) -> str:
 
 
 def rooms(folder: Path) -> str:
-    """Table of the packages in a folder: their sentence and the number of their lines, and in one row the modules beside them."""
+    """Table of the packages in a folder: first sentence, number of lines; modules of the folder itself share one row."""
     rows, beside = [("room", "contents", "lines")], []
     for path in sorted(folder.iterdir()):
         if (path / "__init__.py").is_file() and path.name != "extensions":

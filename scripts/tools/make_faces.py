@@ -49,7 +49,7 @@ def imports_of(function: FunctionType) -> set[str]:
 
 
 def declaration(function: FunctionType, name: str, method: bool) -> str:
-    """The line of a function, or of a method of which the first parameter is the dataset."""
+    """The line that declares a function, or a method, whose first parameter, the dataset, becomes self."""
     signature = inspect.signature(function)
     if method:
         own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -58,7 +58,7 @@ def declaration(function: FunctionType, name: str, method: bool) -> str:
 
 
 def stub() -> str:
-    """Text of the stub."""
+    """Text of the stub file."""
     parts = {
         kind: {
             name: extension.load(kind, name)

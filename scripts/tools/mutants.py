@@ -1,8 +1,8 @@
-"""Put wrong expressions into copies of the package, one at a time, and list those that the nearest tests do not see.
+"""Put wrong expressions (mutants) into copies of the package, one at a time, and list which of them the nearest tests kill.
 
 python scripts/tools/mutants.py [SEED [COUNT [SKIP]]] > TABLE     (53 60 0)
 
-Modules are drawn in proportion to their lines. A test kills a mutant if it fails with it and passes without.
+Modules are drawn in proportion to their lines. A test kills a mutant if it fails with the mutant and passes without.
 """
 
 import ast
@@ -18,7 +18,7 @@ from pathlib import Path
 from random import Random
 
 PYTEST = f'ulimit -d 8388608; ulimit -t 240; exec "{sys.executable}" -m pytest -xqrfE --tb=no "$@"'
-KERNELS = ".pytest_cache/kernels"  # as in tests/conftest.py, where no variable names another folder
+KERNELS = ".pytest_cache/kernels"  # the default of tests/conftest.py
 IGNORED = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".[mr]*_cache", ".hypothesis", "out")
 OTHER = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Eq: ast.NotEq, ast.Add: ast.Sub, ast.Mult: ast.Div}
 OTHER |= {"min": "max", "minimum": "maximum", "argmin": "argmax", "any": "all", "sin": "cos", "zeros": "ones"}
@@ -29,7 +29,7 @@ TEXTS = {ast.List, ast.Set, ast.Tuple, ast.JoinedStr}
 
 
 def expressions(node):
-    """Nodes from one downwards, without messages, types and looks of figures."""
+    """A node and all nodes below it, without messages, types and styles of figures."""
     function = ast.unparse(node.func).split(".")[-1] if isinstance(node, ast.Call) else ""
     generic = ast.unparse(node.value).split(".")[-1] if isinstance(node, ast.Subscript) else ""
     is_fixed = function in MESSAGES or re.fullmatch(r"[A-Z]\w*[a-z]\w*|dict|tuple", generic)
@@ -40,7 +40,7 @@ def expressions(node):
 
 
 def changes(node):
-    """Wrong expressions in the place of one; sizes and tolerances stay."""
+    """Wrong expressions for one node; large and small constants, which are sizes and tolerances, are not changed."""
     match node:
         case ast.BinOp(left, op, right) if type(op) in OTHER and not TEXTS & {type(left), type(right)}:
             return [ast.BinOp(left, OTHER[type(op)](), right), left, right]
@@ -61,7 +61,7 @@ def changes(node):
 
 
 def draw(trees, seed):
-    """Files and nodes in random order without end, each with its text and a wrong expression."""
+    """Endless random sequence of (file, node, text of the node, text of a wrong expression)."""
     rng, lines = Random(seed), [tree.body[-1].end_lineno if tree.body else 0 for tree in trees.values()]
     left = {file: [node for node in expressions(tree) if changes(node)] for file, tree in trees.items()}
     for file in iter(lambda: rng.choices(list(trees), lines)[0], None):
@@ -72,7 +72,7 @@ def draw(trees, seed):
 
 
 def nearest(file, text, tests):
-    """Test files that share rare words with a module, or words of its path."""
+    """The three test files that share most rare words, or words of the path, with a module."""
     own, scores = set(re.findall(r"\w+", text)), {}
     holders = Counter(word for words in tests.values() for word in words)
     for test, words in tests.items():
@@ -83,7 +83,7 @@ def nearest(file, text, tests):
 
 
 def outcome(tree, *arguments):
-    """First test that fails, or what else happened; a process gets 8 GiB, 240 s of a processor and, where others work, 1000 s."""
+    """First test that fails, or another outcome; limits: 8 GiB, 240 s of processor time, 1000 s of wall-clock time."""
     variables = os.environ | {"PYTHONPATH": str(tree), "ATLAS_CACHE": str(tree / KERNELS)}
     command = ["sh", "-c", PYTEST, "sh", f"--basetemp={tree}.tests", *arguments]
     try:

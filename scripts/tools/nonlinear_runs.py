@@ -1,12 +1,12 @@
-"""Excursions of gyroscopic motions of symmetric satellites in long runs, by what theory says of their nonlinear stability.
+"""Excursions of gyroscopically stabilised symmetric satellites in long runs, by their nonlinear stability from theory.
 
     python scripts/tools/nonlinear_runs.py [--points N] [--duration T] [--nudges ANGLE ...] [--starts N]
 
-Random cylindrical motions and motions perpendicular to the velocity, with rotor and axial magnet, that gyroscopic terms alone make
-stable and the normal form proves stable, and motions at the resonances 2:1 and 3:1. Each starts in random directions from its
-steady motion, with its momentum about the axis. The table lists the range of theta over the run, as a multiple of its range over
-the first periods, the largest of all starts: its median, its 95th percentile and its largest value over the motions. A region of
-stability may be small: near a resonance excursions stay bounded for small nudges alone. Takes about two minutes.
+The motions are random cylindrical motions and motions perpendicular to the velocity, with rotor and axial magnet, that gyroscopic
+terms alone make stable and the normal form proves stable, and motions at the resonances 2:1 and 3:1. Runs start from each steady
+motion with nudges in random directions that keep the momentum about the axis. The excursion of a motion is the range of theta over
+the run, over its range in the first periods, the largest of all starts. The table has the median, the 95th percentile and the maximum
+over the motions. Near a resonance excursions stay bounded for small nudges alone. Takes about two minutes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from atlas.systems.base import Array, derived_values
 from atlas.systems.satellite import SATELLITE
 
 Points = dict[str, Array]
-PERIODS = 3  # of the slow oscillation, with whose range that of the run is compared
+PERIODS = 3  # of the slow oscillation, whose range of theta is the unit of that of the run
 NAMES = ("nonlinear_stability", "stability_kind", "frequency_1", "frequency_2")
 
 
@@ -43,12 +43,12 @@ def random_points(count: int, rng: np.random.Generator) -> Points:
 
 
 def theory(points: Mapping[str, Array]) -> dict[str, Array]:
-    """Kinds of stability and frequencies."""
+    """Kinds of stability and frequencies of points, by name."""
     return derived_values(SATELLITE, NAMES, points, np.ones(len(points["A"])), lambda: None)
 
 
 def gyroscopic(count: int) -> Points:
-    """So many points that gyroscopic terms alone make stable, and that are proved stable."""
+    """At most `count` points that gyroscopic terms alone make stable, and that are proved stable."""
     points = random_points(40 * count, np.random.default_rng(0))
     values = theory(points)
     proved = values["nonlinear_stability"] == NonlinearStability.ARNOLD_MOSER
@@ -57,7 +57,7 @@ def gyroscopic(count: int) -> Points:
 
 
 def resonant(ratio: int, sigma: float, low: float, high: float, tilted: bool = False) -> Points:
-    """A motion with this ratio of frequencies, at a momentum of the cylindrical motion, or a tilt, between two values."""
+    """A motion with this ratio of frequencies; low, high: limits of the momentum of a cylindrical motion, or of the tilt."""
 
     def at(value: float) -> Points:
         points = dict(SATELLITE.with_defaults({"C": sigma}))
@@ -74,13 +74,13 @@ def resonant(ratio: int, sigma: float, low: float, high: float, tilted: bool = F
 
 
 def excursions(points: Mapping[str, Array], duration: float, nudge: float, starts: int) -> Array:
-    """Range of theta over the run, over that in the first periods, the largest of several starts, (points,)."""
+    """Range of theta over the run, over the range in the first periods, the largest of several starts, (points,)."""
     directions = np.random.default_rng(1).normal(size=(starts, 4))
     directions *= nudge / np.linalg.norm(directions, axis=1)[:, None]
     slow = np.tile(theory(points)["frequency_2"], starts)
     theta, psi, theta_rate, psi_rate = directions.repeat(len(points["A"]), axis=0).T
     start = {name: np.tile(column, starts) for name, column in points.items()}
-    # The momentum about the axis stays.
+    # m, so that the nudge keeps the momentum about the axis.
     axial = start["m"] + start["Omega"] * np.cos(start["theta0"])
     start |= {
         "theta0": start["theta0"] + theta,

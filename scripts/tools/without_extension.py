@@ -1,6 +1,6 @@
 """Run tests in a copy of the checkout without extensions: python scripts/tools/without_extension.py plane [tests/scene ...]
 
-What follows the names of the extensions goes to pytest. Nothing of this checkout is changed.
+Arguments after the names of the extensions go to pytest. This checkout is not changed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def copy_without(names: set[str], folder: Path) -> None:
         if not name.startswith(left_out):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
-    # The metadata that comes first on the path counts, so that the copy needs no environment of its own.
+    # Python uses the metadata that comes first on its path, so that the copy needs no environment of its own.
     installed = distribution("precession-atlas")
     metadata = folder / f"precession_atlas-{installed.version}.dist-info"
     metadata.mkdir()

@@ -1,10 +1,10 @@
-"""What the labels about any axis cost the scenes that ask for them.
+"""Cost of labels about any axis, in scenes that ask for them.
 
     python scripts/benchmarks/bench_any_axis.py [--points 1024] [--rounds 9] [--systems satellite] [--methods rk4]
 
-Random points with all terms are integrated by the kernel that measures no circles, and by those that measure them in one
-frame and in two. Times are processor time of one thread; a ratio is the median over rounds in which all run in turn.
-States and other statistics are compared bit by bit.
+Random points with all terms are integrated by three kernels, which measure circles in no frame, in one and in two. Times are
+processor times of one thread; a ratio is the median over rounds in which the kernels take turns. States and other statistics are
+compared bit by bit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def random_points(system: System, count: int) -> Points:
 
 
 def measure(system: System, method: str, count: int, rounds: int) -> None:
-    """Print the ratios of a system and a method."""
+    """Print the ratios of times for a system and a method."""
     points, settings = random_points(system, count), Settings(method=method).at(1e-5)
     choices = (0, 1) if system.frame_rate is None else (0, 1, 2)
     ensembles = [Ensemble.of(system, points, CIRCLES[:frames]) for frames in choices]

@@ -2,8 +2,8 @@
 
     python scripts/benchmarks/bench_catalogue.py [--points 1000000]
 
-A third of the points start off every family, a third on perp-velocity motions and a third on cylindrical
-ones, so that closed forms of stability are evaluated. Eigenvalues and multipliers are timed on fewer points.
+A third of the points start on no family, a third on motions of perp_velocity and a third on cylindrical motions, whose
+stability has closed forms. Eigenvalues and multipliers are timed on fewer points.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SATELLITE = get("satellite")
 def random_points(size: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random bodies and starts of order 1; a third on perp_velocity, a third on cylindrical without magnet."""
     rng = np.random.default_rng(seed)
-    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    absent = ("damping", "drag1", "drag2", "drag3")  # torques that the paper does not have
     names = [name for name in SATELLITE.parameters if name not in absent]
     points = {name: rng.uniform(0.3, 1.3, size) for name in names} | dict.fromkeys(absent, np.zeros(size))
     points |= {name: rng.uniform(0.7, 1.3, size) for name in "ABC"}
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def print_numeric_stability(count: int) -> None:
-    """Print the time of a point whose stability needs eigenvalues, or Floquet multipliers."""
+    """Print the time of a point whose stability follows from eigenvalues, or from Floquet multipliers."""
     points = random_points(3 * count, 1)
     points = {name: values[:count] for name, values in points.items()}
     rest = ("n", "m", "theta_dot0", "mu1", "mu2", "mu3", "theta0", "psi0", "phi0")

@@ -1,11 +1,11 @@
 """Processor time of the commands `atlas map` and `atlas page`, imports included.
 
-Of the first round, which may compile kernels and trace lines of theory that are not in the cache, and the best of those
-after it.
+Two times: of the first round, which may compile kernels and trace lines of theory that are not in the cache, and of the best
+later round.
 
 python scripts/benchmarks/bench_drawing.py ATLAS ... [--rounds N] [--python OTHER/bin/python ...]
 
-Other interpreters, in whose environments other versions are installed, take turns with this one.
+Other interpreters, with other versions of the package in their environments, take turns with this one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""Three jobs on one run, each killed so many times at random moments and started again, in a folder and on an S3 server.
+"""Three jobs on one run, each killed several times at random moments and started again, in a folder and on an S3 server.
 
 python scripts/benchmarks/bench_elastic.py [POINTS] [--kills 10] [--places folder s3] [--refined | --scene FILE]
 
-Prints the time, the largest memory of a job, and whether every value equals that of a run that nobody killed. Needs moto[s3], flask and flask-cors.
+Prints the time, the largest memory of a job, and whether all values equal those of an undisturbed run. Needs moto[s3], flask and
+flask-cors.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import atlas
 
 
 def server() -> str:
-    """Start a server of S3 with a bucket, for this process and those that it starts; its address."""
+    """Start an S3 server with a bucket, for this process and its children; returns the address of the server."""
     code = (
         "import sys; from moto.server import ThreadedMotoServer as S; s = S('127.0.0.1', 0, verbose=False); s.start();"
         "print('http://%s:%d' % s.get_host_and_port(), flush=True); sys.stdin.read()"
@@ -70,7 +71,7 @@ def run_with_kills(folder: Path, out: str, kills: int, jobs: int, pause: float) 
             if process.returncode == -9:
                 killed, remaining[job] = killed + 1, remaining[job] - 1
             elif process.returncode == 0 or (out.endswith(".zarr") and process.returncode == 2):
-                # 2: it began when the store was finished
+                # 2: the job began after the store was finished
                 del remaining[job]
             else:
                 sys.exit(f"exit {process.returncode}")
@@ -107,11 +108,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         size = int(options.points)
-        case = scene(folder, size, duration=1.0)  # so short that points cost, not steps
+        case = scene(folder, size, duration=1.0)  # short, so that the cost is in points, not in steps
         if options.scene:
             (folder / "scene.toml").write_text(options.scene.read_text())
         elif options.refined:
-            side = int(size**0.5) // 16 + 1  # before four levels
+            side = int(size**0.5) // 16 + 1  # of the coarse grid, before four levels
             text = (
                 (folder / "scene.toml").read_text().replace(f"count = {case.shape[0]}", f"count = {side}", 1)
             )

@@ -1,17 +1,17 @@
-"""Speed of the compiled kernels, and how close they come to what the processor can issue.
+"""Speed of the compiled kernels, and its share of the processor's limit for issuing instructions.
 
     python scripts/benchmarks/bench_engine.py [--points 4096] [--steps 16000] [--repeat 7] [--scene SCENE]
 
-Every kernel integrates random points with all terms present, or without those that vanish, with statistics and
-first integrals on. Speeds on one core are in processor time, the best of all rounds, because disturbances only ever
-slow a kernel down. Ratios are medians over rounds in which both sides run in turn.
+Every kernel integrates random points with all terms present, or with some parameters 0, with statistics and first
+integrals. Speeds are in processor time on one core, the best of all rounds, because disturbances only slow a kernel
+down. Ratios are medians over rounds in which both kernels take turns.
 
-The share of the issue limit compares two times for one step of one vector of points: the time which this
-processor needs for the packed floating-point instructions of the compiled step (counted in its assembly) when they
-are independent and all operands stay in registers, measured in the same run, and the time which the kernel takes,
-statistics included. Multiplications and fused multiply-adds on the one hand and additions on the other may use
-different units, so the limit is measured with the step's own proportion of the two. Shares are given on x86 only; one
-above 100 % means that the count or the limit is wrong, and makes the script fail.
+The share of the issue limit is the quotient of two times for one step of one vector of points. The first is measured for
+the packed floating-point instructions of the compiled step (counted in its assembly) as independent instructions with
+all operands in registers; the second is that of the kernel, statistics included. Multiplications with fused
+multiply-adds, and additions, may use different units of the processor, so the first time has the step's own proportion of
+the two. Shares are printed on x86 only; a share above 100 % means that the count or the limit is wrong, and makes the
+script fail.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from atlas.variables import default_variables
 
 ROOT = Path(__file__).parents[2]
 MAGNET, ROTOR = frozenset({"mu1", "mu2", "mu3"}), frozenset({"k1", "k2", "k3"})
-# System, method, parameters that are zero, and the same in words.
+# System, method, parameters that are zero, and their description.
 CASES = (
     ("satellite", "rk4", frozenset(), "all terms"),
     ("satellite", "rk4", MAGNET, "no magnet"),
@@ -91,7 +91,7 @@ def random_points(system: str, count: int, rng: np.random.Generator) -> dict[str
 
 
 class Case:
-    """One kernel with points to integrate, as an atlas run does; all use of the engine is here."""
+    """One kernel with points to integrate, as in the run of an atlas."""
 
     def __init__(self, name: str, method: str, zero: frozenset[str], count: int, steps: int):
         system = SYSTEMS[name]
@@ -116,7 +116,7 @@ class Case:
         self.ensemble.integrate(self.kernel, self.step_sizes, 1e-5, threads=blocks.Threads(threads))
 
     def assembly(self) -> str:
-        """Assembly of the kernel, compiled again because Numba does not show what came from its cache."""
+        """Assembly of the kernel, compiled again because Numba does not show that of a cached one."""
         namespace: dict[str, Any] = {}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -126,10 +126,10 @@ class Case:
 
 
 def step_instructions(assembly: str) -> Instructions | None:
-    """Count the packed arithmetic of the step: the innermost loop with most of it and no division. None: none found.
+    """Count the packed arithmetic of the step, or None if there is none.
 
-    The step is the loop over the points of a block, in vectors, so that one pass advances one vector. Only the loops of
-    the statistics divide.
+    The step is the loop over the points of a block, which advances one vector in a pass: the innermost loop with most packed
+    arithmetic and no division, because only the loops of the statistics divide.
     """
     labels: dict[str, int] = {}
     loops: list[tuple[int, int]] = []
@@ -153,10 +153,10 @@ def step_instructions(assembly: str) -> Instructions | None:
 
 
 def peak_kernel(step: Instructions) -> Callable[[int], float]:
-    """A loop of independent packed instructions in registers, products and sums in the proportion of a step.
+    """A loop of independent packed instructions in registers, with the proportion of products and sums of a step.
 
-    One round issues PEAK_INSTRUCTIONS; each accumulator depends on itself only, and there are as many as registers
-    allow, so that the latency of an instruction never counts.
+    One round issues PEAK_INSTRUCTIONS. Each accumulator depends on itself only, and there are as many accumulators as
+    registers allow, so that the latency of instructions has no effect.
     """
     chains = 24 if step.lanes == 8 else 12
     vector = ir.VectorType(ir.DoubleType(), step.lanes)
@@ -210,7 +210,7 @@ def peak_kernel(step: Instructions) -> Callable[[int], float]:
 
 
 def scalar_kernel() -> Callable[[np.ndarray, np.ndarray, int], None]:
-    """The same right-hand side with rk4 in plain Numba, one point at a time, without statistics."""
+    """rk4 of the satellite's equations in plain Numba, one point at a time, without statistics."""
     equations = SYSTEMS["satellite"].equations
     rhs, n_constants = njit(equations.rhs), len(equations.CONSTANTS)
 
@@ -232,7 +232,7 @@ def scalar_kernel() -> Callable[[np.ndarray, np.ndarray, int], None]:
                 k3 = rhs(advance(y, h / 2, k2), c)
                 k4 = rhs(advance(y, h, k3), c)
                 y = advance(advance(advance(advance(y, h / 6, k1), h / 3, k2), h / 3, k3), h / 6, k4)
-            states[p, 0] = y[0] + y[3] + y[6]  # so that nothing is optimised away
+            states[p, 0] = y[0] + y[3] + y[6]  # a use of all results, so that the compiler keeps them
 
     return scalar
 
@@ -246,9 +246,9 @@ def seconds(work: Callable[[], object], clock: Callable[[], float] = time.proces
 
 @dataclass
 class Timings:
-    """Times of all rounds, s."""
+    """Times of all rounds, s: processor times on one core, except `wall`."""
 
-    kernels: list[list[float]]  # of each case, processor time on one core
+    kernels: list[list[float]]  # of each case
     peaks: list[list[float]]  # of the peak loop of each case; empty where its instructions are unknown
     scalar: list[float]
     wall: dict[int, list[float]]  # of the first case, by the number of threads
@@ -283,7 +283,7 @@ def ratio(slow: list[float], fast: list[float]) -> float:
 
 
 def print_kernels(cases: list[Case], steps: list[Instructions | None], timings: Timings) -> bool:
-    """Print the table of kernels as Markdown; returns whether every share is possible."""
+    """Print the table of kernels as Markdown; returns whether no share is above 100 %."""
     print("\n| kernel | ns per point and step, one core | instructions of a step | share of the issue limit |"
           " time saved | first call |")  # fmt: skip
     print("|---|---|---|---|---|---|")
@@ -319,7 +319,7 @@ def print_machine(steps: list[Instructions | None], points: int, rk4_steps: int,
 
 
 def engine(points: int, rk4_steps: int, repeat: int) -> bool:
-    """Measure and print all kernels; returns whether every share of the limit is possible."""
+    """Measure and print all kernels; returns whether no share of the limit is above 100 %."""
     cases = [
         Case(system, method, zero, points, rk4_steps if method == "rk4" else rk4_steps // RK8_SHARE)
         for system, method, zero, _ in CASES
@@ -339,7 +339,7 @@ def tangent_run(*arguments) -> None:
 
 
 def tangent_cost(count: int, steps: int, repeat: int) -> None:
-    """Print the time of a step with a tangent vector over that of a step of the state alone, and of one with statistics."""
+    """Print the time of a step with a tangent vector over that of a step of the state alone, and of a step with statistics."""
     for name, system in SYSTEMS.items():
         case = Case(name, TANGENT_METHOD.name, frozenset(), count, steps)
         sizes = case.step_sizes
@@ -367,7 +367,7 @@ def tangent_cost(count: int, steps: int, repeat: int) -> None:
 
 
 def labels_only(path: Path) -> None:
-    """Time a scene for all its variables against the same scene for its labels, whole runs."""
+    """Print the times of whole runs of a scene for all variables and for labels only."""
     scene = atlas.load_scene(path)
     all_variables = replace(scene, outputs=tuple(default_variables(scene.system)), map="")
     labels = replace(all_variables, outputs=("label", "status", "end_time"))

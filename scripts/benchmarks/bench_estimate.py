@@ -1,10 +1,10 @@
-"""How often the true error of the statistics exceeds ten times `error_estimate`, and that of the state the tolerance.
+"""Shares of points whose statistics err by more than ten times `error_estimate`, and whose final states err by more than the tolerance.
 
 python scripts/benchmarks/bench_estimate.py [--points 384] [--seed 0] [--systems satellite]
 
-Random satellites and bodies about a fixed point: short runs, runs to T = 20, starts beside the vertical at both poles,
-slender and symmetric bodies. The true error of a statistic is its difference from `rk8` at a tolerance of 1e-13. The error of
-the final state over the tolerance is given for random bodies to T = 50, and for points of some example scenes.
+The points are random satellites and bodies about a fixed point: short runs, runs to T = 20, starts near theta = 0 and pi, slender
+and symmetric bodies. The true error is the difference from `rk8` at a tolerance of 1e-13. The error of the final state over the
+tolerance is printed for random bodies to T = 50, and for points of some example scenes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ONE_AXIS = ("k1", "k2", "mu1", "mu2", "l1", "l2", "x0", "y0")
 def point_sets(
     system: str, rng: np.random.Generator, count: int
 ) -> Iterator[tuple[str, dict[str, np.ndarray], np.ndarray]]:
-    """Name, points and durations of every set."""
+    """Name, points and durations of every set of random points."""
     yield "runs of 0.5 to 8", random_points(system, count, rng), rng.uniform(0.5, 8, count)
     yield "runs of 20", random_points(system, count, rng), np.full(count, 20.0)
     points = random_points(system, count, rng)
@@ -74,7 +74,7 @@ def share_beyond(
 
 
 def random_scene(system: str, count: int, rng: np.random.Generator) -> tuple[Plan, Grid]:
-    """The plan of random bodies to T = 50, and these."""
+    """A plan for random bodies, and their points, with runs to T = 50."""
     points = {name: np.full(count, p.default) for name, p in SYSTEMS[system].parameters.items()}
     points |= random_points(system, count, rng)
     return Plan(SYSTEMS[system], Settings()), Grid(
@@ -90,7 +90,7 @@ def example_scene(name: str, count: int) -> tuple[Plan, Grid]:
 
 
 def errors_over_tolerance(plan: Plan, points: Grid, method: str, tolerance: float) -> str:
-    """Quantiles of the error of the final state over the tolerance; the share above it, and of these within ten times their estimate."""
+    """Cells of a row: quantiles of the error of the final state over the tolerance; share above 1; share of these within 10 estimates."""
     ensemble, states = Ensemble.of(plan.system, points.points), []
     settings = replace(plan.settings, method=method, tolerance=tolerance, step=None)
     for each in (settings, replace(settings, method="rk8", tolerance=1e-13)):

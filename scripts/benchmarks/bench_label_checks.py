@@ -2,8 +2,8 @@
 
     python scripts/benchmarks/bench_label_checks.py [--points 20000] [--method rk4]
 
-Slender bodies (C from 1e-3 to 0.1 of A): runs that ask for labels only, which end early, against whole runs. Bodies
-without an orbit (Omega = 0): against the same bodies as gyrostats about a fixed point, with Mg r_c = -h3 mu.
+Slender bodies (C from 1e-3 to 0.1 of A): runs for labels only, which end early, are compared with whole runs. Bodies without an
+orbit (Omega = 0) are compared with the same bodies as gyrostats about a fixed point, with Mg r_c = -h3 mu.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def random_bodies(size: int, low: float, high: float) -> dict[str, np.ndarray]:
 
 
 def counts(label: np.ndarray) -> str:
-    """Number of points with each label."""
+    """Numbers of points with each label, in words."""
     numbers = np.bincount(label, minlength=len(Label))
     return ", ".join(
         f"{name} {count}" for name, count in zip(Label.meanings(), numbers, strict=True) if count
@@ -39,7 +39,7 @@ def counts(label: np.ndarray) -> str:
 
 
 def slender(size: int, method: str) -> None:
-    """Labels-only runs against whole runs."""
+    """Compare runs for labels only with whole runs."""
     points, options = random_bodies(size, 1e-3, 0.1), {"duration": 5.0, "method": method}
     points["k3"] *= points["C"]  # a rotor as slow as the body
     whole = label_points("satellite", points, **options)
@@ -51,7 +51,7 @@ def slender(size: int, method: str) -> None:
 
 
 def no_orbit(size: int, method: str) -> None:
-    """Satellites with Omega = 0 against gyrostats about a fixed point."""
+    """Compare satellites with Omega = 0 with gyrostats about a fixed point."""
     points, options = random_bodies(size, 0.2, 1.9), {"duration": 20.0, "method": method}
     first = label_points("satellite", points | {"Omega": 0.0}, **options)
     same = {name: points[name] for name in ("A", "B", "C", "theta0", "phi0", "theta_dot0", "n", "m")}

@@ -2,8 +2,8 @@
 
 python scripts/benchmarks/bench_large.py [GIGABYTES] [TILES]      (default 100 50000)
 
-Of the store one chunk of each variable exists, to whose objects all others are hard links, so that it takes 0.1 GB of the disk; the tiles are copies with
-numbers of their own, and the join is compared with `cp -r`.
+All chunks of a variable in the store are hard links to one file, so that the store takes 0.1 GB of disk space. The tiles are
+copies with numbers of their own, and the join is compared with `cp -r`.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def prepare(path: Path, names: list[str], rows: int, columns: int) -> tuple[RunF
 
 
 def large_store(path: Path, gigabytes: float) -> None:
-    """A store with so many bytes of numbers."""
+    """Write a store with this size of numbers."""
     registry = variables(systems.get("satellite"))
     numbers = [n for n, v in registry.items() if v.dtype == "float64" and "equilibrium" not in n][:NUMBERS]
     names = [*FLAGS, *numbers]
@@ -100,7 +100,7 @@ def large_store(path: Path, gigabytes: float) -> None:
 
 
 def many_tiles(path: Path, count: int) -> None:
-    """A run folder of so many tiles of 8 points."""
+    """Write a run folder with `count` tiles of 8 points."""
     with patch.dict(os.environ, ATLAS_TILE_POINTS="8"):
         run, values = prepare(path, ["label", "status", "theta_dot_rms"], count, 8)
     header, columns = run.tiles.read(0)

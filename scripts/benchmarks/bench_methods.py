@@ -1,12 +1,12 @@
-"""Processor time of the methods at the tolerance of each scene, beside the estimate that `atlas check` prints.
+"""Processor time of the methods at the tolerance of each scene, compared with the estimate that `atlas check` prints.
 
 python scripts/benchmarks/bench_methods.py [SCENE ...] [--points 4096] [--rounds 3] [--method rk8]
 
-Without scenes, all scenes of configs/ that set a tolerance. One thread; the methods take turns, and the least time of
-the rounds counts. Points are integrated to the end of their runs, with all statistics; "with theory" is the time of
-everything that a tile of the scene needs, in which points may end when their label is certain. The cost of a step is in
-units of a step of rk4; its median over the scenes is the `step_cost` of the method in atlas/kernel/tableaux.py. "Other label"
-counts the points with different labels among those that both methods label, "unresolved" those without label by each.
+Default: all scenes of configs/ that set a tolerance. Times are of one thread; the methods take turns, and the least time of the
+rounds counts. Points are integrated to the end of their runs, with all statistics. "With theory" is the time of all work for
+the same points in a tile of the scene, where runs may end early. The cost of a step is in units of a step of rk4; its median over
+the scenes is the `step_cost` of the method in atlas/kernel/tableaux.py. "Other label" counts points with different labels by the
+two methods, "unresolved" points without a label by each.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 
 class Comparison:
-    """A method beside rk4 at some points of a scene."""
+    """A method compared with rk4 at some points of a scene."""
 
     def __init__(self, scene: Scene, count: int, rounds: int, method: str):
         indices = np.unique(np.linspace(0, scene.size - 1, count).round().astype(np.int64))
@@ -81,7 +81,7 @@ class Comparison:
 
 
 def seconds_in_turn(functions: Sequence[Callable[[], T]], rounds: int) -> tuple[list[float], list[T]]:
-    """Least processor time of each function over the rounds, and what it returned last."""
+    """Least processor time of each function over the rounds, s, and its last result."""
     least, results = [float("inf")] * len(functions), []
     for _ in range(rounds):
         results = []

@@ -1,4 +1,4 @@
-"""Size of pages, and how long it takes to make and to open them and to integrate a motion; needs Chromium.
+"""Size of pages, and the times to make a page, to open it and to integrate a motion in it; needs Chromium.
 
 python scripts/benchmarks/bench_page.py ATLAS ...
 """
@@ -20,7 +20,7 @@ import atlas  # noqa: E402
 from atlas.extensions.page.page import atlas_page  # noqa: E402
 
 OPENINGS = 3
-# ms from the request to the first paint, to the map, and of a click on the point in the middle.
+# Times in ms from the request to the first paint and to the map, and of the motion of the middle point; steps of this motion.
 TIMES = """
 (async () => {
   const paint = performance.getEntriesByName("first-contentful-paint")[0].startTime;

@@ -1,19 +1,18 @@
-"""Time per point at equal error, beside other integrators, as ratios measured in one run.
+"""Time per point at equal error, compared with other integrators by ratios measured in one run.
 
     python scripts/benchmarks/bench_peers.py [--rounds 3] [--only heyoka ...] [--docs .]
 
 The points are random satellites with Omega = 1, magnet and rotor, and random tops with rotor in the Newtonian field, to T = 50
-and to T = 1000, and slender satellites to T = 5, whose spin is fast for short times, where one step size for the whole run
-costs most in comparison with integrators that adapt it. Of the longer runs, and of the tops, only those count that amplify a
-small change by less than 2 T: the others end beyond what a reference can reach.
-Every integrator runs the same points on one processor, in the best way that its documentation gives, at a series of
-tolerances. All take turns; times are processor time, the best of all rounds, because disturbances only ever slow an
-integrator down. The others return the final state alone; this package is measured for the final state alone and with
-all means, standard deviations, extremes and first integrals. All get the equations without damping, in the units that
-make a factor 1. Errors are medians over the first points against SciPy's DOP853 at 3e-14; times are interpolated between
-tolerances to the errors asked for. A lane of the kernels is filled by points with equal steps, so that few points cost more each:
-the number of points is part of the result; of the longer runs this package gets each point several times. --docs writes the tables, the figure and the sentence of the README below a folder.
-Integrators that are not installed are skipped:
+and to T = 1000, and slender satellites to T = 5. The spin of the latter is fast for short times: a constant step size costs most
+in comparison with adaptive integrators. Tops, and points of the longer runs, are used only if they amplify a small change by less
+than 2 T, because no reference is accurate enough for the others.
+Every integrator runs the same points on one processor, in the best way of its documentation, at a series of tolerances. All take
+turns; times are processor times, the best of all rounds, because disturbances only slow an integrator down. The others return the
+final state alone; this package is measured for the final state alone, and with all means, standard deviations, extremes and first
+integrals. All get the equations without damping, in units that make a factor 1. Errors are medians over the first points against
+SciPy's DOP853 at 3e-14; times are interpolated between tolerances to given errors. The kernels need many points with equal steps
+to fill their lanes, so the number of points is part of the result; in the longer runs this package gets each point several times.
+--docs writes the tables, the figure and the sentence of the README below a folder. Integrators that are not installed are skipped:
 
     pip install -e ".[peers]"      (in a clone of the repository)
 """
@@ -56,8 +55,8 @@ from atlas.systems import SYSTEMS, arithmetic
 from atlas.systems.base import System
 
 SATELLITE, TOP = SYSTEMS["satellite"], SYSTEMS["fixed_point"]
-DRAWN = 8192  # points, of which --points takes the first: the same ones for any number
-WIDTH = 118  # of the lines of pages
+DRAWN = 8192  # random points, of which --points takes the first, so that these do not depend on their number
+WIDTH = 118  # of the lines of pages, characters
 TOP_RANDOM = ("x0", "y0", "z0", "N", "l1", "l2", "l3", "theta_dot0", "n", "m")
 SLOWER = ("n", "m", "theta_dot0", "k1", "k2", "k3", "h1", "h3")
 # (state, constants, duration, tolerance) -> final states; arrays of shape (rows, points)
@@ -67,7 +66,7 @@ Engine = Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
 def satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
     """Random satellites with every term of the paper present."""
     rng = np.random.default_rng(seed)
-    absent = ("damping", "drag1", "drag2", "drag3")  # not of the paper
+    absent = ("damping", "drag1", "drag2", "drag3")  # torques that the paper does not have
     names = [name for name in SATELLITE.parameters if name not in absent]
     points = {name: rng.normal(size=count) * 0.3 for name in names} | dict.fromkeys(absent, np.zeros(count))
     points |= {
@@ -79,7 +78,7 @@ def satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def slender(count: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """The same with C down to 0.01: a little energy on the third axis makes it spin fast for a while."""
+    """Random satellites with C down to 0.01, which spin fast about the third axis from time to time."""
     points = satellites(count, seed)
     C = 10.0 ** np.random.default_rng(seed + 1).uniform(-2, -1, count)
     return points | {"A": np.ones(count), "B": 1 + 0.5 * C, "C": C}
@@ -97,13 +96,13 @@ def tops(count: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def slow_satellites(count: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """The satellites with rates and rotors of 0.3 of the size, fewer of which are chaotic."""
+    """`satellites` with rates, rotors and fields of 0.3 of the size, of which fewer are chaotic."""
     points = satellites(count, seed)
     return points | {name: 0.3 * points[name] for name in SLOWER}
 
 
 def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], statistics: bool) -> Engine:
-    """This package with its own step sizes; the points must be those of the calls."""
+    """This package with its own step sizes; the engine must be called for the first of these points."""
     module, ensemble = (
         kernel(study.system, method, study.undamped),
         Ensemble.of(study.system, points),
@@ -121,7 +120,7 @@ def atlas_engine(study: Study, method: str, points: dict[str, np.ndarray], stati
 
 
 def right_hand_side(study: Study) -> Callable:
-    """The equations as the kernels here get them: without damping and the factors that `scaled` makes 1."""
+    """The equations of the kernels of this package: without damping and without factors that `scaled` makes 1."""
     space: dict = {}
     rhs = arithmetic.functions(study.equations)["rhs"]
     exec(simplify(rhs, study.undamped.zero, {}, study.equations.ONES), space)
@@ -254,9 +253,9 @@ def cyrk_dop853(study: Study) -> Engine:
 
 
 def heyoka_batch(study: Study) -> Engine:
-    """Taylor's method in batches; one integrator for each tolerance.
+    """Taylor's method in batches, with heyoka's fast arithmetic; one integrator for each tolerance.
 
-    Of batches as wide as heyoka recommends and twice as wide, with its fast arithmetic, the faster one at the first points is taken.
+    Batches have the width that heyoka recommends or twice this width, whichever is faster at the first points.
     """
     import heyoka as hy
 
@@ -328,26 +327,26 @@ def diffrax_vmap(study: Study) -> Engine:
 
 @dataclass(frozen=True)
 class Peer:
-    """An integrator, how to make it, and what it runs."""
+    """An integrator: how to make it, its tolerances and its part of the points."""
 
     make: Callable[[], Engine]
     tolerances: list[float]
-    share: int  # of the points: all of them over this
+    share: int  # number of all points over the number that this integrator runs
 
 
 @dataclass(frozen=True)
 class Study:
     """Points, the length of their runs, and the errors at which times are compared."""
 
-    words: str  # what the points are
+    words: str  # name of the points in texts
     system: System
     points: Callable[[int], dict[str, np.ndarray]]
     duration: float
     targets: tuple[float, ...]
     peers: tuple[str, ...]  # parts of the names of the integrators
-    share: int = 1  # of the points of the first study: all of them over this
-    compared: int = 64  # points at most whose errors are measured
-    copies: int = 1  # of each point that this package gets, so that few points fill its lanes
+    share: int = 1  # number of points of the first study over the number of points here
+    compared: int = 64  # largest number of points whose errors are measured
+    copies: int = 1  # of each point for this package, so that few points fill its lanes
     regular: bool = False  # whether points that amplify a change by more than 2 T are left out
 
     @property
@@ -356,7 +355,7 @@ class Study:
 
     @property
     def undamped(self) -> Specialization:
-        """Terms without damping, which all integrators leave out."""
+        """Specialization without damping, which all integrators leave out."""
         return Specialization.of(self.system, {"damping"}, frozenset())
 
 
@@ -371,7 +370,7 @@ STUDIES = {
 
 
 def regular_points(study: Study, count: int) -> dict[str, np.ndarray]:
-    """Points of a study; of `regular` ones the first that amplify a change of 1e-9 by less than 2 T."""
+    """The first points of a study; if `regular`, of those that amplify a change of 1e-9 by less than 2 T."""
     points = study.points(DRAWN)
     if study.regular:
         ensemble = Ensemble.of(study.system, points)
@@ -390,9 +389,9 @@ def regular_points(study: Study, count: int) -> dict[str, np.ndarray]:
 
 @dataclass
 class Level:
-    """What one integrator gives at one tolerance."""
+    """Error and times of one integrator at one tolerance."""
 
-    error: float  # median over the points compared
+    error: float  # median over the compared points
     microseconds: list[float]  # per point, of every round; the first one compiles
 
     @property
@@ -406,7 +405,7 @@ Results = dict[str, list[Level]]
 def all_peers(study: Study, points: dict[str, np.ndarray]) -> dict[str, Peer]:
     """This package and the others, by name."""
     decades = [10.0**-k for k in range(5, 14)]
-    # Over long runs the finer ones of rk4 take minutes and are not compared.
+    # In long runs the finer tolerances of rk4 take minutes, and are left out.
     own = {
         method: [10.0**-k for k in range(6 if method == "rk4" and study.duration > 100 else 10)]
         for method in METHODS
@@ -431,9 +430,9 @@ def all_peers(study: Study, points: dict[str, np.ndarray]) -> dict[str, Peer]:
 
 
 def installed(peers: dict[str, Peer], parts: Sequence[str], required: bool) -> dict[str, Engine]:
-    """The integrators that are installed and whose names contain one of some parts; this package always.
+    """This package, and the installed integrators whose names contain one of `parts`.
 
-    required: whether one that is missing ends this script.
+    required: whether a missing integrator ends this script.
     """
     engines: dict[str, Engine] = {}
     for name, peer in peers.items():
@@ -456,7 +455,7 @@ def measure_all(
     points: dict[str, np.ndarray],
     rounds: int,
 ) -> Results:
-    """Run every integrator at every tolerance, in turn; one round more than asked for, which compiles."""
+    """Run every integrator at every tolerance, in turn, in `rounds` rounds after one that compiles."""
     system, duration = study.system, study.duration
     state = np.ascontiguousarray(system.initial_state(points))
     constants = np.ascontiguousarray(system.constants(points))
@@ -515,7 +514,7 @@ def draw(results: Results, path: Path, duration: float) -> None:
 
 
 def time_at(levels: list[Level], target: float) -> float:
-    """Least time at an error, between neighbouring levels on the log-log line; nan outside it."""
+    """Least time at an error, interpolated between neighbouring levels in logarithms; nan outside all of them."""
     logs = np.log([(level.error, level.time) for level in levels])
     times = []
     for (e1, t1), (e2, t2) in pairwise(logs):
@@ -525,7 +524,7 @@ def time_at(levels: list[Level], target: float) -> float:
 
 
 def table(results: Results, targets: Sequence[float]) -> tuple[str, str]:
-    """Markdown table of the time of every integrator at the errors asked for; the same in words at the error 1e-8."""
+    """Markdown table of the time of every integrator at the target errors, and a sentence about the error 1e-8."""
     times = {name: np.array([time_at(levels, e) for e in targets]) for name, levels in results.items()}
     rows = {name: [f"{t:.1f}" if t > 0 else "" for t in row] for name, row in times.items()}
     others = [name for name in times if not name.startswith("atlas")]
@@ -546,7 +545,7 @@ def table(results: Results, targets: Sequence[float]) -> tuple[str, str]:
 
 
 def machine(rounds: int) -> str:
-    """What was measured with, in words."""
+    """Rounds, processor, load and versions of the measurement, in words."""
     packages = ("numba", "scipy", "heyoka", "numbalsoda", "CyRK", "diffrax", "jax")
     versions = [f"Python {platform.python_version()}"]
     for package in packages:

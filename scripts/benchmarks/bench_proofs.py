@@ -1,9 +1,9 @@
-"""Labels proved for every duration against long runs, and which share of the motions that stay is proved.
+"""Labels proved for every duration, compared with long runs, and the share of steady runs whose label is proved.
 
 python scripts/benchmarks/bench_proofs.py [--points 2500] [--duration 1e4] [--seed 0] [--figure docs/labels_proofs.svg]
 
-So many random bodies of each of four kinds start from a steady motion, known by its conditions and proved to have its label
-itself, with a nudge of random direction and size. Of the satellites about a quarter has a minimum of the energy, of the tops all.
+Random bodies of four kinds, POINTS of each, start from steady motions whose own labels are proved, with nudges of random direction
+and size. About a quarter of random satellites has a minimum of the energy, and all tops.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ def attitudes(rng, count):
 
 
 def satellites(rng, count):
-    """Relative equilibria in any attitude, by the rotor that holds them, with Omega = 1."""
+    """Random attitudes of satellites, made relative equilibria by the choice of the rotor, Omega = 1."""
     alpha, gamma = attitudes(rng, count)
-    # beta.I alpha = 0 leaves moments 1 + s v.
+    # Equilibrium needs beta.I alpha = 0: the moments are 1 + s v.
     v = np.cross(np.ones(3), np.cross(gamma, alpha) * alpha)
     inertia = 1 + rng.uniform(-0.3, 0.3, (count, 1)) * v / np.abs(v).max(1)[:, None]
     torque = 3 * np.cross(alpha, inertia * alpha) - np.cross(gamma, inertia * gamma)
@@ -48,7 +48,7 @@ def satellites(rng, count):
 
 
 def symmetric_satellites(rng, count):
-    """Symmetric satellites with the third axis at right angles to the radius or to the velocity, turning about it."""
+    """Symmetric satellites that turn about the third axis, which is at right angles to the radius or to the velocity."""
     (A, _, C), theta, m = bodies(rng, count), rng.uniform(0.2, np.pi - 0.2, count), rng.normal(size=count)
     C, by_velocity = np.minimum(C, 1.9 * A), rng.random(count) < 0.5
     momentum = np.where(by_velocity, 4 * A - 3 * C, A) * np.cos(theta)
@@ -65,7 +65,7 @@ def symmetric_satellites(rng, count):
 
 
 def rotations(rng, count):
-    """Permanent rotations about the vertical of any body about a fixed point, by the centre of mass that allows them."""
+    """Random rotations of bodies about the vertical, made permanent by the choice of the centre of mass."""
     inertia, n, rotor = bodies(rng, count).T, rng.normal(size=(count, 1)), rng.normal(size=(count, 3))
     gamma, N = attitudes(rng, count)[0], 0.3 * rng.normal(size=(count, 1))
     centre = rng.normal(size=(count, 1)) * gamma - (n**2 - N) * inertia * gamma - n * rotor
@@ -79,7 +79,7 @@ def rotations(rng, count):
 
 
 def tops(rng, count):
-    """Regular precessions of symmetric tops, by the rotor that they need."""
+    """Random precessions of symmetric tops, made regular by the choice of the rotor."""
     (A, _, C), theta = bodies(rng, count), rng.uniform(0.2, np.pi - 0.2, count)
     m, z0, N = rng.normal(size=(3, count)) * np.array([[3], [1], [0.3]])
     n = rng.choice([-1, 1], count) * rng.uniform(0.3, 2.0, count)

@@ -2,7 +2,7 @@
 
 python scripts/benchmarks/bench_refine.py [SCENE ...] [--count 129] [--levels 3]
 
-Without scenes, the three stability diagrams of configs/ are compared; each takes some minutes.
+Default: the three stability diagrams of configs/; each takes some minutes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Cost over the number of points, tiles and workers; overhead of a tile, speed of join, memory of 10^9 points.
+"""Time and memory of runs against the numbers of points, tiles and workers; overhead of a tile, speed of join, 10^9 points.
 
 python scripts/benchmarks/bench_scaling.py [MAX_POINTS] [--only points tiles workers billion]      (default 3e7, all)
 
-Points take a few hundred steps of rk4 only, so that the cost of everything but integration shows.
+Points take only a few hundred steps of rk4, so that costs other than integration are visible.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ variables = ["label", "status", "theta_dot_rms"]
 
 
 def scene(folder: Path, count: int, layers: int = 1, duration: float = 10.0) -> Scene:
-    """The scene with so many points in each layer, saved in the folder."""
+    """The scene with about `count` points in each layer, saved in the folder."""
     columns = min(count // 10, 1000)
     text = SCENE.format(rows=count // columns, columns=columns, layers=layers, duration=duration)
     (folder / "scene.toml").write_text(text)
@@ -69,7 +69,7 @@ def command(folder: Path, *arguments: str) -> tuple[float, float]:
 
 
 def points(folder: Path, max_points: int) -> None:
-    """Time and memory of a run and of its join, from 10^4 points on, or from fewer if those are too many."""
+    """Time and memory of a run and of its join, from 10^4 points (or max_points, if fewer) to max_points."""
     print("points, tiles, run s, points/s, MB of memory, join s, MB/s joined, MB of memory")
     count = min(10_000, max_points)
     while count <= max_points:
@@ -119,7 +119,7 @@ def workers(folder: Path, max_points: int) -> None:
 
 
 def billion(folder: Path, max_points: int, seconds: float = 30.0) -> None:
-    """Start a run of 10^9 points, interrupt it, open it, and extrapolate."""
+    """Start a run of 10^9 points, interrupt it, open it, and extrapolate its time and size."""
     case = scene(folder, 1_000_000, 1000)
     process = subprocess.Popen(
         [sys.executable, "-m", "atlas", "run", "scene.toml", "-o", "billion/"],

@@ -1,4 +1,4 @@
-"""Time from calling run() to the end of the first block of points, imports done and all caches warm.
+"""Time from the call of run() to the end of the first block of points, after all imports and with full caches.
 
 python scripts/benchmarks/bench_start.py [SCENE]      (default: configs/quickstart.toml)
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 
 SCENE = Path(__file__).parents[2] / "configs" / "quickstart.toml"
-PROCESSES = 5  # after one that compiles the kernel and the modules where they are not cached
+PROCESSES = 5  # measured processes, after one that fills the caches of kernels and modules
 # A process that ends itself after the first block of the first tile.
 CODE = """
 import os, sys, time

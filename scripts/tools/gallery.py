@@ -118,7 +118,7 @@ PICTURES = (
     ),
     Picture(
         "stability_perp_velocity",
-        f"The same perpendicular to the velocity; (24) of {SATELLITE}, who call it hyperboloidal motion. For"
+        f"The third axis at rest perpendicular to the velocity; (24) of {SATELLITE}, who call it hyperboloidal motion. For"
         " 1 < C/A < 4/3 the growth rate is proportional to sin theta0, and at small tilts too small to be seen in 20"
         " orbits, least of all near C/A = 1.14, where this change of the start contains nothing of the growing mode."
         " Just right of C/A = 4/3 the motion is stable, but the change of the start alters the momentum of the"
@@ -140,8 +140,8 @@ PICTURES = (
     ),
     Picture(
         "gravity_gradient_damped",
-        "The first of these diagrams with viscous damping, a torque of -0.3 B Omega times the angular velocity relative to the"
-        " orbit. Motions in Lagrange's triangle return to rest. Those in the region of DeBra and Delp drift, but for 10 of 962"
+        "The stability diagram of the gravity gradient with viscous damping, a torque of -0.3 B Omega times the angular velocity relative to the"
+        " orbit. Motions in Lagrange's triangle return to rest. Motions in the region of DeBra and Delp drift, except at 10 of 962"
         " points next to K1 = K3 = 0, a sphere. There, and where A is small, deviations grow too slowly to be seen in 50 orbits."
         " On the line K1 = K3 > 0 the body is symmetric (A = B): a turn about its axis neither grows nor decays.",
     ),
@@ -168,8 +168,8 @@ PICTURES = (
         "conditions_k3",
         f"The condition (24) of {SATELLITE} on the rotor momentum k3, with an axial magnet, is a curve and no region: the"
         " rms of theta' over 10 orbits is zero on the line in the middle only, where k3 is exact. On the left of"
-        " theta0 = 0.45 the exact motion is unstable, and the least deviation grows (for theta0 < 0.13 even rounding"
-        " errors do); on the right it stays in proportion. No curve of theory is drawn, because it would cover this line.",
+        " theta0 = 0.45 the exact motion is unstable, and the smallest deviation grows (for theta0 < 0.13 even rounding"
+        " errors do); on the right deviations stay in proportion to those of the start. No curve of theory is drawn, because it would cover this line.",
     ),
     Picture(
         "equilibrium_count",
@@ -182,7 +182,7 @@ PICTURES = (
         "asymmetric_tilt",
         "A body of any three moments with its axis at 60 degrees to the orbit normal and m = -Omega, axial magnet and"
         f" rotor; (19) of {SATELLITE} with its misprint in k3 corrected. The start changed by 1e-4. The body turns"
-        " in the orbital frame, so the equations linearised about this motion have periodic coefficients; the narrow"
+        " in the orbital frame, so that its linear equations have periodic coefficients; the narrow"
         " tongues of instability are their parametric resonances.",
     ),
     Picture(
@@ -199,7 +199,7 @@ PICTURES = (
     ),
     Picture(
         "sleeping_top_field",
-        f"The same over rotor momentum l3 and gradient N of the field of {TOP}: as this body is slender (C < A), a strong"
+        f"The sleeping top over rotor momentum l3 and gradient N of the field of {TOP}: as this body is slender (C < A), a strong"
         " field holds it upright without any spin.",
     ),
     Picture(

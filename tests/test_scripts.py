@@ -174,12 +174,15 @@ def test_the_packages_are_checked(tmp_path, monkeypatch, capsys):
         for file in tool.modules():
             wheel.writestr(file, "")
         wheel.writestr("precession_atlas-1.dist-info/entry_points.txt", scripts)
-    with tarfile.open(tmp_path / "a.tar.gz", "w") as source:
+    with tarfile.open(tmp_path / "a.tar.gz", "w:gz") as source:
         for file in {*tool.modules(), *tool.SOURCES} - {"README.md"}:
             source.add(ROOT / file, f"a/{file}")
     monkeypatch.setattr("sys.argv", ["check_packages.py", str(tmp_path)])
     assert tool.main() == 1
     assert capsys.readouterr().out == "a.tar.gz: README.md is missing\n"
+    monkeypatch.setattr(tool, "MAX_SOURCE", 10)
+    assert tool.main() == 1
+    assert capsys.readouterr().out.endswith(" bytes; at most 10: leave out pictures\n")
 
 
 def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):

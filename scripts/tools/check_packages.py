@@ -11,9 +11,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Files that the source distribution must have besides the modules of the package.
 SOURCES = (
-    "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md",
+    "pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CODE_OF_CONDUCT.md", "CONTRIBUTING.md", "SECURITY.md",
     "configs/quickstart.toml", "scripts/quickstart.sh", "scripts/test.sh", "tests/conftest.py", "tests/small.toml",
 )  # fmt: skip
+MAX_SOURCE = 2_000_000  # bytes of the source distribution
 
 
 def modules() -> set[str]:
@@ -40,6 +41,8 @@ def missing(folder: Path) -> list[str]:
         if not name.startswith(("atlas/", "precession_atlas-"))
     ]
     problems += [f"{source.name}: {name} is missing" for name in sorted({*modules(), *SOURCES} - in_source)]
+    if (size := source.stat().st_size) > MAX_SOURCE:
+        problems.append(f"{source.name}: {size} bytes; at most {MAX_SOURCE}: leave out pictures")
     (points,) = [name for name in in_wheel if name.endswith("entry_points.txt")]
     text = zipfile.ZipFile(wheel).read(points).decode()
     scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]

@@ -1,5 +1,6 @@
 """Configuration of Sphinx for the pages of this folder; `sh scripts/docs.sh` builds them."""
 
+import os
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +24,9 @@ exclude_patterns = ["paper", "examples"]
 html_theme = "furo"
 html_title = f"Precession Atlas {version}"
 html_show_sphinx = False
+# Where a site of several versions is served, each names the page that lists them, in the folder above.
+if versions := os.environ.get("SITE_VERSIONS"):
+    html_theme_options = {"announcement": f'Version {version} | <a href="../{versions}">all versions</a>'}
 html_static_path = [
     "static",
     str(Path(ziamath.__file__).parent / "fonts"),

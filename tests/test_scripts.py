@@ -59,6 +59,9 @@ OTHERS = {
     "make_public": "tests/test_stability.py",
     "draw_page": "tests/extensions/page/test_in_browser.py",
     "mutants": "below",
+    "conda_recipe": "tests/test_releases.py",
+    "release_notes": "tests/test_releases.py",
+    "site_versions": "tests/test_releases.py",
     "without_extension": "below",
 }
 PEERS = {

@@ -96,5 +96,6 @@ def setup(app):
     def links(app, name, source):
         source[0] = re.sub(r'^<a href="(\w+_page\.html)">.*</a>$', existing, source[0], flags=re.MULTILINE)
 
+    del app.registry.source_suffix[".ipynb"]  # notebooks are files to download, and no pages
     app.connect("source-read", links)
     app.add_html_math_renderer("mathml", formula("inline"), formula("block"))

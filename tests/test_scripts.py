@@ -49,6 +49,7 @@ SCRIPTS = {
         "--points 2 --duration 60 --starts 1 --nudges 0.01",
         r"random +arnold_moser .*(?s:.*)resonance_unstable",
     ),
+    "notebooks": ("--out FOLDER", r"wrote first_atlas.ipynb"),
     "make_docs": ("--docs FOLDER", r"written: variables.md"),
 }
 OTHERS = {

@@ -76,8 +76,22 @@ def pytest_runtest_setup(item):
         pytest.skip(f"needs {', '.join(sorted(missing))}")
 
 
-def pytest_collection_modifyitems(items):
-    """Begin with the module whose fixtures take longest: idle processes take over the last tests of the others."""
+def pytest_collection_modifyitems(config, items):
+    """Make those cases of a test long that its mark `usual` does not name; begin with the module of the longest fixtures.
+
+    Idle processes take over the last tests of the others.
+    """
+    unknown = {}
+    for item in items:
+        if mark := item.get_closest_marker("usual"):
+            named = {each for each in mark.args if f"-{each}-" in f"-{item.callspec.id}-"}
+            unknown.setdefault(item.nodeid.partition("[")[0], set(mark.args)).difference_update(named)
+            if not named:
+                item.add_marker(pytest.mark.long)
+    if any(unknown.values()) and not any("::" in each for each in config.args):  # which select single cases
+        raise pytest.UsageError(
+            f"no case is called: {', '.join(f'{k}: {v}' for k, v in unknown.items() if v)}"
+        )
     items.sort(key=lambda item: item.path.name != "test_stress.py")
 
 
@@ -91,6 +105,12 @@ def scene_text() -> Callable[[Mapping[str, object]], str]:
 def small_scene() -> str:
     """Text of a scene of 63 points that runs in milliseconds."""
     return SMALL_SCENE
+
+
+@pytest.fixture(scope="session")
+def without_family():
+    """Changes of the small scene that leave its points where the axes put them."""
+    return {"family": None, "nudge": None, "labels": None, "integration": {"duration": 3.0}}
 
 
 @pytest.fixture(scope="module")

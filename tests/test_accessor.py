@@ -1,6 +1,5 @@
 """ds.atlas: results equal those of brute force, on files, in memory, and chunk by chunk."""
 
-import itertools
 import re
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
+from scenes import labelled
 from scipy import stats
 
 import atlas
@@ -25,11 +25,6 @@ from atlas.flags import Agreement, Label
 from atlas.systems.base import families_of
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
-
-MEANINGS = {
-    "flag_values": np.arange(5, dtype=np.int8),
-    "flag_meanings": "not_computed regular permanent drifting unresolved",
-}
 
 
 @pytest.fixture(scope="module")
@@ -50,18 +45,10 @@ def small(files, request, monkeypatch):
         yield read.chunk({"sigma": 4, "theta0": 3}) if request.param == "dask" else read
 
 
-def labelled(label: np.ndarray) -> xr.Dataset:
-    """A dataset with axes and a label alone."""
-    dims = [f"x{i}" for i in range(label.ndim)]
-    return xr.Dataset(
-        {"label": (dims, label.astype(np.int8), MEANINGS)},
-        coords={d: (d, np.linspace(0, 1, n)) for d, n in zip(dims, label.shape, strict=True)},
-    )
-
-
 # Selection and fractions.
 
 
+@pytest.mark.usual("memory", "file")
 def test_select_gives_the_points_of_the_flags(small, files):
     _, ds = files
     flat = ds.stack(index=("sigma", "theta0"))
@@ -157,74 +144,7 @@ def test_chunks_cover_every_point_once(label, max_points):
         )
 
 
-# Trust.
-
-
-def count_uncertain(label: np.ndarray, stride: int, step: int, inner: bool) -> tuple[int, int]:
-    """Number of cells, and of cells whose points differ, by brute force."""
-    coarse = label[(slice(None, None, stride),) * label.ndim]
-    counts = [(n - 1) // step for n in coarse.shape]
-    differ = 0
-    for corner in itertools.product(*map(range, counts)):
-        points = slice(None) if inner else slice(None, None, step)
-        cell = coarse[tuple(slice(c * step, c * step + step + 1) for c in corner)][(points,) * label.ndim]
-        differ += len(np.unique(cell)) > 1
-    return int(np.prod(counts)), differ
-
-
-@given(
-    arrays(
-        np.int8, array_shapes(min_dims=1, max_dims=2, min_side=5, max_side=12), elements=st.integers(2, 3)
-    ),
-    st.sampled_from([1, 7, 30, 1000]),
-)
-def test_trust_counts_cells(label, max_points):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(metadata, "MAX_POINTS", max_points)
-        trust = labelled(label).atlas.trust()
-    for stride, share in zip(trust.stride.values, trust.uncertain.values, strict=True):
-        cells, differ = count_uncertain(label, int(stride), 1, True)
-        assert share == pytest.approx(differ / cells)
-    cells, corners = count_uncertain(label, 1, 2, False)
-    hidden = count_uncertain(label, 1, 2, True)[1] - corners
-    if cells > corners:
-        assert float(trust.missed) == pytest.approx(hidden / (cells - corners))
-        assert float(trust.missed) <= float(trust.missed_bound) <= 1
-    else:
-        assert np.isnan(trust.missed)
-
-
-def test_trust_distinguishes_smooth_from_random_borders():
-    x, y = np.meshgrid(np.linspace(-1, 1, 301), np.linspace(-1, 1, 257), indexing="ij")
-    smooth = labelled(np.where(x**2 + y**2 < 0.6, Label.PERMANENT_ROTATION, Label.DRIFTING)).atlas.trust()
-    assert float(smooth.exponent) == pytest.approx(1.0, abs=0.1)
-    assert float(smooth.uncertain[0]) < 0.02
-    random = labelled(np.random.default_rng(1).integers(2, 4, (257, 257))).atlas.trust()
-    assert float(random.exponent) == pytest.approx(0.0, abs=0.05)
-    # binomial tail: at the bound, no miss among the cells has a probability of 5 %
-    uniform = labelled(np.full((101, 101), Label.PERMANENT_ROTATION)).atlas.trust()
-    assert float(uniform.missed) == 0
-    assert (1 - float(uniform.missed_bound)) ** 2500 == pytest.approx(0.05)
-    assert np.isnan(uniform.exponent)
-
-
-def test_an_island_between_the_corners_is_counted_as_missed():
-    label = np.full((9, 9), Label.PERMANENT_ROTATION)
-    label[3, 5] = Label.DRIFTING
-    trust = labelled(label).atlas.trust()
-    assert float(trust.missed) == 1 / 16
-
-
-def test_short_axes_are_separate_maps():
-    label = np.full((9, 9, 2), Label.PERMANENT_ROTATION)
-    label[..., 1] = Label.DRIFTING
-    trust = labelled(label).atlas.trust()
-    assert (trust.uncertain == 0).all()
-    assert trust.attrs["axes"] == "x0, x1"
-    with pytest.raises(BadInput, match="5 values or more"):
-        labelled(label[:4, :4]).atlas.trust()
-
-
+@pytest.mark.long
 def test_an_atlas_larger_than_a_chunk_is_never_loaded_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(metadata, "MAX_POINTS", 250_000)
     size = 4000  # 16 MB of labels
@@ -273,6 +193,7 @@ def test_the_boundary_of_a_disc_is_its_circle():
         ds.atlas.boundary("drifting", select={"x0": 0.0})
 
 
+@pytest.mark.long
 @given(st.floats(0.25, 1.75), st.floats(0.15, 1.45))
 def test_nearest_is_the_nearest(files, sigma, theta0):
     _, ds = files
@@ -357,6 +278,7 @@ def test_a_map_shows_what_the_scene_is_about(files):
     assert named.atlas.map(boundary=False).axes[1].get_ylabel() == "growth rate (theory, rad s$^{-1}$)"
 
 
+@pytest.mark.usual("memory", "dask")
 def test_a_trajectory_is_that_of_the_atlas(small, files):
     _, ds = files
     coords = {"sigma": 1.35, "theta0": 1.2}
@@ -396,6 +318,7 @@ def test_families_and_maps_are_those_of_analysis_and_plotting(scene_text):
         ds.atlas.families()
 
 
+@pytest.mark.long
 def test_numbers_do_not_import_matplotlib(files):
     code = (
         "import sys, atlas\n"
@@ -409,6 +332,7 @@ def test_numbers_do_not_import_matplotlib(files):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.usual("memory")
 def test_compare_and_cite(small):
     assert "permanent_rotation" in small.atlas.compare()
     text = small.atlas.cite()
@@ -437,6 +361,7 @@ def entries_of(text):
     return entries
 
 
+@pytest.mark.usual("memory")
 def test_bibtex_of_program_paper_and_atlas(small, tmp_path):
     """With the hash of the result of a run, of points with that of their kernel; the papers are those of the bibliography."""
     finished = atlas.run(small.attrs["atlas_scene"], tmp_path / "a.nc", progress=False)

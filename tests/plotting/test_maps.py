@@ -1,10 +1,7 @@
 """Maps: figures show the values of the atlas and of theory, and can be printed."""
 
-import ast
 import io
 import re
-from pathlib import Path
-from types import SimpleNamespace
 
 import matplotlib
 import numpy as np
@@ -18,49 +15,20 @@ from matplotlib.figure import Figure
 
 import atlas
 from atlas import BadInput, load_scene
-from atlas.analysis import boundary, exact_curves, metadata, select, tracer
-from atlas.analysis import plane as planes
+from atlas.analysis import boundary, metadata, select
 from atlas.errors import MAX_TEXT, printable
 from atlas.files import FIGURES
 from atlas.flags import Label
-from atlas.kernel.compiling import announced
 from atlas.plotting import cells, content, maps, style, trajectory
-from atlas.scene import grid
 from atlas.systems import SYSTEMS
-from atlas.theory.motions import condition_residual
 from atlas.variables import variables
 
 pytestmark = pytest.mark.usefixtures("whole_kernels")
-
-CURVE_SCENE = """
-schema = 1
-system = "satellite"
-[fixed]
-m = {m}
-C = {C}
-psi0 = 1.5707963267948966
-mu3 = {mu3}
-h3 = 0.4
-[axes.theta0]
-from = 0.1
-to = 1.5
-count = 4
-[axes.k3]
-from = -4.0
-to = 4.0
-count = 3
-"""
 
 
 @pytest.fixture(scope="module")
 def small(small_scene):
     return atlas.run(load_scene(small_scene), progress=False)
-
-
-@pytest.fixture(scope="module")
-def without_family():
-    """Changes of the small scene that leave its points where the axes put them."""
-    return {"family": None, "nudge": None, "labels": None, "integration": {"duration": 3.0}}
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +98,7 @@ def test_labels_differ_clearly_for_the_colour_blind(vision):
     assert np.linalg.norm(colours[i] - colours[j], axis=1).min() > 20
 
 
+@pytest.mark.long
 def test_the_colour_of_a_flag_does_not_depend_on_the_others(small):
     part = small.isel(sigma=slice(0, 2))
     assert len(np.unique(part.label)) < len(np.unique(small.label))
@@ -181,6 +150,7 @@ def test_axes_are_drawn_in_increasing_order(small):
     np.testing.assert_array_equal(np.asarray(a.get_array()), np.asarray(b.get_array()))
 
 
+@pytest.mark.long
 def test_long_axes_are_thinned(small, monkeypatch):
     monkeypatch.setattr(select, "MAX_CELLS", 4)
     (mesh,) = meshes(maps.atlas_map(small))
@@ -228,6 +198,7 @@ def test_signed_colours_show_the_sign_in_grey():
     assert (np.diff(lightness[:, 0]) > 0).all()
 
 
+@pytest.mark.usual("page-180")
 @pytest.mark.parametrize(("width", "mm"), [("column", 88), ("page", 180)])
 def test_the_figure_has_the_width_of_the_journal(small, solid, width, mm):
     for ds in (small, solid, small.isel(sigma=0)):
@@ -250,6 +221,7 @@ def test_axes_carry_symbols_and_units(small):
     assert style.variable_label(small.growth_rate) == "growth rate (rad s$^{-1}$)"
 
 
+@pytest.mark.long
 def test_every_variable_of_an_atlas_can_be_drawn(small):
     for name in small.data_vars:
         maps.atlas_map(small, name, boundary=False).draw_without_rendering()
@@ -264,6 +236,7 @@ def test_the_legend_shows_only_what_occurs(small):
     assert legend(maps.atlas_map(small, legend=False)) == []
 
 
+@pytest.mark.usual("unknown")
 @pytest.mark.parametrize("bad", [r"$\nonsense{$", f"${'{' * 3000}$"], ids=["unknown", "nested"])
 def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     """A file of a stranger may contain any."""
@@ -346,141 +319,9 @@ def test_settings_of_the_user_are_left_alone(small):
     before = dict(matplotlib.rcParams)
     maps.atlas_map(small)
     assert dict(matplotlib.rcParams) == before
-    tree = ast.parse(Path(maps.__file__).read_text())
-    assert "pyplot" not in ast.dump(tree)
 
 
 # Theory.
-
-
-def plane(text: str, **fixed: float) -> planes.Plane:
-    scene = load_scene(text)
-    axes = metadata.axes_of(scene)
-    extent = {d: (min(a.values), max(a.values)) for d, a in axes.items() if d not in fixed}
-    return planes.Plane(scene, extent, fixed)
-
-
-def test_points_at_the_coordinates_of_the_grid_are_those_of_the_grid(small_scene):
-    scene = load_scene(small_scene)
-    expected = grid.points_at_indices(scene, np.arange(scene.size))
-    indices = np.array([5, 17, 17, 40, 62])
-    coordinates = {
-        axis.name: np.asarray(axis.values)[i]
-        for axis, i in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True)
-    }
-    points = grid.points_at(scene, coordinates)
-    for name, values in points.points.items():
-        np.testing.assert_array_equal(values, expected.points[name][indices])
-    np.testing.assert_array_equal(points.duration, expected.duration[indices])
-
-
-def growth_rate(sigma, theta, m):
-    """Largest growth of perp-velocity precession (mu = 0) by a numerical Jacobian of the equations of motion."""
-    from atlas.systems.satellite import equations, families, initial
-
-    p = {n: np.array(q.default) for n, q in initial.PARAMETERS.items()}
-    p |= {"C": np.array(sigma), "theta0": np.array(theta), "m": np.array(m), "psi0": np.array(np.pi / 2)}
-    p["k3"] = families.FAMILIES["perp_velocity"].solve["k3"](p)
-    points = {n: np.atleast_1d(v) for n, v in p.items()}
-    state, constants = initial.initial_state(points)[:, 0], initial.constants(points)[:, 0]
-    # in the axes of the node, in which a symmetric body rotates about e3 at m and its motion is steady
-    rotation = np.zeros((9, 9))
-    generator = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]) * m
-    for i in (0, 3, 6):
-        rotation[i : i + 3, i : i + 3] = generator
-    steps = np.eye(9) * 1e-6
-    jacobian = np.array(
-        [
-            (np.array(equations.rhs(state + s, constants)) - np.array(equations.rhs(state - s, constants)))
-            / 2e-6
-            for s in steps
-        ]
-    ).T
-    return np.linalg.eigvals(jacobian - rotation).real.max()
-
-
-def test_the_stability_limit_separates_growth_from_none(small_scene):
-    view = plane(small_scene)
-    lines = boundary.theory_borders(view)[boundary.STABILITY]
-    vertices = np.concatenate(lines)
-    assert len(vertices) > 100
-    steps = np.array([[0.02, 0.0], [-0.02, 0.0], [0.0, 0.02], [0.0, -0.02]])
-    for vertex in vertices[:: len(vertices) // 12]:
-        growth = [growth_rate(*(vertex + s), 0.5) for s in steps]
-        assert max(growth) > 1e-2, vertex
-        assert min(growth) < 1e-3, vertex
-
-
-def test_the_stability_limit_is_sharp(small_scene):
-    vertices = np.concatenate(boundary.theory_borders(plane(small_scene))[boundary.STABILITY])
-    sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
-    # closed form for mu = 0: lambda^4 + P lambda^2 + Q = 0 in units of Omega
-    P, Q = 7 - 6 * sigma + 9 * sigma * (sigma - 1) * u, 3 * (sigma - 1) * (3 * sigma - 4) * (1 - u)
-    root = np.sqrt(np.maximum(Q, 1e-300))
-    resonance = np.where(Q > 0, P - 2 * root, np.inf)
-    # the distance in the plane, because the square root is steep near Q = 0
-    along_sigma = 9 * (2 * sigma - 1) * u - 6 - 3 * (6 * sigma - 7) * (1 - u) / root
-    along_u = 9 * sigma * (sigma - 1) + 3 * (sigma - 1) * (3 * sigma - 4) / root
-    slope = np.hypot(along_sigma, along_u * np.sin(2 * vertices[:, 1]))
-    off = np.min([abs(sigma - 1), abs(sigma - 4 / 3), abs(resonance / np.maximum(1, slope))], 0)
-    assert off.max() < 1e-4
-
-
-def test_the_stability_limit_on_one_axis(small_scene):
-    (first, second) = boundary.theory_borders(plane(small_scene, theta0=0.5))[boundary.STABILITY]
-    assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
-
-
-@settings(max_examples=10)
-@given(
-    m=st.floats(-2, 2).filter(lambda m: abs(m) > 1e-6), C=st.floats(0.3, 1.9), mu3=st.sampled_from([0.0, 0.5])
-)
-def test_family_curves_are_exact_motions(m, C, mu3):
-    view = plane(CURVE_SCENE.format(m=m, C=C, mu3=mu3))
-    curves = exact_curves.family_curves(view)
-    assert "perp_velocity" in curves
-    for lines in curves.values():
-        for line in lines:
-            theta, k3 = line[np.isfinite(line).all(1)].T
-            points = view.points({"theta0": theta, "k3": k3}).points
-            residual = condition_residual(view.scene.system, points)
-            assert residual.max() < 1e-7
-
-
-def test_family_curves_for_either_axis(scene_text, without_family):
-    view = plane(scene_text(without_family))
-    (curve,) = exact_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
-    sigma, theta = curve[np.isfinite(curve).all(1)].T
-    assert sigma.size > 100
-    # k3 = 0: 4 Omega c (A - C) = C m
-    np.testing.assert_allclose(4 * np.cos(theta) * (1 - sigma), 0.5 * sigma, atol=1e-9)
-    transposed = planes.Plane(view.scene, dict(reversed(view.extent.items())), {})
-    (transposed_curve,) = exact_curves.family_curves(transposed)["perp_velocity"]
-    np.testing.assert_array_equal(transposed_curve[:, ::-1], curve)
-
-
-def test_a_family_on_one_axis_is_a_point(scene_text, without_family):
-    (point,) = exact_curves.family_curves(plane(scene_text(without_family), sigma=0.8))["perp_velocity"]
-    np.testing.assert_allclose(point, [[np.pi / 3]], atol=1e-9)  # 4 Omega c (A - C) = C m
-
-
-def test_an_offset_axis_has_its_family_at_zero():
-    scene = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
-        "from = -4.0\nto = 4.0\ncount = 3", "from = -0.1\nto = 0.2\ncount = 4\noffset_from_family = true"
-    )
-    view = plane(scene + '[family]\nname = "perp_velocity"\nsolve = ["k3"]\n')
-    assert list(view.extent) == ["theta0", "k3_offset"]
-    (line,) = exact_curves.family_curves(view)["perp_velocity"]
-    np.testing.assert_array_equal(line, [[0.1, 0.0], [1.5, 0.0]])
-    away = planes.Plane(view.scene, view.extent | {"k3_offset": (0.1, 0.2)}, {})
-    assert exact_curves.family_curves(away) == {}
-    figure = maps.atlas_map(atlas.run(view.scene, progress=False))
-    assert figure.axes[0].get_ylabel() == "$k_3$, offset from the family (N m s)"
-    assert "perp velocity (exact)" in legend(figure)
-
-
-def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
-    assert exact_curves.family_curves(plane(small_scene)) == {}
 
 
 def test_a_map_without_theory_where_bodies_between_its_points_cannot_exist(small, caplog):
@@ -701,6 +542,7 @@ def test_tongues_narrower_than_a_cell_are_without_halo(count, is_crowded):
     assert content.crowding(tongue[:1], edges) == 0
 
 
+@pytest.mark.long
 def test_a_map_warns_once_that_its_grid_is_coarser_than_the_lines(small, caplog):
     maps.atlas_map(small)
     assert not caplog.records
@@ -836,11 +678,6 @@ def test_names_of_axes_are_mathematics(words, printed):
     assert style.unit_text("Omega") == r"$\Omega$"
 
 
-# Borders of theory.
-
-QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
-
-
 @pytest.mark.parametrize(
     ("name", "label"),
     [("theta_drift", r"drift of $\theta$"), ("theta_other", "theta other"), ("x_drift", "x drift")],
@@ -848,66 +685,6 @@ QUICKSTART = Path(__file__).parents[2] / "configs" / "quickstart.toml"
 def test_statistics_of_observables_have_labels(name, label):
     """Also of observables with the name of an angle."""
     assert style.variable_label(xr.DataArray(0.0, name=name)) == label
-
-
-def test_borders_of_the_quickstart_are_those_of_the_formulas():
-    scene = load_scene(QUICKSTART)
-    view = planes.Plane(scene, {"l3": (-2.5, 2.5), "n": (-2.0, 2.0)}, {})
-    borders = boundary.theory_borders(view)
-    assert set(borders) == {boundary.STABILITY, boundary.LABEL}
-    l3, n = np.concatenate(borders[boundary.LABEL]).T
-    # there (C - A)(n^2 - N) cos theta + (C m + l3) n + Mg z0 = 0 with cos theta = 1 or -1
-    edge = np.abs(-0.6 * (n**2 - 2.0)) - np.abs((0.2 + l3) * n + 0.3)
-    assert np.abs(edge).max() < 1e-3
-    l3, n = np.concatenate(borders[boundary.STABILITY]).T
-    cosine = ((0.2 + l3) * n + 0.3) / (0.6 * (n**2 - 2.0))
-    # frequency squared of small nutations at constant momenta, from the reduced potential of Lagrange's case
-    spin = 0.4 * (0.5 + n * cosine) + l3
-    stiffness = (n**2 - 0.6 * 2.0) * (1 - cosine**2) + (2 * n * cosine - spin) ** 2
-    np.testing.assert_allclose(stiffness, 0, atol=1e-3)
-
-
-def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
-    for name in ("ANNOUNCED", "WORTH_KEEPING"):
-        monkeypatch.setattr(tracer, name, 0.0)
-    with announced(True):
-        lines = small.atlas.boundary()
-    assert "tracing the lines of theory" in capsys.readouterr().err
-    (kept,) = (tmp_path / "lines").iterdir()
-
-    def trace(plane):
-        traced.append(plane)
-        return {boundary.STABILITY: []}
-
-    traced: list[planes.Plane] = []
-    monkeypatch.setattr(boundary, "theory_borders", trace)
-    xr.testing.assert_identical(small.atlas.boundary(), lines)
-    assert not traced
-    small.isel(sigma=slice(1, None)).atlas.boundary()  # another plane
-    assert len(traced) == 1
-    kept.write_text(kept.read_text().replace("1", "2"))
-    assert small.atlas.boundary().sizes["vertex"] == 0
-    assert len(traced) == 2
-
-
-def test_straight_lines_have_few_vertices_and_bent_ones_as_many_as_they_need():
-    """Stable inside a circle, and beyond a straight line."""
-
-    def theory(places):
-        x, y = places["x"], places["y"]
-        stable = (np.hypot(x - 0.3, y - 0.6) < 0.2) | (x + 0.3 * y > 0.9)
-        ones = np.ones(x.shape)
-        frames = {"": (2 * ones, {"n": ones, "m": ones})}
-        return planes.Predictions(ones.astype(bool), np.where(stable, 1, 2), frames)
-
-    line, circle = sorted(boundary.theory_borders(drawn_plane(theory, "xy"))[boundary.STABILITY], key=len)
-    np.testing.assert_allclose(line @ [1, 0.3], 0.9, atol=2e-5)
-    assert len(line) < 150
-    middles = 0.5 * (circle[1:] + circle[:-1])
-    for places in (circle, middles):
-        np.testing.assert_allclose(np.hypot(*(places - [0.3, 0.6]).T), 0.2, atol=6e-5)
-    assert len(circle) < 300
 
 
 def test_borders_reach_the_frame_of_coarse_maps_and_as_data_the_ends_of_the_axes(small):
@@ -928,124 +705,7 @@ def test_borders_reach_the_frame_of_coarse_maps_and_as_data_the_ends_of_the_axes
     assert {tuple(vertex) for vertex in np.round(vertices[inside], 9)} <= table
 
 
-def test_borders_have_units_and_the_parameters_of_all_points(small, solid):
-    borders = small.atlas.boundary()
-    assert (borders.theta0.units, borders.sigma.units) == ("rad", "1")
-    given = {name: borders.attrs[name] for name in ("A", "m", "B", "C", "psi0")}
-    assert given == {"A": 1.0, "m": 0.5, "B": "A", "C": "sigma * A", "psi0": "pi / 2"}
-    assert solid.atlas.boundary(select={"n": 0.1}).n == 0.1
-    assert small.atlas.boundary("drifting").A == 1.0
-    assert small.atlas.boundary(degrees=True).theta0.max() == pytest.approx(np.degrees(small.theta0.max()))
-
-
-def test_lines_are_cut_at_the_sides_of_a_box():
-    angle = np.linspace(0, 2 * np.pi, 400)
-    ring = np.stack([np.cos(angle), np.sin(angle)], -1)
-    ring[-1] = ring[0]
-    low, high = np.array([-0.5, -2.0]), np.array([2.0, 2.0])
-    (part,) = tracer.within(ring, low, high)
-    assert part[[0, -1], 0].tolist() == [-0.5, -0.5]
-    assert sorted(part[[0, -1], 1]) == pytest.approx([-np.sqrt(0.75), np.sqrt(0.75)], abs=1e-4)
-    assert len(tracer.within(ring, np.array([-0.5, -2.0]), np.array([0.5, 2.0]))) == 2
-    assert tracer.within(ring, low + 4, high + 4) == []
-    np.testing.assert_array_equal(tracer.within(ring, -high, high)[0], ring)
-    point = np.array([[0.3]])
-    assert [tracer.within(point, np.array([low]), np.array([1.0])) for low in (0.0, 0.4)] == [[point], []]
-
-
-def drawn_plane(theory, dims):
-    """A plane of a nudged scene, with axes from 0 to 1, of which theory is a function of the coordinates."""
-    return SimpleNamespace(
-        extent=dict.fromkeys(dims, (0.0, 1.0)),
-        scene=SimpleNamespace(nudge={"m": 1e-4}),
-        coordinates=lambda positions: dict(zip(dims, positions.T, strict=True)),
-        theory=theory,
-    )
-
-
-def test_a_strip_narrower_than_the_samples_is_followed_to_its_end():
-    """Unstable between y = x / 2 and a little above, ending in a point at x = 1."""
-
-    def theory(places):
-        x, y = places["x"], places["y"]
-        inside = (y > 0.5 * x) & (y < 0.5 * x + 0.02 * (1 - x))
-        ones = np.ones(x.shape)
-        frames = {"": (np.full(x.shape, 2), {"n": ones, "m": ones})}
-        return planes.Predictions(ones.astype(bool), np.where(inside, 2, 1), frames)
-
-    strip = drawn_plane(theory, "xy")
-    line = max(boundary.theory_borders(strip)[boundary.STABILITY], key=len)
-    assert line[:, 0].max() > 0.93  # where it is a fifth of the distance between coarse samples wide
-    x, y = line[1:-1].T
-    assert np.minimum(abs(y - 0.5 * x), abs(y - 0.5 * x - 0.02 * (1 - x))).max() < 1e-4
-
-
-def test_only_precessions_and_rotations_have_a_limit_between_them():
-    """Fifths of an axis: precessions, unstable ones, starts that drift, rotations, precessions; m is 0 in the second."""
-
-    def theory(places):
-        x = places["x"]
-        fifth = np.minimum((5 * x).astype(int), 4)
-        labels = [Label.REGULAR_PRECESSION] * 2 + [
-            Label.DRIFTING, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION
-        ]  # fmt: skip
-        rates = {"n": x - 0.11, "m": x - 0.31}
-        frames = {"": (np.array(labels)[fifth], rates)}
-        return planes.Predictions(x >= 0, np.where(fifth == 1, 2, 1), frames)
-
-    lines = boundary.theory_borders(drawn_plane(theory, "x"))
-    positions = {kind: [float(line[0, 0]) for line in kinds] for kind, kinds in lines.items()}
-    assert positions == {
-        boundary.STABILITY: pytest.approx([0.2, 0.4], abs=1e-4),
-        boundary.LABEL: pytest.approx([0.8], abs=1e-4),
-        boundary.ZERO_RATES["n"]: pytest.approx([0.11], abs=1e-4),
-    }
-
-
-def test_a_rate_that_is_zero_on_a_line_is_traced_and_a_pole_is_not():
-    scene = load_scene(QUICKSTART.with_name("conical_precession_spin.toml"))
-    view = planes.Plane(scene, {"theta0": (0.05, 3.09), "n": (-2.0, 2.0)}, {})
-    lines = boundary.theory_borders(view)[boundary.ZERO_RATES["m"]]
-    theta, n = np.concatenate(lines).T
-    assert theta.size > 100
-    # m = 0: (C - A)(n^2 - N) cos theta + l3 n + Mg z0 = 0; m has a pole at n = 0
-    np.testing.assert_allclose(-0.6 * (n**2 - 2.0) * np.cos(theta) + 0.2 * n + 0.3, 0, atol=1e-3)
-    assert np.abs(n).min() > 0.3
-
-
 # Bad input.
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"variable": "lable"}, "lable: not a variable"),
-        ({"x": "k3"}, "x = 'k3': not an axis"),
-        ({"x": "sigma", "y": "sigma"}, "x = y"),
-        ({"select": {"k3": 1.0}}, "k3: not an axis"),
-        ({"row": "k3"}, "row = 'k3': not an axis"),
-        ({"x": "sigma", "col": "sigma"}, "x = col = 'sigma': each must be another axis"),
-        ({"select": {"sigma": 7.0}}, "sigma = 7: outside the atlas; allowed: 0.3 to 1.7"),
-        ({"select": {"sigma": float("nan")}}, "must be a finite number"),
-        ({"select": {"sigma": 1.0, "theta0": 1.0}}, "no axes to draw"),
-        ({"width": "poster"}, "allowed: column, page"),
-        ({"size": 100}, "size = 100: must be width and height in mm"),
-        ({"size": (100, 1e9)}, "must be width and height in mm"),
-        ({"dpi": 0}, "dpi = 0: must be a number from 10 to 2400"),
-        ({"cmap": "viridis"}, "cmap: label has flags"),
-        ({"variable": "theta_dot_rms", "cmap": "rainbows"}, "no such colour map"),
-        ({"variable": "theta_dot_rms", "colors": {"drifting": "red"}}, "colors: theta_dot_rms has no flags"),
-        ({"colors": {"drift": "red"}}, "colors: 'drift': did you mean 'drifting'? allowed: not_computed"),
-        ({"colors": {"drifting": "reddish"}}, "not a colour of Matplotlib"),
-        ({"colors": ["red"]}, "colors = ['red']: must be a mapping"),
-        ({"labels": {"k3": "x"}}, "labels: 'k3': allowed: "),
-        ({"ax": 3}, "ax = 3: must be Axes"),
-    ],
-)
-def test_bad_input_is_one_line(small, options, words):
-    with pytest.raises(BadInput, match=re.escape(words)) as error:
-        maps.atlas_map(small, **options)
-    assert "\n" not in str(error.value)
 
 
 def test_datasets_without_a_map_are_errors(small, solid):
@@ -1070,6 +730,7 @@ def test_too_many_panels_are_refused(solid):
 # Files.
 
 
+@pytest.mark.long
 def test_files_are_whole_repeatable_and_carry_their_fonts(small, tmp_path, few_dots, monkeypatch):
     monkeypatch.setitem(style.STYLE, "savefig.dpi", few_dots)
     for suffix in FIGURES:
@@ -1139,11 +800,3 @@ def test_the_caption_contains_what_was_computed(small):
     assert " ".join(printed.split()) == caption
     points = atlas.label_points("satellite", {"theta0": [0.1, 0.2]}, duration=1.0, step=0.1)
     assert "step 0.1" in style.caption(points)
-
-
-def test_an_axis_of_random_draws_has_no_lines_of_theory():
-    scene = load_scene(QUICKSTART.with_name("gravity_gradient_uncertain.toml"))
-    coords = {axis.dim: axis.values for axis in scene.axes.values()}
-    view = xr.Dataset(coords=coords | {"K3": -0.5})
-    with pytest.raises(BadInput, match="draw: its values number random draws"):
-        boundary.theory_lines(scene, view, ["K1", "draw"], "label")

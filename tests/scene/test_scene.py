@@ -187,6 +187,7 @@ def test_a_number_beyond_the_largest_float_is_infinite():
     assert Expression("t", "-" + "9" * 308).value({}) == -float("9" * 308)
 
 
+@pytest.mark.long
 @given(st.text(max_size=40))
 def test_ties_accept_only_arithmetic_in_names(text):
     try:
@@ -219,6 +220,7 @@ ABOUT = {
 }
 
 
+@pytest.mark.long
 def test_the_table_about_becomes_attributes_of_acdd(scene_text, tmp_path):
     scene = load_scene(scene_text(ABOUT))
     assert load_scene(scene.toml()).about == scene.about
@@ -247,3 +249,17 @@ def test_an_atlas_of_a_scene_without_about_has_none_of_its_attributes(small_scen
     assert "about" not in scene.toml()
     ds = atlas.run(scene, progress=False)
     assert not {"summary", "license", "keywords", "creator_name"} & set(ds.attrs)
+
+
+def test_points_at_the_coordinates_of_the_grid_are_those_of_the_grid(small_scene):
+    scene = load_scene(small_scene)
+    expected = grid.points_at_indices(scene, np.arange(scene.size))
+    indices = np.array([5, 17, 17, 40, 62])
+    coordinates = {
+        axis.name: np.asarray(axis.values)[i]
+        for axis, i in zip(scene.axes.values(), np.unravel_index(indices, scene.shape), strict=True)
+    }
+    points = grid.points_at(scene, coordinates)
+    for name, values in points.points.items():
+        np.testing.assert_array_equal(values, expected.points[name][indices])
+    np.testing.assert_array_equal(points.duration, expected.duration[indices])

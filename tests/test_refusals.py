@@ -11,14 +11,18 @@ from pathlib import Path
 
 import netCDF4
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from refusals import assert_refused, assert_refused_in_shell, matches, unchanged_folder
 from scenes import GIVEN, SAMPLE, SAMPLED, SMALL
 
 import atlas
 from atlas import load_scene
+from atlas.plotting import maps
+from atlas.plotting.options import MapOptions
 from atlas.scene import grid
 
 AXES = SMALL[SMALL.index("[axes") : SMALL.index("[ties]")]
@@ -511,6 +515,101 @@ CALLS = [
     (lambda ds, points: atlas.label_points("fixed_point", {"m": 1.0}, duration="1 orbit"), "duration = '1 orbit': the fixed_point has no orbit; use time units or turns"),
     (lambda ds, points: atlas.label_points("fixed_point", {"m": 1.0}, transient="1 orbit"), "transient = '1 orbit': the fixed_point has no orbit; use time units or turns"),
     (lambda ds, points: atlas.label_points("satellite", {"m": [0.0, 0.0]}, duration="1 turn"), "duration = '1 turn', but n and m are 0, and nothing turns; give a number of time units"),
+    *(
+        (lambda ds, points, options=options: maps.atlas_map(ds, **options), f"...{words}...")
+        for options, words in (
+            ({"variable": "lable"}, "lable: not a variable"),
+            ({"x": "k3"}, "x = 'k3': not an axis"),
+            ({"x": "sigma", "y": "sigma"}, "x = y"),
+            ({"select": {"k3": 1.0}}, "k3: not an axis"),
+            ({"row": "k3"}, "row = 'k3': not an axis"),
+            ({"x": "sigma", "col": "sigma"}, "x = col = 'sigma': each must be another axis"),
+            ({"select": {"sigma": 7.0}}, "sigma = 7: outside the atlas; allowed: 0.3 to 1.7"),
+            ({"select": {"sigma": float("nan")}}, "must be a finite number"),
+            ({"select": {"sigma": 1.0, "theta0": 1.0}}, "no axes to draw"),
+            ({"width": "poster"}, "allowed: column, page"),
+            ({"size": 100}, "size = 100: must be width and height in mm"),
+            ({"size": (100, 1e9)}, "must be width and height in mm"),
+            ({"dpi": 0}, "dpi = 0: must be a number from 10 to 2400"),
+            ({"cmap": "viridis"}, "cmap: label has flags"),
+            ({"variable": "theta_dot_rms", "cmap": "rainbows"}, "no such colour map"),
+            ({"variable": "theta_dot_rms", "colors": {"drifting": "red"}}, "colors: theta_dot_rms has no flags"),
+            ({"colors": {"drift": "red"}}, "colors: 'drift': did you mean 'drifting'? allowed: not_computed"),
+            ({"colors": {"drifting": "reddish"}}, "not a colour of Matplotlib"),
+            ({"colors": ["red"]}, "colors = ['red']: must be a mapping"),
+            ({"labels": {"k3": "x"}}, "labels: 'k3': allowed: "),
+            ({"ax": 3}, "ax = 3: must be Axes"),
+        )
+    ),
+    *(
+        (lambda ds, points, options=options: ds.assign(theta_dot_rms=xr.ones_like(ds.theta_dot_rms)).atlas.map(**{"variable": "theta_dot_rms"} | options), f"...{words}...")
+        for options, words in (
+            ({"vmax": "90"}, "vmax = '90': must be a number"),
+            ({"vmin": np.nan}, "vmin = nan: must be a finite number"),
+            ({"vmin": 2, "vmax": 1}, "vmin = 2: must be below vmax = 1"),
+            ({"vmin": 9.0}, "vmin: beyond the values of theta_dot_rms, which are from 0.5 to 1.5"),
+            ({"norm": "logarithmic"}, "norm = 'logarithmic': allowed: linear, log, symlog, asinh, or a norm of Matplotlib"),
+            ({"norm": Normalize(), "vmin": 1}, "norm: a norm of Matplotlib has vmin and vmax of its own"),
+            ({"norm": "log", "vmin": -1}, "norm = 'log': theta_dot_rms from -1 to 1.5 is not above 0"),
+            ({"variable": "label", "vmin": 1}, "vmin: label has flags"),
+            ({"variable": "label", "norm": "log"}, "norm: label has flags"),
+            ({"vmaks": 1}, "map: vmaks: no such option; did you mean 'vmax'? allowed: variable, x, y, row, "),
+        )
+    ),
+    *(
+        (lambda ds, points, options=options: MapOptions(**options), f"...{words}...")
+        for options, words in (
+            ({"size": 70}, "size = 70: must be width and height"),
+            ({"size": (70, 60, 50)}, "must be width and height"),
+            ({"size": (70, "60")}, "must be width and height"),
+            ({"dpi": True}, "dpi = True: must be a number from 10 to 2400"),
+            ({"width": "poster"}, "width = 'poster': allowed: column, page"),
+            ({"colors": {"drifting": "no colour"}}, "'drifting' = 'no colour': not a colour"),
+        )
+    ),
+    *(
+        (lambda ds, points, function=function, options=options: function("satellite", {"Omega": 1.0}, **options), f"...{words}...")
+        for function in (atlas.label_points, atlas.trajectory)
+        for options, words in (
+            ({"duration": "60 / Omgea"}, "duration = '60 / Omgea': 'Omgea' has no value at the points; did you mean 'Omega'?"),
+            ({"rate_tolerance": "1e-4 * x"}, "rate_tolerance = '1e-4 * x': 'x' has no value at the points; allowed: A, "),
+            ({"rate_tolerance": "-1e-4"}, "rate_tolerance = -0.0001: must be a finite number above 0"),
+            ({"rate_tolerance": "1e-4 *"}, "rate_tolerance = '1e-4 *': not an expression"),
+            ({"duration": "-1 * Omega"}, "duration = '-1 * Omega', but it is no finite number above 0"),
+            ({"rate_tolerance": "0 * Omega"}, "rate_tolerance is no finite number above 0"),
+        )
+    ),
+    *(
+        (lambda ds, points, options=options: load_scene(atlas.example("quickstart", **options)), f"{words}...")
+        for options, words in (
+            ({"axes": {"n": {"count": 0}}}, "axes.n.count = 0: "),
+            ({"axes": {"n": {"cuont": 3}}}, "axes.n.cuont: unknown key; did you mean 'count'?"),
+            ({"fixed": {3: 1.0}}, "fixed: the key 3 must be a text"),
+            ({"fixed": {"A": None, "B": {1.0}}}, "fixed.B = {1.0}: must be a text, a number"),
+            ({"fixed": {"B": 1 + 2j}}, "fixed.B = (1+2j): must be a text, a number"),
+            ({"axes": {"n": {"values": [1.0, None]}}}, "axes.n.values = None: must be a text, a number"),
+            ({"system": "satelite"}, "system = 'satelite'"),
+            ({"no_key": 1}, "no_key: unknown key"),
+            ({"schema": None}, "schema is missing"),
+        )
+    ),
+    (lambda ds, points: ds.atlas.map(title=3), "...title = 3: must be a text..."),
+    (lambda ds, points: ds.atlas.map(size=1.5), "...size = 1.5: must be a tuple..."),
+    (lambda ds, points: ds.atlas.map(select=...), "...select = Ellipsis: must be a mapping..."),
+    (lambda ds, points: ds.atlas.map(x=np.ones(2)), "...x = ...: must be a text..."),
+    (lambda ds, points: ds.atlas.fractions([]), "...variable = []: must be a text..."),
+    (lambda ds, points: ds.atlas.boundary(["drifting"]), "...label = ...: must be a text or a whole number..."),
+    (lambda ds, points: ds.atlas.nearest(sigma=...), "...sigma = Ellipsis: must be a finite number..."),
+    (lambda ds, points: atlas.open_atlas(3), "...path = 3: must be a text or a path..."),
+    (lambda ds, points: atlas.run(ds.atlas_scene, threads="a"), "...threads = 'a': must be a whole number..."),
+    (lambda ds, points: atlas.run(ds.atlas_scene, "r/", shard=np.ones(2)), "...shard = ...: must be a tuple..."),
+    (lambda ds, points: atlas.run(ds.atlas_scene, "r/", shard=(2, 1)), "...shard: i = 2: must be a whole number from 1 to 1..."),
+    (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, threads=-1), "...threads = -1: must be a whole number..."),
+    (lambda ds, points: atlas.label_points("satellite", {"m": 1.0}, keep=3), "...keep = 3: must be a string or a list..."),
+    (lambda ds, points: atlas.label_points("satellite", {"name": ["ALPHA", "BETA"]}, duration=5.0), "...none of the columns is a parameter: ..."),
+    (lambda ds, points: atlas.label_points("satellite", pd.DataFrame({"date": ["2026-01-05"], "id": [3]}), duration=5.0), "...none of the columns is a parameter: ..."),
+    (lambda ds, points: atlas.label_points("satellite", pd.DataFrame({"date": ["2026-01-05"], "id": [3]}).iloc[0], duration=5.0), "...none of the columns is a parameter: ..."),
+    (lambda ds, points: atlas.label_points("satellite", pd.DataFrame(index=["ALPHA", "BETA"]), duration=5.0), "...none of the columns is a parameter: ..."),
 ]  # fmt: skip
 
 
@@ -622,6 +721,7 @@ ENVIRONMENTS = [
 ]  # fmt: skip
 
 
+@pytest.mark.usual("NUMBA_DISABLE_JIT=1-run small.toml -o new.nc", "NUMBA_NUM_THREADS=0", "MPLBACKEND=bogus")
 @pytest.mark.parametrize(("setting", "command", "sentence"), ENVIRONMENTS)
 def test_a_mistake_in_the_environment(setting, command, sentence, folder, monkeypatch):
     monkeypatch.chdir(folder)

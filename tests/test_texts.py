@@ -51,6 +51,7 @@ def is_clean(text):
     return all(line.isprintable() and len(line) <= MAX_MESSAGE + len("atlas: ") for line in text.split("\n"))
 
 
+@pytest.mark.usual("2")
 @pytest.mark.parametrize("first", range(3))
 def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, first, caplog):
     hostile = changed(ds, VALUES[first:] + VALUES[:first])
@@ -67,6 +68,7 @@ def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, first, 
     assert not caplog.records
 
 
+@pytest.mark.long
 def test_attributes_are_read_by_the_functions_that_clean_them():
     """A text that is read in another way could reach a terminal or a figure."""
     rooms = ("analysis", "cli", "extensions", "plotting")
@@ -119,29 +121,6 @@ def test_variables_of_a_wrong_type_or_shape_are_refused(ds):
         equal.atlas.map()
 
 
-@pytest.mark.parametrize(
-    ("question", "words"),
-    [
-        (lambda ds: ds.atlas.map(title=3), "title = 3: must be a text"),
-        (lambda ds: ds.atlas.map(size=1.5), "size = 1.5: must be a tuple"),
-        (lambda ds: ds.atlas.map(select=...), "select = Ellipsis: must be a mapping"),
-        (lambda ds: ds.atlas.map(x=np.ones(2)), "x = .*: must be a text"),
-        (lambda ds: ds.atlas.fractions([]), r"variable = \[\]: must be a text"),
-        (lambda ds: ds.atlas.boundary(["drifting"]), "label = .*: must be a text or a whole number"),
-        (lambda ds: ds.atlas.nearest(sigma=...), "sigma = Ellipsis: must be a finite number"),
-        (lambda ds: atlas.open_atlas(3), "path = 3: must be a text or a path"),
-        (lambda ds: atlas.run(ds.atlas_scene, threads="a"), "threads = 'a': must be a whole number"),
-        (lambda ds: atlas.run(ds.atlas_scene, "r/", shard=np.ones(2)), "shard = .*: must be a tuple"),
-        (lambda ds: atlas.run(ds.atlas_scene, "r/", shard=(2, 1)), "shard: i = 2: must be a whole number from 1 to 1"),
-        (lambda ds: atlas.label_points("satellite", {"m": 1.0}, threads=-1), "threads = -1: must be a whole number"),
-        (lambda ds: atlas.label_points("satellite", {"m": 1.0}, keep=3), "keep = 3: must be a string or a list"),
-    ],
-)  # fmt: skip
-def test_arguments_of_a_wrong_type_are_refused(ds, question, words):
-    with pytest.raises(BadInput, match=words):
-        question(ds)
-
-
 # The command line.
 
 
@@ -184,6 +163,7 @@ def test_messages_of_the_log_are_clean(caplog):
     assert is_clean(record.getMessage())
 
 
+@pytest.mark.long
 def test_a_hostile_progress_file_is_printed_in_its_line_or_not_read(longer):
     _, run, _ = longer
     numbers = {"done": 1, "points": 2, "points_per_second": 3.0, "running": False}

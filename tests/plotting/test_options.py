@@ -6,9 +6,6 @@ import subprocess
 import sys
 from dataclasses import fields
 
-import pytest
-
-from atlas import BadInput
 from atlas.accessor import Atlas
 from atlas.cli import atlases
 from atlas.cli.options import Parser
@@ -39,22 +36,6 @@ def test_the_command_has_every_option_but_axes_of_matplotlib():
     assert (options["boundary"], options["legend"], options["caption"]) == (False, False, True)
     assert (options["width"], options["x"], options["dpi"]) == ("page", "m", 90.0)
     assert options["select"] == ["n=1", "k3=2"]
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"size": 70}, "size = 70: must be width and height"),
-        ({"size": (70, 60, 50)}, "must be width and height"),
-        ({"size": (70, "60")}, "must be width and height"),
-        ({"dpi": True}, "dpi = True: must be a number from 10 to 2400"),
-        ({"width": "poster"}, "width = 'poster': allowed: column, page"),
-        ({"colors": {"drifting": "no colour"}}, "'drifting' = 'no colour': not a colour"),
-    ],
-)
-def test_a_value_that_suits_no_variable_is_refused(options, message):
-    with pytest.raises(BadInput, match=re.escape(message)):
-        MapOptions(**options)
 
 
 def test_the_list_of_options_imports_no_matplotlib():

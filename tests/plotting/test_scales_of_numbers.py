@@ -1,12 +1,11 @@
 """Colours of numbers on maps: their ends, their scale, and what is refused."""
 
 import math
-import re
 
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.colors import LogNorm, Normalize, SymLogNorm
+from matplotlib.colors import LogNorm, SymLogNorm
 
 import atlas
 from atlas import BadInput
@@ -96,27 +95,6 @@ def test_over_one_axis_they_are_those_of_the_vertical_axis():
 FLAGS = numbers(np.ones(12)).assign(
     label=(("x", "y"), np.ones((4, 3), np.int8), {"flag_meanings": "a b", "flag_values": np.int8([0, 1])})
 )
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"vmax": "90"}, "vmax = '90': must be a number"),
-        ({"vmin": math.nan}, "vmin = nan: must be a finite number"),
-        ({"vmin": 2, "vmax": 1}, "vmin = 2: must be below vmax = 1"),
-        ({"vmin": 9.0}, "vmin: beyond the values of theta_dot_rms, which are from 0.5 to 1.5"),
-        ({"norm": "logarithmic"}, "norm = 'logarithmic': allowed: linear, log, symlog, asinh, or a norm of Matplotlib"),
-        ({"norm": Normalize(), "vmin": 1}, "norm: a norm of Matplotlib has vmin and vmax of its own"),
-        ({"norm": "log", "vmin": -1}, "norm = 'log': theta_dot_rms from -1 to 1.5 is not above 0"),
-        ({"variable": "label", "vmin": 1}, "vmin: label has flags"),
-        ({"variable": "label", "norm": "log"}, "norm: label has flags"),
-        ({"vmaks": 1}, "map: vmaks: no such option; did you mean 'vmax'? allowed: variable, x, y, row, "),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_line(options, message):
-    with pytest.raises(BadInput, match=re.escape(message)) as error:
-        FLAGS.atlas.map(**({"variable": "theta_dot_rms"} | options))
-    assert "\n" not in str(error.value)
 
 
 def test_unknown_options_of_other_figures_are_refused():

@@ -60,27 +60,6 @@ def test_changes_of_an_example():
     assert load_scene(scene).shape == (load_scene(whole).shape[0], 5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"axes": {"n": {"count": 0}}}, "axes.n.count = 0: "),
-        ({"axes": {"n": {"cuont": 3}}}, "axes.n.cuont: unknown key; did you mean 'count'?"),
-        ({"fixed": {3: 1.0}}, "fixed: the key 3 must be a text"),
-        ({"fixed": {"A": None, "B": {1.0}}}, "fixed.B = {1.0}: must be a text, a number"),
-        ({"fixed": {"B": 1 + 2j}}, "fixed.B = (1+2j): must be a text, a number"),
-        ({"axes": {"n": {"values": [1.0, None]}}}, "axes.n.values = None: must be a text, a number"),
-        ({"system": "satelite"}, "system = 'satelite'"),
-        ({"no_key": 1}, "no_key: unknown key"),
-        ({"schema": None}, "schema is missing"),
-    ],
-)
-def test_a_wrong_value_is_named_by_the_path_of_its_keys(changes, message):
-    with pytest.raises(BadInput) as error:
-        load_scene(atlas.example("quickstart", **changes))
-    assert str(error.value).startswith(message)
-    assert "\n" not in str(error.value)
-
-
 def test_a_dictionary_that_contains_itself():
     table = atlas.example("quickstart")
     table["fixed"]["A"] = table

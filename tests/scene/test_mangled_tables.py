@@ -141,21 +141,6 @@ def test_columns_that_may_be_parameters_are_refused_and_kept_by_name(
     assert pd.read_csv("out.csv", keep_default_na=False)[name].tolist() == texts
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"name": ["ALPHA", "BETA"]},
-        pd.DataFrame({"date": ["2026-01-05"], "id": [3]}),
-        pd.DataFrame({"date": ["2026-01-05"], "id": [3]}).iloc[0],
-        pd.DataFrame(index=["ALPHA", "BETA"]),
-    ],
-    ids=["dictionary", "frame", "row", "index"],
-)
-def test_a_table_without_any_parameter_is_refused(given):
-    with pytest.raises(BadInput, match="none of the columns is a parameter: "):
-        atlas.label_points("satellite", given, duration=5.0)
-
-
 @pytest.mark.parametrize("unit", ["degree", "deg", "\N{DEGREE SIGN}", "degrees", "arcmin"])
 def test_angles_whose_units_are_degrees_are_refused(tmp_path, unit):
     """As `select` gives them with degrees=True; in rad they would be other angles."""

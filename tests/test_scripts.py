@@ -52,19 +52,6 @@ SCRIPTS = {
     "notebooks": ("--out FOLDER", r"wrote first_atlas.ipynb"),
     "make_docs": ("--docs FOLDER", r"written: variables.md"),
 }
-OTHERS = {
-    "bench_page": "tests/extensions/page/test_in_browser.py",
-    "bench_peers": "below",
-    "check_packages": "below",
-    "make_faces": "tests/extensions/test_records.py",
-    "make_public": "tests/test_stability.py",
-    "draw_page": "tests/extensions/page/test_in_browser.py",
-    "mutants": "below",
-    "conda_recipe": "tests/test_releases.py",
-    "release_notes": "tests/test_releases.py",
-    "site_versions": "tests/test_releases.py",
-    "without_extension": "below",
-}
 PEERS = {
     "SciPy DOP853": "scipy",
     "SciPy odeint": "scipy",
@@ -96,13 +83,6 @@ def start(name, arguments, monkeypatch):
     finally:
         logging.disable(logging.NOTSET)
     assert not code
-
-
-def test_every_script_is_run():
-    files = {
-        path.stem for folder in FOLDERS for path in folder.glob("*.py") if "__main__" in path.read_text()
-    }
-    assert files == SCRIPTS.keys() | OTHERS.keys()
 
 
 @pytest.fixture
@@ -149,6 +129,16 @@ def less_work(script_folders, monkeypatch, tmp_path):
     )
 
 
+@pytest.mark.usual(
+    "bench_any_axis",
+    "bench_catalogue",
+    "bench_long_runs",
+    "bench_methods",
+    "bench_proofs",
+    "draw",
+    "fuzz_scenes",
+    "make_docs",
+)
 @pytest.mark.usefixtures("less_work")
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_script(name, monkeypatch, tmp_path, capfd):
@@ -189,6 +179,7 @@ def test_the_packages_are_checked(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.endswith(" bytes; at most 10: leave out pictures\n")
 
 
+@pytest.mark.long
 def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path / "cache"))
@@ -214,12 +205,14 @@ def test_a_mutant_is_killed_where_a_test_looks(tmp_path, monkeypatch):
     assert (tmp_path / "atlas" / "sizes.py").read_text() == source
 
 
+@pytest.mark.long
 def test_the_core_is_tested_without_the_folder_of_an_extension(monkeypatch, capfd):
     """One short test of it, which fails where the records of other extensions are not read."""
     start("without_extension", ["basins", "tests/test_extensions.py", "-k", "reserved", "-q"], monkeypatch)
     assert "1 passed" in capfd.readouterr().out
 
 
+@pytest.mark.usual("heyoka batch", "numbalsoda dop853", "CyRK DOP853", "diffrax vmap Dopri8", "SciPy odeint")
 @pytest.mark.parametrize("name", PEERS)
 def test_a_peer_integrates_the_same_motions(name):
     pytest.importorskip(PEERS[name], reason=f"{name} is of the extra `peers`")
@@ -231,6 +224,7 @@ def test_a_peer_integrates_the_same_motions(name):
     assert min(level.error for level in results[name]) < 1e-12
 
 
+@pytest.mark.long
 def test_times_of_peers_are_written_into_the_pages(tmp_path, monkeypatch):
     pages = ["README.md", "docs/accuracy.md", "docs/paper/paper.md"]
     (tmp_path / "docs" / "paper").mkdir(parents=True)

@@ -5,7 +5,7 @@ import pytest
 from plain_kernel import plain_module
 from strategies import RANDOM
 
-from atlas.kernel import assemble, blocks
+from atlas.kernel import blocks
 from atlas.kernel.ensemble import Ensemble
 from atlas.kernel.specialization import kernel
 from atlas.kernel.statistics import Row
@@ -13,14 +13,7 @@ from atlas.measure.circle import CIRCLES, Axis, Sum
 from atlas.systems import SYSTEMS
 
 
-@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
-def test_kernels_that_measure_no_circles_have_nothing_of_them(system):
-    text = assemble.source(system.equations, "rk4")
-    assert "circle" not in text
-    assert "plugged" not in text
-    assert assemble.source(system.equations, "rk4", plugs=CIRCLES[:1]) != text
-
-
+@pytest.mark.usual("satellite")
 @pytest.mark.parametrize(("name", "method"), [("satellite", "rk4"), ("fixed_point", "rk8")])
 def test_the_compiled_kernel_is_the_python_one(name, method):
     """In one call and in several, and with the statistics and states of the kernel that measures no circles."""

@@ -100,6 +100,7 @@ def wait_for_a_tile(run, process):
         time.sleep(0.02)
 
 
+@pytest.mark.long
 def test_a_run_survives_a_worker_that_is_killed_in_mid_tile(longer, servers, address, monkeypatch, capsys):
     """dask gives up what the worker had, and the tiles are sent again."""
     path, run, whole = longer
@@ -133,6 +134,7 @@ def kill_own_worker():
         time.sleep(0.02)
 
 
+@pytest.mark.long
 def test_a_nanny_replaces_a_worker_that_is_killed(longer, monkeypatch, capsys):
     path, run, whole = longer
     monkeypatch.chdir(path)
@@ -161,6 +163,7 @@ def test_a_worker_that_ends_before_it_has_started_is_an_error_in_one_line(longer
     )
 
 
+@pytest.mark.long
 def test_a_run_that_loses_its_scheduler_fails_with_one_line_and_goes_on_with_another(
     longer, servers, address, monkeypatch
 ):
@@ -248,6 +251,7 @@ def swap_labels(package):
     file.write_text(swapped)
 
 
+@pytest.mark.long
 def test_a_worker_that_started_before_an_edit_is_refused(
     copied_package, servers, address, tmp_path, small_scene, monkeypatch
 ):
@@ -271,6 +275,7 @@ def test_a_worker_that_started_before_an_edit_is_refused(
     assert third.returncode == 0, errors
 
 
+@pytest.mark.long
 def test_a_worker_of_another_copy_of_the_package_is_refused(
     copied_package, longer, servers, address, monkeypatch, capsys
 ):
@@ -348,6 +353,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 def test_worker_processes_on_this_machine_listen_to_this_machine_only_and_keep_freed_memory(tmp_path):
     (tmp_path / "listening.py").write_text(LISTENING)
     done = subprocess.run(
@@ -357,13 +363,6 @@ def test_worker_processes_on_this_machine_listen_to_this_machine_only_and_keep_f
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == ["127.0.0.1 True False", "268435456 33554432 1"]
     assert done.stderr == ""
-
-
-def test_a_result_that_died_with_its_worker_is_computed_again_and_a_lost_scheduler_is_an_error():
-    assert cluster._has_result(SimpleNamespace(status="finished"), 1)
-    assert not cluster._has_result(SimpleNamespace(status="lost"), cluster.MAX_ATTEMPTS)
-    with pytest.raises(OSError, match="scheduler lost a task"):
-        cluster._has_result(SimpleNamespace(status="cancelled"), 1)
 
 
 def test_a_task_under_which_workers_die_is_sent_again_a_few_times():

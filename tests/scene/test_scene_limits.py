@@ -1,12 +1,10 @@
 """Scenes of strangers: names that clash, limits that hold before anything is made, and text that is safe to print."""
 
 import os
-import re
 import threading
 import tracemalloc
 import warnings
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +12,12 @@ import tomli_w
 import xarray as xr
 
 import atlas
-from atlas import BadInput, files, hdf5, load_scene
+from atlas import BadInput, load_scene
 from atlas.analysis import compare, metadata
 from atlas.errors import MAX_MESSAGE, MAX_TEXT, printable, shown
-from atlas.scene import checks, expressions, grid, model, points, read, tables
+from atlas.scene import grid, points, tables
 from atlas.scene.expressions import Expression
 from atlas.store import dataset
-from atlas.store import tiling as tiles
 from atlas.systems import SYSTEMS
 from atlas.variables import COMPUTED, data_variables
 
@@ -165,42 +162,6 @@ def test_a_table_without_end_is_read_to_the_limit(tmp_path, monkeypatch):
         assert name in refused(
             (tmp_path / "scene.toml").write_text(scene.format(name)) and tmp_path / "scene.toml"
         )
-
-
-def test_the_page_lists_the_limits_in_force():
-    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
-    limits = [
-        *(read.MAX_CHARACTERS, read.MAX_TABLES, read.MAX_JOINED_NAMES, read.MAX_NAMES, read.MAX_AXES),
-        *(read.MAX_AXIS_COUNT, read.MAX_POINTS, read.MAX_REFINED_POINTS, checks.MAX_LISTED_NUMBERS),
-        *(
-            points.MAX_SAMPLED_NUMBERS,
-            points.MAX_FILE_BYTES,
-            points.MAX_FILE_FIELDS,
-            tables.MAX_LINE,
-            expressions.MAX_LENGTH,
-            read.MAX_TIE_CHARACTERS,
-        ),
-        model.MAX_STEPS,
-        1000,  # of an extension: held by tests/extensions/amer2013/test_fast_spin_scenes.py
-    ]
-    cells = re.findall(r"^\| .* \| ([\d ;]+) \|$", page, re.MULTILINE)
-    assert [int(number.replace(" ", "")) for cell in cells for number in cell.split(";")] == limits
-
-
-def test_the_page_lists_the_limits_of_what_atlases_claim():
-    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
-    section = page.split("## Reading the atlas of a stranger")[1].split("##")[0]
-    numbers = {int(number.replace(" ", "")) for number in re.findall(r"\d[\d ]*\d{3}", section)}
-    limits = {
-        files.MAX_RATIO,
-        3000,
-        hdf5.MAX_NAMES,
-        files.MIN_CLAIM,
-        files.MAX_JSON_BYTES,
-        tiles.MAX_TILES,
-        tiles.MAX_TILE_POINTS,
-    }
-    assert numbers == limits
 
 
 def test_large_grids_are_valid_and_their_axes_are_arrays():

@@ -146,6 +146,18 @@ ANSWERED = {
 assert ANSWERED.keys() <= DATASETS.keys()
 
 
+@pytest.mark.usual(
+    "empty dataset",
+    "foreign",
+    "without label",
+    "averaged",
+    "row",
+    "scalar",
+    "stacked",
+    "points",
+    "empty selection",
+    "coarsened",
+)
 @pytest.mark.parametrize("dataset", DATASETS)
 def test_every_question_to_every_dataset_is_answered_or_refused_in_one_line(
     ds, three_axes, tmp_path, dataset

@@ -157,6 +157,7 @@ def families(system):
 """
 
 
+@pytest.mark.long
 def test_a_family_of_an_extension(tmp_path, monkeypatch, install_example, installed_extensions):
     """Its motions have its flag and its label; the system of the package has the same motions under another name."""
     (tmp_path / "tops").mkdir()

@@ -132,6 +132,7 @@ def check_refused(ds: xr.Dataset, words: str) -> None:
     assert "\n" not in answers["trajectory"]
 
 
+@pytest.mark.usual("0", "3", "8")
 @pytest.mark.parametrize("seed", range(12))
 def test_points_keep_their_motions(seed):
     rng = np.random.default_rng([1, seed])
@@ -179,6 +180,7 @@ CHANGES = {
 }  # fmt: skip
 
 
+@pytest.mark.usual("3", "10")
 @pytest.mark.parametrize("seed", range(12))
 def test_two_scenes_joined_along_a_new_dimension(seed):
     rng = np.random.default_rng([3, seed])
@@ -202,6 +204,7 @@ def halves(name: str, axis: str, *changes: tuple[str, str]) -> tuple[xr.Dataset,
     return changed_atlas(name, parts[0]), changed_atlas(name, parts[1], *changes), whole
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "axis"), [("cylindrical", "sigma"), ("solved", "theta0"), ("plain", "theta0"), ("draws", "draw")]
 )
@@ -233,6 +236,7 @@ def report(ds: xr.Dataset) -> list[str]:
     )
 
 
+@pytest.mark.usual("2", "4")
 @pytest.mark.parametrize("seed", range(5))
 def test_neighbours_do_not_depend_on_the_order_of_the_points(seed):
     rng = np.random.default_rng([5, seed])
@@ -323,6 +327,7 @@ def test_maps_of_changed_coordinates_have_no_theory(caplog, tmp_path, capsys):
     assert "no value of this axis of its scene" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
     """The trajectory of a point reads one tile, lines of theory and a trajectory of the shell a few."""
     from atlas.store.tile import Tiles
@@ -353,6 +358,7 @@ def test_little_of_a_lazy_run_folder_is_read(tmp_path, monkeypatch):
     assert len(tiles) <= 10
 
 
+@pytest.mark.usual("netcdf4", "scipy")
 @pytest.mark.parametrize("engine", ["netcdf4", "scipy", "zarr"])
 def test_files_of_plain_xarray_keep_their_scenes(engine, tmp_path):
     path, whole = tmp_path / "plain", changed_atlas("solved")

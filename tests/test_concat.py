@@ -78,6 +78,7 @@ def same_answers(part: xr.Dataset, alone: xr.Dataset) -> None:
     assert scene_problem(part) == ""
 
 
+@pytest.mark.usual("isel-v")
 @pytest.mark.parametrize("name", ["v", "r"])
 @pytest.mark.parametrize("change", ["sel", "isel", "squeezed", "rewritten", "chunked", "one"])
 def test_a_part_answers_as_it_did_alone(joined, name, change, tmp_path):
@@ -145,6 +146,7 @@ def test_the_whole_names_the_parts_where_one_scene_is_needed(joined, question):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.long
 def test_lazy_parts_stay_lazy(tmp_path, monkeypatch):
     from atlas.store.tile import Tiles
 
@@ -181,6 +183,7 @@ def test_points_without_a_scene_are_joined_too():
         joined.atlas.trajectory(theta0=0.9)
 
 
+@pytest.mark.long
 def test_a_part_in_a_file_is_mapped_by_the_shell(joined, tmp_path, capsys):
     joined.to_netcdf(tmp_path / "joined.nc")
     joined.sel(kind="r").to_netcdf(tmp_path / "part.nc")

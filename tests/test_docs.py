@@ -106,6 +106,7 @@ def folder_of_reader(tmp_path, monkeypatch):
         sys.modules.pop(path.stem, None)
 
 
+@pytest.mark.usual("README.md", "docs/index.md", "docs/satellite.md", "docs/published.md", "docs/chaos.md")
 @pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
 def test_code_blocks_run(page, install_example):
@@ -133,6 +134,7 @@ def test_code_blocks_run(page, install_example):
             exec(compile(text, page, "exec"), cells)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("whole_kernels", "coarse_lines", "folder_of_reader")
 def test_the_reference_has_an_example_of_each_function():
     skip_without_extensions("docs/api.rst")
@@ -331,6 +333,7 @@ def test_formulas_in_prose_are_set(text, latex, monkeypatch):
     assert importlib.import_module("make_docs").with_formulas(text) == latex
 
 
+@pytest.mark.long
 def test_the_evidence_is_what_the_commands_of_its_script_count(monkeypatch):
     """The numbers of others are counted again; the other commands take minutes."""
     monkeypatch.syspath_prepend(str(ROOT / "scripts" / "tools"))

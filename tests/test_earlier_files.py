@@ -28,6 +28,7 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.mark.usual("points.nc", "satellite.nc")
 @pytest.mark.parametrize("name", ["satellite.nc", "points.nc", "fixed_point.zarr"])
 def test_an_earlier_file_is_opened_mapped_and_compared(folder, name):
     with atlas.open_atlas(folder / name) as ds:

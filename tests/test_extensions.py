@@ -52,6 +52,7 @@ def small_scene_text():
     return (Path(__file__).parent / "small.toml").read_text()
 
 
+@pytest.mark.usual("branches", "equilibria")
 @pytest.mark.parametrize("name", OWN)
 def test_a_plain_atlas_is_the_same_without_an_extension(name, whole, without_extension):
     without_extension(name)

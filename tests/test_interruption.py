@@ -74,6 +74,7 @@ def end_of(process, number):
     return time.monotonic() - began, process.returncode, errors
 
 
+@pytest.mark.usual("endless")
 @pytest.mark.parametrize(
     ("number", "kept"), [(signal.SIGINT, "endless"), (signal.SIGTERM, "lambda: '2 tiles are kept'")]
 )
@@ -95,6 +96,7 @@ def test_a_command_in_a_library_ends_within_two_seconds(number, kept):
     assert re.fullmatch(f"atlas: interrupted; {text}\n", errors)
 
 
+@pytest.mark.usual("15")
 @pytest.mark.parametrize("number", EXIT_CODES)
 def test_a_command_ends_while_a_server_is_silent(number):
     pytest.importorskip("obstore")
@@ -130,6 +132,7 @@ def test_a_run_in_another_program_raises_when_the_library_returns(small_scene, t
         atlas.run(small_scene, f"{tmp_path}/run/", progress=False)
 
 
+@pytest.mark.usual("False-10", "True-12")
 @pytest.mark.parametrize("number", interruption.STOPS)
 @pytest.mark.parametrize("is_ignored", [False, True])
 def test_a_signal_of_a_batch_system_ends_a_run_between_two_tiles(
@@ -299,6 +302,7 @@ def test_during_imports_the_command_ends_without_a_traceback(number):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_no_signal_changes_the_exit_code_of_a_command_that_has_ended():
     """Not even a KeyboardInterrupt inside exec, after which Python would end itself with SIGINT."""
     codes = [0, 2, INTERRUPTED, TERMINATED, HUNG_UP]

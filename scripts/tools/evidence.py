@@ -122,7 +122,7 @@ CHECKS = {
     "folds": Check(
         "folds and borders of equilibria",
         "values and curves of other methods",
-        f"{PYTEST} tests/extensions/branches -k verified",
+        f"{PYTEST} -m 'long or not long' tests/extensions/branches -k verified",
         passed,
     ),
     "periodic": Check(

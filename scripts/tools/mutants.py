@@ -17,7 +17,9 @@ from itertools import islice
 from pathlib import Path
 from random import Random
 
-PYTEST = f'ulimit -d 8388608; ulimit -t 240; exec "{sys.executable}" -m pytest -xqrfE --tb=no "$@"'
+PYTEST = (
+    f'ulimit -d 8388608; ulimit -t 240; exec "{sys.executable}" -m pytest -xqrfE --tb=no -m "not faults" "$@"'
+)
 KERNELS = ".pytest_cache/kernels"  # the default of tests/conftest.py
 IGNORED = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".[mr]*_cache", ".hypothesis", "out")
 OTHER = {ast.Lt: ast.Gt, ast.LtE: ast.GtE, ast.Eq: ast.NotEq, ast.Add: ast.Sub, ast.Mult: ast.Div}

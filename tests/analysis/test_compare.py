@@ -179,6 +179,7 @@ def test_numbers_that_the_atlas_does_not_hold_are_not_printed():
     )
 
 
+@pytest.mark.long
 def test_a_comparison_says_once_that_labels_follow_the_third_axis(caplog):
     """Of bodies that are symmetric about another axis; neither a run nor its check says so."""
     bodies = {"A": 1.0, "B": np.array([1.3, 1.2]), "C": 1.3, "theta0": 0.3}
@@ -215,6 +216,7 @@ def test_the_boundary_is_near_within_a_fiftieth_of_the_axis_range():
     assert not compare.near_boundary(np.array([1, 2]), ()).any()  # a list
 
 
+@pytest.mark.long
 def test_other_orders_and_forms_of_an_atlas_get_the_same_comparison(scene_text, tmp_path):
     """Also lazy ones, of which xarray 2026.9 cannot choose single points, and stacked ones with angles in degrees."""
     text = scene_text(

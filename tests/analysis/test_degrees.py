@@ -21,6 +21,7 @@ def drawn(figure):
     return ax.get_ylabel(), np.array(ax.get_ylim()), [line.get_xydata() for line in ax.lines]
 
 
+@pytest.mark.long
 def test_a_map_in_degrees_has_the_lines_of_the_map_in_rad(ds):
     label, limits, lines = drawn(ds.atlas.map())
     in_degrees = drawn(ds.atlas.map(degrees=True))
@@ -51,6 +52,7 @@ def test_values_panels_and_points_in_degrees(ds, scene_text):
     ]
 
 
+@pytest.mark.long
 def test_a_scene_asks_for_degrees_in_figures_alone(scene_text):
     scene = atlas.load_scene(scene_text({"axes.theta0.display_units": "deg"}))
     ds = atlas.run(scene, progress=False)

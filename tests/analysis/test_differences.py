@@ -114,6 +114,7 @@ def test_an_error_estimate_of_an_observable_counts_over_its_magnitude(own_system
         assert rows(first.drop_vars("x_min").atlas.compare(second))["x_mean"][:2] == ["0.5", "-"]
 
 
+@pytest.mark.long
 def test_differences_are_an_atlas_to_be_mapped(pair):
     first, second = pair
     ds = first.atlas.differences(second)

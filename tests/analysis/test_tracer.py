@@ -151,6 +151,7 @@ def test_lines_of_strangers_are_traced_anew(danger, tmp_path, monkeypatch, caplo
     )
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("whole_kernels")
 def test_maps_draw_the_lines_of_an_extension_alone(own):
     ds = atlas.run(atlas.load_scene(SCENE), progress=False)

@@ -57,6 +57,7 @@ def test_map_writes_png_and_pdf(folder, monkeypatch, capsys):
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_map_takes_the_choices_of_a_paper(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(["run", "small.toml", "--quiet"]) == 0
@@ -71,6 +72,7 @@ def test_map_takes_the_choices_of_a_paper(folder, monkeypatch, capsys):
     assert {(1, 0, 0), (0, 0, 1)} <= colours
 
 
+@pytest.mark.long
 def test_a_tile_is_never_replaced_by_the_join(longer, monkeypatch, capsys):
     folder, run, _ = longer
     monkeypatch.chdir(folder)
@@ -92,6 +94,7 @@ cli.command()
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_leaves_no_half_file_and_the_message_continues(
     folder, scene_text, number, code, monkeypatch
@@ -120,6 +123,7 @@ def test_a_signal_leaves_no_half_file_and_the_message_continues(
     assert not list(folder.rglob("*.tmp"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("suffix", [".nc", "/"])
 def test_names_with_points_stay_whole(folder, monkeypatch, suffix):
     monkeypatch.chdir(folder)
@@ -146,6 +150,7 @@ def test_options_take_several_values_or_are_repeated():
     assert values("trajectory", "--at", "a=1", "--", "b=2")["scene"] == "b=2"
 
 
+@pytest.mark.long
 def test_scenes_and_points_come_from_standard_input(folder, monkeypatch, capsys):
     def run_with_input(text, *arguments):
         (folder / "input").write_text(text)
@@ -227,6 +232,7 @@ def test_the_second_name_is_the_name_in_messages(monkeypatch, capsys):
     assert parser().prog == "atlas"
 
 
+@pytest.mark.long
 def test_a_trajectory_starts_from_the_scene_in_an_atlas(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     assert main(["run", "small.toml", "--quiet"]) == 0
@@ -242,6 +248,7 @@ def test_a_trajectory_starts_from_the_scene_in_an_atlas(folder, monkeypatch, cap
         assert float(c.theta[0]) == pytest.approx(0.4)
 
 
+@pytest.mark.long
 def test_an_unfinished_folder_is_announced(longer, monkeypatch, caplog, capsys):
     folder, run, _ = longer
     monkeypatch.chdir(folder)
@@ -287,6 +294,7 @@ def test_version_and_cache(capsys, tmp_path, monkeypatch):
     assert "removed 0" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_cache_warm_compiles_the_kernel_of_a_scene(folder, tmp_path, monkeypatch, capsys):
     kernels = tmp_path / "kernels"
     kernels.mkdir(mode=0o700)
@@ -299,6 +307,7 @@ def test_cache_warm_compiles_the_kernel_of_a_scene(folder, tmp_path, monkeypatch
     assert "1 kernels" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_cache_warm_skips_examples_of_missing_extensions(copied_package, folder):
     package, environment = copied_package
     examples = package.parent / "configs"

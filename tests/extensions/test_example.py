@@ -76,6 +76,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("installed")
 def test_a_run_in_a_format_is_one_file_with_all_of_the_atlas(folder, capsys):
     pq = pytest.importorskip("pyarrow.parquet")

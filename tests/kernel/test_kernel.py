@@ -151,6 +151,7 @@ def test_statistics_are_as_good_as_the_states(tilted, method, counts, sampling, 
     assert rates[1] < 3 * errors[1]["state"]
 
 
+@pytest.mark.usual("compiled")
 def test_results_do_not_depend_on_threads_blocks_or_neighbours(module_of):
     points, module = satellites(40, seed=5), module_of(SATELLITE, "rk4")
     steps = np.random.default_rng(1).choice([16, 32, 48], 40)
@@ -187,6 +188,7 @@ def test_nan_and_overflow_stay_visible(module_of):
     assert np.isfinite(statistics["theta_dot_rms"][[0, 2]]).all()
 
 
+@pytest.mark.usual("rk4")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
 def test_the_compiled_kernel_is_the_python_one(system, method):
@@ -203,6 +205,7 @@ def test_the_compiled_kernel_is_the_python_one(system, method):
         np.testing.assert_allclose(values, plain[0][name], rtol=1e-8, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.usual("compiled", "plain-0.3-rk4")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("damping", [0.0, 0.3])
 def test_an_interrupted_run_has_the_bits_of_a_whole_one(module_of, method, damping):

@@ -62,6 +62,7 @@ def without_losses():
     )
 
 
+@pytest.mark.usual("more0-rk4", "more1-rk8")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("more", [set(), {"k1", "k2", "k3", "mu1", "mu2", "mu3"}])
 def test_the_text_of_kernels_without_damping_has_nothing_of_losses(method, more):
@@ -87,6 +88,7 @@ def test_losses_that_vanish():
     assert augmented.losses_of(without_losses(), (), {}) == {}
 
 
+@pytest.mark.usual("rk4")
 @pytest.mark.parametrize("method", METHODS)
 def test_the_compiled_kernel_is_the_python_one(method):
     points = damped_satellites(4)
@@ -236,6 +238,7 @@ def register(text, folder, monkeypatch):
     atlas.register(importlib.import_module(folder.name).Pendulum)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("factor", "least", "most"), [("", 0.0, 1e-9), ("1.000001 * ", 1e-7, 1e-5)])
 def test_friction_of_a_pendulum(tmp_path, monkeypatch, own_systems, factor, least, most):
     text = FRICTION.replace("return friction", f"return {factor}friction")

@@ -25,6 +25,7 @@ from atlas.systems.satellite.system import SATELLITE
 ALL_TERMS = {name: 1.0 + i / 50 for i, name in enumerate(SATELLITE.parameters)}
 
 
+@pytest.mark.long
 def test_an_edited_line_is_never_answered_by_a_stale_kernel(copied_package, tmp_path):
     """A copy of the package, one sign of the right-hand side edited: the result must change; a comment must not."""
     package, variables = copied_package
@@ -315,6 +316,7 @@ for number in range(3):
 """
 
 
+@pytest.mark.long
 def test_processes_that_are_killed_while_they_compile_leave_whole_functions(cache, caplog, monkeypatch):
     """The next one takes them from the folder, compiles the others, and leaves nothing else there."""
     code = KILLED.format(source=SHIFTED)
@@ -332,6 +334,7 @@ def test_processes_that_are_killed_while_they_compile_leave_whole_functions(cach
     assert caplog.messages == []
 
 
+@pytest.mark.long
 def test_processes_that_compile_at_once_all_succeed(cache):
     code = f"from atlas.kernel import machine_code; print(machine_code.load({SOURCE!r}).integrate(1.0))"
     processes = [
@@ -452,6 +455,7 @@ print("\\n".join(all_changes + changes("after a run")))
 """
 
 
+@pytest.mark.long
 def test_numba_is_unchanged_by_import_compilation_and_run(tmp_path):
     result = subprocess.run(
         [sys.executable, "-c", COMPARE_BEFORE_AND_AFTER, SOURCE, str(tmp_path), repr(ALL_TERMS)],

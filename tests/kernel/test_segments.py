@@ -20,6 +20,7 @@ class _Dirty:
         return np.full(shape, np.inf if dtype is float else 0, dtype)
 
 
+@pytest.mark.long
 def test_sums_of_points_that_have_not_begun_decide_nothing(monkeypatch):
     """The first point has few steps and begins later than the second; what its sums hold before gives no warning."""
     points = {"theta0": [0.5, 0.6], "m": [1.0, 100.0], "Mg": 1.0}

@@ -129,6 +129,7 @@ def test_the_units_of_the_kernels_change_no_motion(system_name, h):
         np.testing.assert_allclose(kernel_units, outer, atol=1e-14)
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("system_name", SYSTEMS)
 def test_specialised_and_whole_kernels_agree_on_labels_and_rates(system_name):
     """With the kernels of the small scene, which other tests compile as well, and of the quickstart."""

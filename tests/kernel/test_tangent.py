@@ -95,6 +95,7 @@ def reference(name, points, i, duration):
     return np.trapezoid(megno, times) / duration, growth[-1] / duration
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("name", RANDOM)
 def test_indicators_agree_with_an_independent_integration(name):
     points = RANDOM[name](np.random.default_rng(3), 6)
@@ -151,6 +152,7 @@ def test_starts_have_norm_1_and_leave_the_constraints_satisfied(name):
         np.testing.assert_allclose(v[3] / v[0], 0.6, rtol=1e-14)
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("name", RANDOM)
 def test_plain_and_compiled_kernels_agree(name):
     points = RANDOM[name](np.random.default_rng(7), 3)
@@ -193,6 +195,7 @@ def test_runs_go_on_where_they_ended():
         np.testing.assert_allclose(actual[::2], values[::2], rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.long
 def test_terms_that_vanish_may_be_left_out():
     zero = dict.fromkeys(("mu1", "mu2", "mu3", "k1", "k2", "k3"), 0.0)
     points = random_satellites(np.random.default_rng(4), 8, **zero)

@@ -184,6 +184,7 @@ def test_a_spherical_satellite_precesses_in_inertial_space():
     assert names(resting) == names(resting, "label_any_axis_inertial") == ["permanent_rotation"]
 
 
+@pytest.mark.long
 @given(st.sampled_from(sorted(SATELLITE_SOLVED)), st.integers(0, 10**6))
 def test_steady_motions_of_the_satellite_are_steady_by_their_circle(name, seed):
     """The circle alone, without the rule that a steady label stays."""
@@ -429,6 +430,7 @@ def test_starts_far_from_every_circle(duration):
     assert_at_points(ds.predicted_any_axis, expected, {"w": w.T}, None, distance=distance)
 
 
+@pytest.mark.long
 def test_spin_rates_that_rounding_hides_have_no_prediction():
     """A spin of 2e6 and a weight: across the axis of a rate of 8 the torque changes the spin rate by 0.03."""
     point = {

@@ -49,6 +49,7 @@ def point_set(kind: str, system: str) -> tuple[dict[str, np.ndarray], np.ndarray
     return points, duration
 
 
+@pytest.mark.usual("random-satellite", "kicked off the vertical-fixed_point")
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize(
     "kind", ["random", "slender", "symmetric", "beside the vertical", "kicked off the vertical"]
@@ -72,6 +73,7 @@ def test_estimates_cover_the_errors_of_all_statistics(kind, system):
             assert np.median(ds.error_estimate.values[ok]) < limit
 
 
+@pytest.mark.usual("rk8-all")
 @pytest.mark.parametrize("check", ["none", "all"])
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_a_kick_from_the_vertical_has_a_small_estimate_and_blames_no_instability(method, check):
@@ -108,6 +110,7 @@ def test_extremes_of_starts_at_rest_beside_the_vertical(system):
     assert (ratio > 10).sum() <= 4, worst_point(points, 5, ratio, error=error, estimate=ds.error_estimate)
 
 
+@pytest.mark.long
 def test_extremes_of_a_constant_theta():
     """Rounding errors alone turn theta: turning points must not be sought outside the interval of two nodes."""
     rng = np.random.default_rng(0)

@@ -80,6 +80,7 @@ def test_too_long_a_step_is_under_resolved_never_labelled():
     assert named(atlas.label_points("satellite", point, duration=20.0), "label", 0) == "drifting"
 
 
+@pytest.mark.usual("limit0")
 @pytest.mark.parametrize("limit", [{"max_steps": 100_000_000}, {"step": 1e-6}])
 def test_points_that_no_label_can_come_of_are_hardly_integrated(limit):
     """1e8 steps of a point, and 5e11 evaluations of the right-hand side, would take minutes."""
@@ -144,6 +145,7 @@ def test_theta_zero_exactly_with_varying_spin_drifts():
     assert np.isnan(ds.psi_dot_mean[0])
 
 
+@pytest.mark.long
 @given(st.floats(-20, 20), st.floats(0.02, 3.1), st.floats(-3, 3), st.floats(-3, 3))
 def test_label_does_not_depend_on_where_psi_and_phi_start(angle, theta0, n, m):
     """A symmetric body with axial rotor: the motion about the axis is free, phi0 must not matter."""

@@ -47,6 +47,7 @@ KINDS = {
 }
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("name", KINDS)
 def test_nudges_of_fast_motions(name):
     """In units in which the motions are up to 100 times as fast; slow oscillations may be larger than the nudge."""

@@ -39,6 +39,7 @@ def column(cases, key, i=None):
     return np.array([case[key] if i is None else case[key][i] for case in cases])
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_verified_regular_and_chaotic_motions(system):
     cases, points = cases_of(system, "regular", "chaotic", "unstable_periodic")
@@ -86,6 +87,7 @@ def test_unstable_steady_motions_separate_at_their_growth_rate(system):
     np.testing.assert_allclose(measured, column(cases, "growth_measured"), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_planar_oscillations_are_unstable_in_tongues():
     a, amplitude, exponent = np.array(CASES["planar_map"]).T
     points = {"A": a, "B": 1.0, "C": 1.0, "psi0": amplitude, "theta0": 0.0}
@@ -191,6 +193,7 @@ def scene_of(duration="100 orbits", variables=("label", "megno", "regularity"), 
     )
 
 
+@pytest.mark.long
 def test_other_variables_are_the_same_to_the_bit_without_it():
     names = ("label", "status", "theta_dot_rms", "theta_max", "error_estimate")
     plain = atlas.run(atlas.load_scene(scene_of(variables=names)), progress=False)
@@ -233,6 +236,7 @@ def test_check_warns_of_runs_that_are_too_short(tmp_path, capsys):
         assert words is None or words in output
 
 
+@pytest.mark.long
 def test_refinement_follows_regularity():
     text = scene_of() + "\n[refine]\nlevels = 1\nprobe = 1.0\n"
     refined = atlas.run(atlas.load_scene(text), progress=False)

@@ -55,6 +55,7 @@ def judged(system, points, i, cylinder):
     return kind if max(measures) <= 1 else Label.DRIFTING
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["satellite", "fixed_point"])
 def test_labels_around_the_rim(system):
     """Of every duration and share outside, from full runs and from runs that may end early."""

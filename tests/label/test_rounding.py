@@ -31,6 +31,7 @@ def starts():
         yield "satellite", points_of_family(name, 4, seed=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_an_exact_stable_motion_has_its_label_or_none(method):
     refused = 0
@@ -59,6 +60,7 @@ def test_an_exact_stable_motion_has_its_label_or_none(method):
     assert refused > 20
 
 
+@pytest.mark.usual("rk8")
 @pytest.mark.parametrize("rate", [1e9, 1e10, 1e12])
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_precession_of_a_levitated_rotor(rate, method):
@@ -125,6 +127,7 @@ class Circling(systems.System):
         return np.array([points["radius0"] * x, points["radius0"] * y, -speed * y, speed * x])
 
 
+@pytest.mark.usual("rk8-radial")
 @pytest.mark.parametrize("observable", ["radius", "radial"])
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_an_observable_of_a_circle_is_constant_or_not_known_to_be(own_systems, observable, method):

@@ -120,6 +120,7 @@ def ends(points):
     return np.split(state, 3)
 
 
+@pytest.mark.usual("False")
 @pytest.mark.parametrize("reverses", [False, True])
 def test_an_image_has_the_labels_and_statistics_of_its_motion(reverses):
     """Reversed motions begin where the others end: both pass the same states."""
@@ -132,6 +133,7 @@ def test_an_image_has_the_labels_and_statistics_of_its_motion(reverses):
         assert not wrong, f"{signs}, {a}, seed {7 + reverses}: {wrong}"
 
 
+@pytest.mark.long
 def test_statistics_of_twice_the_time_are_those_of_both_halves():
     """The equations contain no time: the second half is the motion from the end of the first."""
     points, _ = starts(np.random.default_rng(9), 3)

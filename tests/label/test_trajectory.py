@@ -58,6 +58,7 @@ def euler_angles(name):
     ).sol
 
 
+@pytest.mark.usual("7")
 @pytest.mark.parametrize("samples", [2, 7, 301])
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_angles_are_those_of_another_integration_for_any_number_of_samples(system, samples):
@@ -75,6 +76,7 @@ def test_angles_are_those_of_another_integration_for_any_number_of_samples(syste
     np.testing.assert_allclose(np.stack([tr[f"g{i}"] for i in "123"], -1), attitude[:, 2], atol=1e-6)
 
 
+@pytest.mark.long
 def test_passages_of_the_vertical():
     """A top that falls through it turns by the same in both directions beside it, and half a turn exactly through it."""
     top = {"A": 1.0, "B": 1.0, "C": 0.6, "Mg": 1.0, "z0": 1.0, "theta0": 1.0, "theta_dot0": 1.0}
@@ -166,6 +168,7 @@ def test_plots_of_xarray_are_readable():
     np.testing.assert_array_equal(line.get_ydata(), tr.axis_x)
 
 
+@pytest.mark.usual("satellite-0.02-19.98-2", "fixed_point-0.25-90.0-2")
 @pytest.mark.parametrize(
     ("step", "duration", "samples", "steps"),
     [

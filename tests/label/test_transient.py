@@ -98,6 +98,7 @@ def test_rates_are_those_of_other_integrators(case, options):
     assert ds.attrs["atlas_transient"] == f"{transient:g}"
 
 
+@pytest.mark.long
 def test_all_is_as_from_the_state_at_its_end():
     """By a trajectory, whose angles and rates there are a start: any axis, MEGNO and the drift of first integrals included."""
     names = ["label_any_axis", "precession_rate", "nutation", "spin_axis_3", "megno", "lyapunov", *RATES]
@@ -215,6 +216,7 @@ def test_lazy_points_and_texts_of_each_point():
     assert orbits.attrs["atlas_transient"] == "1 orbit"
 
 
+@pytest.mark.long
 def test_an_attracting_point_is_steady_and_observables_begin_at_the_end_of_the_transient(lorenz):
     """The point is a zero of the equations, the end that of DOP853."""
     rng = np.random.default_rng(2)

@@ -36,6 +36,7 @@ def legend(figure):
     return [entry.get_text() for legend in figure.legends for entry in legend.get_texts()]
 
 
+@pytest.mark.long
 def test_chaotic_cells_are_shaded_by_their_exponents(librations):
     figure = atlas_map(librations, "regularity")
     shades = [mesh for mesh in figure.axes[0].collections if np.ma.count_masked(mesh.get_array())]

@@ -60,6 +60,7 @@ def assert_legible(figure, mm):
 LONG = "The first of two motions whose names are too long for a panel of a column"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mm", WIDTHS)
 @pytest.mark.parametrize("columns", [None, 1])
 def test_texts_of_panels_are_inside_and_apart(small, radius, points, mm, columns):
@@ -75,6 +76,7 @@ def test_texts_of_panels_are_inside_and_apart(small, radius, points, mm, columns
         assert_legible(figure, mm)
 
 
+@pytest.mark.long
 def test_lines_of_captions_fit_whatever_the_hash(points):
     """The hash differs between processors, and letters are wider or narrower on a screen than in print."""
     renderers = {dpi: RendererAgg(1, 1, dpi) for dpi in (100, 300, style.PRINT_DPI)}
@@ -89,6 +91,7 @@ def test_lines_of_captions_fit_whatever_the_hash(points):
                 assert drawn / dpi * 25.4 <= mm, (dpi, line)
 
 
+@pytest.mark.usual("85")
 @pytest.mark.parametrize("mm", WIDTHS)
 def test_figures_fit_whatever_the_hash(small, points, mm):
     ds = points.assign_attrs(atlas_kernel_hash=np.random.default_rng(mm).bytes(8).hex())
@@ -98,6 +101,7 @@ def test_figures_fit_whatever_the_hash(small, points, mm):
     assert_legible(figure, mm)
 
 
+@pytest.mark.usual("85")
 @pytest.mark.parametrize("mm", WIDTHS)
 def test_names_become_panels(small, radius, mm):
     joined = atlas.concat({"v": small, "r": radius}, "kind")
@@ -125,6 +129,7 @@ def test_names_become_panels(small, radius, mm):
     assert (figure.get_supxlabel(), bar.get_ylabel()) == ("$C/A$", r"largest $\theta$ (rad)")
 
 
+@pytest.mark.long
 def test_names_and_numbers_span_rows_and_columns(small, radius):
     cut = [ds.isel(theta0=[1, 3, 5]) for ds in (small, radius)]
     joined = atlas.concat({"v": cut[0], "r": cut[1]}, "kind")
@@ -165,6 +170,7 @@ def test_flags_of_a_result_become_panels(small):
     assert len(figure.axes) == 6
 
 
+@pytest.mark.long
 def test_panels_share_what_they_have_in_common(small, radius):
     one = atlas.figure([small, (small, "predicted")])
     assert [bool(ax.get_ylabel()) for ax in one.axes] == [False, False]
@@ -177,6 +183,7 @@ def test_panels_share_what_they_have_in_common(small, radius):
     assert [ax.get_subplotspec().rowspan.start for ax in three.axes] == [0, 1, 2]
 
 
+@pytest.mark.usual("85-85", "column-88")
 @pytest.mark.parametrize(("width", "mm"), [("column", 88), ("page", 180), (85, 85)])
 def test_figures_of_the_caller_have_the_style(small, width, mm):
     before = dict(matplotlib.rcParams)

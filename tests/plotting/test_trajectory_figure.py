@@ -135,6 +135,7 @@ def small_motion(theta0):
     )
 
 
+@pytest.mark.usual("0.8")
 @pytest.mark.parametrize("theta0", [0.0, 0.8])
 def test_a_small_path_is_enlarged(theta0):
     """Sideways sin(theta) dpsi, upward -dtheta; about the vertical the components in the frame."""

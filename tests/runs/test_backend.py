@@ -33,6 +33,7 @@ def test_the_package_declares_the_engine():
     assert EntryPoint(name, value, "xarray.backends").load() is AtlasBackend
 
 
+@pytest.mark.usual("folder-None", "file-chunks1")
 @pytest.mark.parametrize("chunks", [None, {}, {"theta0": 7}])
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_the_engine_opens_folders_and_files(run, kind, chunks):

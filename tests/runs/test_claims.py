@@ -53,6 +53,7 @@ def age(path, seconds):
     os.utime(path, (status.st_atime - seconds, status.st_mtime - seconds))
 
 
+@pytest.mark.long
 def test_a_claim_holds_while_its_process_gives_signs_of_life(tmp_path, living):
     path, place = tmp_path / "a.claim", (places.Folder(tmp_path), "a.claim")
     assert claim(*place)
@@ -119,6 +120,7 @@ def test_a_claim_that_cannot_be_written_is_not_there(tmp_path, links, monkeypatc
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.claim", b"one")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["manifest.claim", "joining.claim", "tiles/00000003.claim"])
 def test_who_waits_says_for_whom_and_ends_when_the_time_is_up(
     name, small_scene, tmp_path, living, monkeypatch, caplog
@@ -168,6 +170,7 @@ def test_one_of_several_processes_creates_a_run(
     assert {path.name for path in claim.parent.iterdir()} == {"manifest.json", "tiles"}
 
 
+@pytest.mark.usual("dead-a.nc")
 @pytest.mark.parametrize("name", ["a.nc", "memory://claims/a.zarr"])
 @pytest.mark.parametrize("end", ["done", "dead"])
 def test_one_of_several_processes_joins_a_run(name, end, small_scene, tmp_path, living, monkeypatch):
@@ -215,6 +218,7 @@ def test_a_claim_is_kept_while_a_tile_is_computed_and_then_released(folder, monk
     assert not path.exists()
 
 
+@pytest.mark.usual("written")
 @pytest.mark.parametrize("end", ["written", "expired"])
 def test_tiles_of_others_are_left_to_them_until_they_are_done_or_dead(end, folder, living, monkeypatch):
     other = tile_path(folder.tiles, 3, SUFFIX)

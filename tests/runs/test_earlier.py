@@ -28,6 +28,7 @@ def old(scene_text, tmp_path_factory):
     return path
 
 
+@pytest.mark.usual("a part", "other points under the same names")
 @pytest.mark.parametrize(
     ("changes", "shared"),
     [
@@ -68,6 +69,7 @@ def test_an_extended_atlas_is_a_fresh_one_and_only_new_points_are_integrated(
         assert line.startswith(f"{shared} points of: small; Precession Atlas")
 
 
+@pytest.mark.long
 def test_points_with_the_same_transient_are_taken(scene_text, tmp_path, evaluated):
     """Of two transients that are arithmetic, equal along one half of an axis."""
     changes = {"axes.sigma": {"values": SIGMA}, "labels.transient": "5 + 0 * sigma"}
@@ -122,6 +124,7 @@ def test_atlases_are_joined_and_extended_again_with_the_provenance_of_all(
     assert_same_bytes(atlas.run(both, progress=False), extended)
 
 
+@pytest.mark.long
 def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_path, monkeypatch, evaluated):
     monkeypatch.setenv("ATLAS_TILE_POINTS", "7")
     few = {"outputs": {"variables": ["label", "status", "theta_dot_rms", "error_estimate"]}}
@@ -144,6 +147,7 @@ def test_of_an_unfinished_folder_the_whole_tiles_are_taken(old, scene_text, tmp_
     assert_same_bytes(ds, continued)
 
 
+@pytest.mark.long
 def test_of_a_refined_atlas_only_integrated_points_are_taken(scene_text, tmp_path, evaluated):
     refined = load_scene(scene_text({"refine.levels": 2}))
     ds = atlas.run(refined, tmp_path / "refined.nc", progress=False)
@@ -228,6 +232,7 @@ def test_the_command_extends_an_atlas(old, scene_text, tmp_path, capsys):
         assert_same_bytes(atlas.run(load_scene(scene_text(WIDER)), progress=False), ds)
 
 
+@pytest.mark.long
 def test_a_run_whose_time_is_over_stops_in_good_order_and_is_continued(
     scene_text, tmp_path, monkeypatch, capsys
 ):

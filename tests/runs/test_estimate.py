@@ -159,6 +159,7 @@ def test_a_short_run_measures_nothing(monkeypatch, small_scene):
     atlas.run(load_scene(small_scene), threads=1, progress=False)
 
 
+@pytest.mark.long
 def test_a_count_that_is_a_typo_costs_seconds(monkeypatch, caplog, tmp_path, small_scene):
     text = small_scene.replace("count = 9", "count = 100_000").replace("count = 7", "count = 100_000")
     with pytest.raises(

@@ -101,6 +101,7 @@ def assert_recovers(run, scene, whole, evaluated, missing) -> None:
     assert not [name for name in run.left() if name.endswith((".tmp", ".claim"))]
 
 
+@pytest.mark.usual("file-1", "folder-9", "bucket-8")
 @pytest.mark.parametrize(
     ("run", "moment"),
     [("folder", 6), ("folder", 9), ("file", 1), ("store", 5), ("bucket", 8), ("store in a bucket", 5), ("server", 7)],
@@ -128,6 +129,7 @@ def test_an_interrupted_run(run, moment, scene, whole, evaluated, interrupt, cap
         assert len(evaluated) == len(after.missing)
 
 
+@pytest.mark.usual("folder-12")
 @pytest.mark.parametrize(("run", "moment"), [("folder", 12), ("file", 0), ("store", 12)], indirect=["run"])
 def test_a_full_disk(run, moment, scene, whole, evaluated, monkeypatch):
     """After so many flushes of files."""
@@ -160,6 +162,7 @@ def test_a_full_disk(run, moment, scene, whole, evaluated, monkeypatch):
 CLAIMS = {"empty": (b"", 60.0), "of the future": (b"00000000-00000000-1-1", -3600.0)}
 
 
+@pytest.mark.usual("empty-folder-tiles/00000003.claim", "of the future-file-joining.claim")
 @pytest.mark.parametrize(
     ("run", "name"),
     [("folder", "tiles/00000003.claim"), ("file", "joining.claim"), ("store", "manifest.claim")],
@@ -229,6 +232,7 @@ def values_of(content: bytes) -> bytes:
 
 
 # What the header of a tile says does not depend on its place, and a server differs from a bucket in memory by its answers.
+@pytest.mark.usual("folder-names0")
 @pytest.mark.parametrize(
     ("run", "names"),
     [("folder", [*DAMAGES, *OBSTACLES]), ("bucket", [*DAMAGES][:7]), ("server", [*DAMAGES][:2])],
@@ -280,6 +284,7 @@ def test_a_damaged_tile(run, names, scene, whole, tmp_path, evaluated, caplog, c
         assert_same_bytes(whole, ds)
 
 
+@pytest.mark.usual("file")
 @pytest.mark.parametrize("run", ["file", "store in a bucket"], indirect=True)
 def test_a_tile_that_is_damaged_after_an_interruption(run, scene, whole, evaluated, interrupt, caplog):
     """It is computed again before the tiles are joined."""
@@ -320,6 +325,7 @@ def assert_same(one, other) -> None:
         assert_same_bytes(one[1], other[1])
 
 
+@pytest.mark.usual("tiles/00000003.tile")
 @pytest.mark.parametrize("name", FLIPPED)
 def test_a_flipped_bit_never_gives_other_data(name, scene, tmp_path):
     atlas.run(scene, f"{tmp_path}/night/", progress=False).close()

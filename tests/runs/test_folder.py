@@ -94,6 +94,7 @@ def test_a_run_folder_and_a_joined_file_hold_the_atlas_computed_in_memory(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["joined.nc", "one.nc", "run"]
 
 
+@pytest.mark.long
 def test_tiles_of_unequal_lengths_are_joined(scene, whole, tmp_path, monkeypatch):
     """Their boxes in the file begin and end within tiles, or hold many of them."""
     monkeypatch.setenv("ATLAS_TILE_POINTS", "5")
@@ -107,6 +108,7 @@ def test_tiles_of_unequal_lengths_are_joined(scene, whole, tmp_path, monkeypatch
             assert_same_bytes(whole, joined)
 
 
+@pytest.mark.long
 def test_tiles_of_two_runs_have_the_same_values(scene, tmp_path, small_tiles):
     for name, threads in (("one", 1), ("two", 2)):
         atlas.run(scene, f"{tmp_path}/{name}/", threads=threads, progress=False)
@@ -122,6 +124,7 @@ def values_of(file: Path) -> bytes:
     return content[content.index(b"\n") : -32]
 
 
+@pytest.mark.long
 def test_a_finished_run_is_opened_without_reading_its_tiles(
     scene, whole, tmp_path, small_tiles, monkeypatch, capsys
 ):
@@ -426,6 +429,7 @@ def command(*arguments, cwd):
     )  # fmt: skip
 
 
+@pytest.mark.long
 def test_finished_tiles_survive_kill_9_at_random_moments(longer, fault_rounds, monkeypatch):
     path, run, whole = longer
     rng = np.random.default_rng(7)
@@ -453,6 +457,7 @@ def test_finished_tiles_survive_kill_9_at_random_moments(longer, fault_rounds, m
     assert all(file.stat().st_mtime_ns == stamp for file, stamp in modified.items())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("out", ["run/", pytest.param("run.nc", marks=pytest.mark.faults)])
 def test_two_processes_finish_one_atlas_together(longer, out):
     path, run, whole = longer
@@ -488,6 +493,7 @@ sys.exit(cli.main(["run", "scene.toml", "-o", "run/", "--threads", "1", "--quiet
 """
 
 
+@pytest.mark.long
 def test_ctrl_c_keeps_finished_tiles(longer):
     path, run, whole = longer
     process = subprocess.Popen(
@@ -549,6 +555,7 @@ def test_damaged_final_attributes_are_refused_and_written_anew(scene, tmp_path, 
     assert file.read_text() == whole
 
 
+@pytest.mark.long
 def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(scene, tmp_path, small_tiles):
     run = empty_run_folder(scene, tmp_path / "run")
     machine, boot, pid, start = process_name().split("-")
@@ -586,6 +593,7 @@ def test_files_that_killed_processes_left_are_removed_and_those_of_others_kept(s
         assert not {path for path in of_dead if path.parent in cleaned} & remaining
 
 
+@pytest.mark.long
 def test_a_run_folder_needs_no_hard_links(scene, whole, tmp_path, small_tiles, monkeypatch):
     def refuse(*arguments, **options):
         raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
@@ -693,6 +701,7 @@ def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, 
     assert set(columns) >= set(tile_types(scene))
 
 
+@pytest.mark.long
 def test_parameters_of_many_values_are_lazy_and_can_be_joined(
     scene, whole, tmp_path, small_tiles, monkeypatch
 ):

@@ -56,6 +56,7 @@ def assert_whole(ds, whole):
         assert ds.attrs[name] == whole.attrs[name]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_tiles")
 def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, tmp_path, evaluated, capsys):
     ds = run(scene, f"{tmp_path}/night/")
@@ -89,6 +90,7 @@ def test_a_refined_run_folder_holds_the_atlas_computed_in_memory(scene, whole, t
     assert not folder.path.exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_tiles")
 def test_a_refined_run_that_ends_at_any_tile_is_continued_there(
     scene, whole, tmp_path, evaluated, interrupt, capsys
@@ -111,6 +113,7 @@ def test_a_refined_run_that_ends_at_any_tile_is_continued_there(
     assert sum(evaluated) == int(whole.computed.sum())  # no tile twice
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("small_tiles")
 def test_damaged_levels_are_computed_again(scene, whole, tmp_path, evaluated):
     run(scene, f"{tmp_path}/night/")
@@ -189,6 +192,7 @@ def test_a_worker_computes_a_tile_of_a_level_and_refuses_another_one(scene, tmp_
         folders.compute_tile(str(folder.path), 0, level.tiles.key, 0)
 
 
+@pytest.mark.long
 def test_dask_workers_compute_the_levels(scene, whole, tmp_path):
     with atlas.run(scene, f"{tmp_path}/night/", workers=1, progress=False) as ds:
         assert_whole(ds.load(), whole)

@@ -112,6 +112,7 @@ def test_long_calls_of_label_points_are_told_of_a_faster_method_once(monkeypatch
     )
 
 
+@pytest.mark.long
 def test_check_dry_run_and_summary_print_the_line_once(small_scene, tmp_path, monkeypatch, capsys):
     (tmp_path / "small.toml").write_text(small_scene)
     (line,), _, scene = lines_and_sample(small_scene)

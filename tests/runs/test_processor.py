@@ -68,6 +68,7 @@ json.dump([result, re.findall(r"vfn?m[a-z]+\d+pd\s.*%([xyz])mm", text)], sys.std
 """
 
 
+@pytest.mark.long
 @fused
 @pytest.mark.parametrize(
     ("system", "method"),
@@ -84,6 +85,7 @@ def test_the_length_of_vectors_changes_no_bit(system, method, tmp_path):
     assert short == statistics(system, method)
 
 
+@pytest.mark.long
 @fused
 def test_a_folder_begun_for_a_processor_goes_on_with_another_one_alike(scene_text, tmp_path, monkeypatch):
     monkeypatch.setenv("ATLAS_TILE_POINTS", "16")
@@ -123,6 +125,7 @@ def test_fused_operations_are_seen_in_machine_code(name, features, expected):
     assert machine_code.fuses(name, features) == expected
 
 
+@pytest.mark.usual("variables0")
 @fused
 @pytest.mark.parametrize(
     ("variables", "expected"),
@@ -150,6 +153,7 @@ def test_library_bits_are_the_same_in_each_process_and_at_any_address():
     assert python(BITS, OPENBLAS_NUM_THREADS="3").strip() == expected
 
 
+@pytest.mark.usual("OPENBLAS_CORETYPE")
 @fused
 @pytest.mark.parametrize(
     "variables",

@@ -51,6 +51,7 @@ def both(scene_text):
     return atlas.run(scene, progress=False), atlas.run(full, progress=False)
 
 
+@pytest.mark.long
 def test_flags_and_parameters_are_those_of_the_full_grid(both):
     ds, full = both
     assert dict(ds.sizes) == {"sigma": 65, "theta0": 49}
@@ -77,6 +78,7 @@ def test_numbers_are_those_of_the_full_grid_or_nan(both):
     assert ds.attrs["atlas_probe_missed"] == 0
 
 
+@pytest.mark.long
 def test_a_refined_atlas_can_be_written_read_mapped_and_queried(both, tmp_path):
     ds, full = both
     netcdf.write(ds, tmp_path / "a.nc")
@@ -150,6 +152,7 @@ def expected_labels(ds, inside):
     return labels_of_region(inside, *np.meshgrid(ds.h1, ds.h3, indexing="ij"))
 
 
+@pytest.mark.long
 @settings(max_examples=25)
 @given(st.floats(0, 1), st.floats(0, 1), st.floats(0.15, 0.6), st.floats(0.02, 1.0), st.floats(0, np.pi))
 def test_any_ellipse_that_contains_a_coarse_point_is_exact(x0, y0, semi_axis, ratio, angle):
@@ -240,6 +243,7 @@ def test_boxes_of_any_size_give_the_same_atlas(scene_text, both, monkeypatch):
     )
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_grid(tmp_path, monkeypatch):
     """What the grid holds is in a folder; of the memory that Python allocates, points near the boundary take a little."""
     monkeypatch.setattr(refine, "MAX_BOX_POINTS", 4096)

@@ -76,6 +76,7 @@ def test_flags_can_be_read_by_cf_xarray_and_by_plain_netcdf(small_atlas):
         assert label.getncattr("flag_values").dtype == np.int8
 
 
+@pytest.mark.long
 def test_theory_and_measurement_agree_away_from_the_boundary(small_atlas):
     from atlas.analysis.compare import near_boundary
 
@@ -214,6 +215,7 @@ def test_the_same_command_ends_well_wherever_a_run_was_killed_after_its_join(sma
     assert (folder / "manifest.json").exists()
 
 
+@pytest.mark.long
 def test_another_file_or_folder_in_the_way_is_kept(small_scene, scene_text, tmp_path):
     scene, path = load_scene(small_scene), tmp_path / "a.nc"
     other = load_scene(scene_text({"fixed.m": 0.6}))
@@ -233,6 +235,7 @@ def test_another_file_or_folder_in_the_way_is_kept(small_scene, scene_text, tmp_
     assert len(list((tmp_path / "a.nc.run" / "tiles").iterdir())) == 1
 
 
+@pytest.mark.long
 def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_path, monkeypatch):
     scene, path = load_scene(small_scene), tmp_path / "a.nc"
     whole = atlas.run(scene, progress=False)
@@ -266,6 +269,7 @@ def test_a_run_whose_file_another_process_finishes_ends_well(small_scene, tmp_pa
             assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
+@pytest.mark.long
 def test_names_of_any_length_work_or_are_refused_before_the_run(small_scene, tmp_path, evaluated):
     scene = load_scene(small_scene)
     longest = os.pathconf(tmp_path, "PC_NAME_MAX")
@@ -343,6 +347,7 @@ for step in (*range(1, steps - 14, STRIDE), *range(steps - 14, steps + 1)):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("links", ["links", pytest.param("no links", marks=pytest.mark.faults)])
 def test_after_a_kill_at_any_step_the_same_command_finishes(scene_text, tmp_path, fault_rounds, links):
     """On disks with and without hard links; at every step from 15 fault rounds on; few variables, for the steps are of files."""

@@ -40,6 +40,7 @@ def scene(scene_text):
     return load_scene(scene_text(FEW | {"axes.sigma.count": 5}))
 
 
+@pytest.mark.usual("folder")
 def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):
     RunFolder.prepare(ScenePlan.of(scene), place)
     other = load_scene(scene_text(FEW | {"fixed.m": 0.6}))
@@ -53,6 +54,7 @@ def test_another_scene_and_anything_else_are_refused(scene, scene_text, place):
         atlas.run(scene, elsewhere, progress=False)
 
 
+@pytest.mark.usual("folder")
 @pytest.mark.parametrize("sign", ["progress", "claim"])
 def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whole, place, evaluated, sign):
     other = load_scene(scene_text(FEW | {"fixed.m": 0.6}))
@@ -84,6 +86,7 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
         assert len(evaluated) == 5
 
 
+@pytest.mark.usual("s3")
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).runs, scene, run.tiles.indices(3))
@@ -106,6 +109,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
     assert_same_bytes(whole, atlas.run(scene, place, progress=False))
 
 
+@pytest.mark.usual("folder")
 def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     other = process_name().replace(process_name()[:8], "0" * 8).encode()  # on another machine
@@ -118,6 +122,7 @@ def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
     assert {*run.tiles.place.names()} <= {"clock"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["s3"], indirect=True)
 def test_a_refined_run_is_kept_on_a_server(scene_text, place, monkeypatch):
     monkeypatch.setenv("ATLAS_TILE_POINTS", "20")  # several tiles for each level, not forty
@@ -128,6 +133,7 @@ def test_a_refined_run_is_kept_on_a_server(scene_text, place, monkeypatch):
         assert_same_bytes(whole, ds)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["s3"], indirect=True)
 def test_a_scene_is_extended_from_a_run_on_a_server(scene, scene_text, whole, place):
     atlas.run(scene, place, progress=False)
@@ -149,6 +155,7 @@ def test_a_store_that_cannot_be_reached_ends_a_run_in_one_line(scene, server, mo
             atlas.run(scene, address, progress=False)
 
 
+@pytest.mark.long
 def test_a_run_of_many_tiles_has_folders_of_them(scene_text, tmp_path, monkeypatch):
     scene = load_scene(scene_text(FEW))
     monkeypatch.setattr(tile, "TILES_PER_FOLDER", 4)

@@ -46,6 +46,7 @@ def files_of(path, name):
     return [file for file in (path / name / "c").rglob("*") if file.is_file()]
 
 
+@pytest.mark.usual("96-9")
 @pytest.mark.parametrize(("points_per_chunk", "files"), [(65536, 1), (96, 9), (20, 54)])
 def test_a_store_holds_the_atlas(run, tmp_path, monkeypatch, points_per_chunk, files):
     folder, whole = run
@@ -98,6 +99,7 @@ def damaged(path, name):
     return None
 
 
+@pytest.mark.long
 def test_damage_is_found(store, capsys):
     """A flipped bit and a lost object when they are read; an object in the place of another by `status --verify`."""
     whole = store / "label" / "c" / "0" / "0"
@@ -142,6 +144,7 @@ def test_damage_is_found(store, capsys):
         atlas.open_atlas(store)
 
 
+@pytest.mark.usual("sigma/c/0")
 @pytest.mark.parametrize("other", ["theta_max/c/0/0", "label/c", "sigma/c/0"])
 def test_an_object_of_another_form_is_refused(store, other):
     """Of another type, or unpacking to more numbers than its chunk has."""
@@ -158,6 +161,7 @@ def test_an_object_of_another_form_is_refused(store, other):
         atlas.open_atlas(store).label.load()
 
 
+@pytest.mark.long
 def test_a_copy_by_another_program_is_read_as_it_is(store, tmp_path, capsys):
     with atlas.open_atlas(store) as ds, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -184,6 +188,7 @@ def test_a_store_that_claims_more_than_its_files_can_hold_is_refused(store, tmp_
         atlas.open_atlas(tmp_path / "bomb.zarr")
 
 
+@pytest.mark.long
 def test_a_join_that_fails_leaves_what_was_there(run, store, monkeypatch):
     folder, _ = run
     before = (store / "zarr.json").read_bytes()
@@ -211,6 +216,7 @@ def test_a_join_that_fails_leaves_what_was_there(run, store, monkeypatch):
     assert [entry.name for entry in store.parent.iterdir()] == [store.name]
 
 
+@pytest.mark.long
 def test_an_export_to_an_object_store_that_is_killed_is_refused_and_finished(scene_text, monkeypatch, capsys):
     """At any object, also while those of the time before are removed: what is there is no atlas, and the same command makes it one."""
     pytest.importorskip("obstore")
@@ -259,6 +265,7 @@ def test_an_export_to_an_object_store_that_is_killed_is_refused_and_finished(sce
     assert_same_bytes(whole, atlas.run(scene, out, force=True, progress=False))
 
 
+@pytest.mark.long
 def test_a_run_that_was_killed_after_its_export_is_finished_unless_the_store_is_damaged(
     scene_text, tmp_path, monkeypatch, evaluated
 ):
@@ -301,6 +308,7 @@ def test_the_command_join_writes_stores(run, tmp_path, capsys):
     assert Folder(out).walk()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("address", ["", f"{ADDRESS}/replaced.zarr"])
 def test_a_store_that_is_replaced_below_its_reader_never_mixes(run, tmp_path, address):
     """Also where the new one is that of the same scene, and in a process that got the dataset."""

@@ -46,6 +46,7 @@ def test_odd_scenes_run_or_are_refused_in_one_line(cases):
     assert outcomes.count("ok") > 0.1 * len(outcomes)
 
 
+@pytest.mark.long
 def test_odd_points_are_labelled_or_refused_in_one_line(cases):
     outcomes = [odd_scenes.try_points(rng) for rng in cases("points", 50)]
     assert outcomes.count("ok") > 0.1 * len(outcomes)

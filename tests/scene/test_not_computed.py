@@ -86,6 +86,7 @@ def test_a_flat_body_is_possible_and_a_body_beyond_it_is_not():
     assert ds.status.values.tolist() == [Status.OK, Status.OK, Status.IMPOSSIBLE_BODY]
 
 
+@pytest.mark.long
 def test_a_run_folder_its_join_and_its_comparison_with_theory(computed, tmp_path, monkeypatch):
     monkeypatch.setenv("ATLAS_TILE_POINTS", "64")
     folder = atlas.run(rectangle(), tmp_path / "run/", progress=False)

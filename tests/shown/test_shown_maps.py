@@ -242,6 +242,7 @@ def test_dots_of_numbers_have_them(dots):
     np.testing.assert_array_equal(drawn.get_array(), dots.theta_max)
 
 
+@pytest.mark.usual("perp radius")
 @pytest.mark.parametrize(
     ("psi0", "family", "factor"), [(0.0, "perp radius", 1), (np.pi / 2, "perp velocity", 4)]
 )

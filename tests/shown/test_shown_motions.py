@@ -135,6 +135,7 @@ def test_directions_of_an_enlarged_path():
         assert abs(change[1 - moved]) < 1e-5
 
 
+@pytest.mark.long
 def test_observables_of_another_system_have_their_names_and_units(tmp_path, monkeypatch, own_systems):
     (tmp_path / "pendulum_of_shown.py").write_text(PENDULUM)
     monkeypatch.syspath_prepend(tmp_path)

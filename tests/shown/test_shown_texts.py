@@ -126,6 +126,7 @@ def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
     assert other / hours == pytest.approx(number(rf"in about {NUMBER} of the time", text), rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_steps")
 def test_processes_share_the_time_and_add_their_memory(scene_text):
     """By rk4 the phase error of a run is as T h^4: at the same tolerance a hundred times the duration takes 100^(5/4) times the steps."""
@@ -241,6 +242,7 @@ def test_a_comparison_with_theory_counts_the_pairs_of_labels(small):
         assert float(growth) == pytest.approx(float(point.growth_rate * point.end_time), abs=5e-3)
 
 
+@pytest.mark.long
 def test_status_counts_the_tiles_and_points_of_a_folder(here, monkeypatch, scene_text):
     (here / "s.toml").write_text(
         scene_text({"axes.sigma.count": 18, "axes.theta0.count": 48, "integration.duration": 2.0})

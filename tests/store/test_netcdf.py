@@ -127,6 +127,7 @@ CHANGES = (
 )  # fmt: skip
 
 
+@pytest.mark.usual("change_flag", "rename_variable", "change_axis")
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 def test_a_changed_file_is_refused_when_it_is_verified(small_file, tmp_path, change, capsys):
     path = tmp_path / "changed.nc"
@@ -159,6 +160,7 @@ def rechunked(path, other, lengths):
             new[...] = variable[...]
 
 
+@pytest.mark.usual("20-lengths1", "8388608-lengths4")
 @pytest.mark.parametrize("lengths", [(1, 1), (2, 3), (5, 2), (9, 1), (9, 7), (4, 7)])
 @pytest.mark.parametrize("most", [1, 20, 1 << 23])
 def test_copies_with_other_chunks_are_sound(small_file, tmp_path, monkeypatch, lengths, most):
@@ -195,6 +197,7 @@ def test_a_file_can_be_copied_into_a_classic_one(small_file, tmp_path, small_sce
         assert [read.many, read.few, read.some.tolist()] == [10**10, 7, [1, 2]]
 
 
+@pytest.mark.long
 def test_coordinates_that_users_write_have_no_fill_value(small_file, tmp_path, small_scene):
     """CF demands that of coordinate variables (section 2.5.1)."""
     points = atlas.label_points("satellite", {"m": [0.5, 0.6], "theta0": 0.2}, duration=1.0)
@@ -215,6 +218,7 @@ def test_coordinates_that_users_write_have_no_fill_value(small_file, tmp_path, s
             assert not filled, (name, filled)
 
 
+@pytest.mark.long
 def test_a_flipped_bit_is_found_when_the_file_is_verified(small_scene, tmp_path):
     """Anywhere, and often in the tables of chunks, which have no checksum of the library: what is verified holds the data.
 

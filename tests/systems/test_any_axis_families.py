@@ -28,6 +28,7 @@ MOMENTS = [
 # Proofs.
 
 
+@pytest.mark.long
 def test_grioli_s_motion_satisfies_the_equations_in_axes_of_its_own():
     """I = [[a, 0, d], [0, a, 0], [d, 0, b]], r_c and rotor along the third axis, by computer algebra."""
     a, b, d, n, rotor, weight, angle = sp.symbols("a b d n lambda w angle", positive=True)
@@ -97,6 +98,7 @@ def nullity(*args):
 RATIOS = sorted({s * j / k for s in (-1, 1) for k in (1, 2, 3, 4) for j in range(1, 5) if j / k <= 4})
 
 
+@pytest.mark.long
 def test_no_other_regular_precession_exists():
     """The bodies that can make a motion are a linear space: its dimension shows which families exist.
 
@@ -185,6 +187,7 @@ def reference_growth(name, point):
     return np.arccosh(max(abs(total) / 2, 1.0)) / period, np.linalg.eigvals(monodromy)
 
 
+@pytest.mark.usual("balanced_field")
 @pytest.mark.parametrize("name", ["grioli", "balanced_field"])
 def test_floquet_multipliers_against_the_monodromy_matrix(name):
     points = DRAWS[name](np.random.default_rng(11), 120)
@@ -262,6 +265,7 @@ def test_predictions_agree_about_any_axes_where_the_motion_is_about_the_third():
     np.testing.assert_array_equal(about_any["predicted_any_axis"][steady], result["predicted"][steady])
 
 
+@pytest.mark.usual("balanced_field", "free_precession")
 @pytest.mark.parametrize("name", FAMILIES)
 def test_measured_labels_about_any_axes_agree(name):
     points = DRAWS[name](np.random.default_rng(14), 16)

@@ -93,6 +93,7 @@ def test_satellites_at_rest_have_the_second_variation_of_their_jacobi_integral()
     assert all((kind == StabilityKind.UNSTABLE) == (stable == Stability.UNSTABLE) for kind, stable in flags)
 
 
+@pytest.mark.usual("0.0")
 @pytest.mark.parametrize("psi0", [0.0, np.pi / 2])
 def test_spinning_satellites_have_it_on_the_level_of_their_momentum(psi0):
     rng = np.random.default_rng(1)
@@ -204,6 +205,7 @@ def test_sleeping_tops_and_free_bodies():
     assert derived(FIXED_POINT, "stability_kind", free).tolist() == kinds
 
 
+@pytest.mark.long
 def test_free_spins_with_dissipation_at_constant_angular_momentum():
     """M' = M x w + M x (M x w) keeps |M| and lowers the energy: a spin about the greatest moment stays, every other one leaves."""
     rng, every = np.random.default_rng(11), np.ones(100, np.int8)
@@ -270,6 +272,7 @@ def slope_with_ball(system, body, ball, drag):
     return slope
 
 
+@pytest.mark.long
 @pytest.mark.extension("equilibria")
 def test_a_damper_in_the_body_leaves_minima_alone():
     """Tops and satellites with a ball that turns against a viscous fluid in them, a pervasive internal damper, linearised.
@@ -344,6 +347,7 @@ def test_nothing_is_claimed_off_families_and_of_periodic_equations():
     assert derived(SATELLITE, "stability_kind", tilted)[0] == expected
 
 
+@pytest.mark.long
 def test_verdicts_on_a_sphere_do_not_depend_on_its_axes():
     rng = np.random.default_rng(7)
     drawings = np.concatenate([SIGNED_PERMUTATIONS, Rotation.random(3, random_state=7).as_matrix()])

@@ -48,6 +48,7 @@ def test_the_folder_of_examples_is_not_empty():
     assert NAMES == ["double_pendulum", "elliptic_orbit", "heavy_top_euler", "henon_heiles", "two_field_top"]
 
 
+@pytest.mark.long
 def test_a_system_of_pure_numbers_has_no_seconds():
     for name, units in (("henon_heiles", {"1"}), ("double_pendulum", {"s", "s-1"})):
         found = data_variables(systems.get(name))
@@ -56,6 +57,7 @@ def test_a_system_of_pure_numbers_has_no_seconds():
     assert {motion[each].attrs["units"] for each in ("time", "step")} == {"1"}
 
 
+@pytest.mark.long
 def test_the_command_finds_the_systems_of_installed_packages(path, tmp_path, monkeypatch):
     """Of their scenes, which are read whole in this process, few points are checked in one without its modules."""
     monkeypatch.setenv("PYTHONPATH", path)
@@ -88,6 +90,7 @@ def test_the_package_names_no_example():
         assert not [name for name in NAMES if name in text or name.replace("_", " ") in text], path
 
 
+@pytest.mark.long
 def test_commands_with_the_scene_of_henon_and_heiles(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = scene_of("henon_heiles", y0=6, v0=5).replace("1000.0", "100.0")
@@ -141,6 +144,7 @@ def test_lyapunov_exponents_are_those_of_dop853():
         assert measured[i] == pytest.approx(growth, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("energy", "exponent", "tolerance"),
     # Of another program (rk4 with a step of 0.05): means over 20 and 31 chaotic motions of 10^5 time units, 0.0454 +- 0.0011
@@ -160,6 +164,7 @@ def test_motions_of_little_energy_are_regular():
     assert (ds["regularity"] == Regularity.REGULAR).all()
 
 
+@pytest.mark.long
 @pytest.mark.extension("studies")
 def test_accuracy_of_an_example():
     from atlas.extensions.studies.work_precision import work_precision
@@ -173,6 +178,7 @@ def test_accuracy_of_an_example():
     assert not ds["label_wrong"].any()
 
 
+@pytest.mark.long
 @pytest.mark.extension("studies")
 def test_generic_stress_cases_give_no_wrong_label():
     from atlas.extensions.studies import stress
@@ -185,6 +191,7 @@ def test_generic_stress_cases_give_no_wrong_label():
     assert "determined by" in stress.report(ds)
 
 
+@pytest.mark.long
 def test_double_pendulum_swings_in_its_normal_modes():
     sign, amplitude, g = np.array([1.0, -1.0]), 1e-3, 9.81
     points = {"start1": amplitude, "start2": sign * np.sqrt(2) * amplitude, "g": g}
@@ -198,6 +205,7 @@ def test_double_pendulum_swings_in_its_normal_modes():
     assert ds["integral_drift"].max() < 1e-8
 
 
+@pytest.mark.long
 def test_labels_of_the_heavy_top_are_those_of_the_package():
     rng, size = np.random.default_rng(0), 64
     points = {
@@ -259,6 +267,7 @@ def test_two_field_top_has_the_theory_of_the_gyrostat():
     assert seen == {Stability.STABLE, Stability.UNSTABLE}
 
 
+@pytest.mark.long
 @pytest.mark.extension("equilibria")
 def test_two_field_top_has_predictions_without_families():
     """Rest of any body, rotation on the line of both fields' resultant, and random starts, which drift."""
@@ -381,6 +390,7 @@ def test_periodic_pitch_on_an_elliptic_orbit():
         assert columns[0][2] + columns[1][3] == pytest.approx(trace[i], abs=1e-6)
 
 
+@pytest.mark.long
 def test_pitch_is_steady_once_an_orbit_where_floquet_says_so():
     e, K = (grid.ravel() for grid in np.meshgrid(np.linspace(0.04, 0.4, 5), np.linspace(0.05, 0.95, 8)))
     points = {"e": np.r_[e, e], "K": np.r_[K, K], "branch": np.repeat([0.0, 1.0], e.size), "psi0": 1e-4}
@@ -448,6 +458,7 @@ def test_satellite_in_the_plane_of_its_orbit_is_the_pitch():
         np.testing.assert_allclose(whole, (rate, 0, 0, 1, planar[1], 0, 0, 0), atol=1e-13)
 
 
+@pytest.mark.long
 def test_a_damped_satellite_is_captured_by_resonances():
     """Rotations are those of DOP853, and in turns per orbit multiples of 1/4."""
     from elliptic_orbit.rotation import Equations

@@ -69,6 +69,14 @@ def test_solved_points_are_steady_and_recognised(system, kind):
             assert acceleration_error(point) < 1e-12 * np.abs(system.constants(point)).max() ** 2
 
 
+@pytest.mark.usual(
+    "satellite-cylindrical",
+    "satellite-perp_radius",
+    "satellite-other_axis",
+    "fixed_point-conical, fast",
+    "fixed_point-staude, rotor",
+    "fixed_point-grioli",
+)
 @EVERY_FAMILY
 def test_closed_forms_are_exact_motions(system, kind):
     """By substitution into the equations at many times, and by integration over 20 radians."""
@@ -98,6 +106,9 @@ def test_closed_forms_are_exact_motions(system, kind):
         assert (np.abs(family.motion(point, times)[..., 0] - exact).max(0) < bound).all()
 
 
+@pytest.mark.usual(
+    "satellite-cylindrical", "satellite-oblique", "fixed_point-sleeping", "fixed_point-other_axis"
+)
 @EVERY_FAMILY
 def test_stability_does_not_depend_on_the_units(system, kind):
     points, family = starts(system, kind, 3, 10)

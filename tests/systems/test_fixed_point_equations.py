@@ -193,6 +193,7 @@ def assert_bound_holds(points, duration):
     assert (frequencies.max(1) <= bound * (1 + 1e-6)).all()
 
 
+@pytest.mark.long
 def test_frequency_bound_is_never_below_the_motion():
     rng = np.random.default_rng(0)
     symmetry = {"A": 1.0, "B": 1.0, "C": 1.5, "l1": 0.0, "l2": 0.0, "x0": 0.0, "y0": 0.0}

@@ -282,6 +282,7 @@ def count_by_polynomial(d, b):
     return sp.Poly(sp.prod(factors) - sum(terms), L).count_roots()
 
 
+@pytest.mark.long
 def test_every_permanent_rotation_is_found():
     rng = np.random.default_rng(8)
     points = random_fixed_points(rng, 60, theta_dot0=0.0, m=0.0, n=rng.choice([0.0, 1.0, 3.0, 10.0], 60))
@@ -419,6 +420,7 @@ def test_stability_of_permanent_rotations_against_eigenvalues(kind):
     assert {Stability.STABLE, Stability.UNSTABLE} == set(stable)
 
 
+@pytest.mark.long
 @pytest.mark.extension("equilibria")
 def test_index_of_the_amended_potential_decides_the_stability():
     """Index 0 is stable and index 1 unstable, for every permanent rotation of many bodies."""
@@ -457,6 +459,7 @@ def test_sleeping_threshold(side, l3):
         assert growth == pytest.approx(expected_growth, abs=1e-7 if factor == 1 else 1e-12)
 
 
+@pytest.mark.usual("True")
 @pytest.mark.parametrize(("N", "C", "stays"), [(0.2, 1.4, True), (4.0, 0.4, False)])
 def test_sleeping_at_the_threshold_is_decided_by_the_fourth_order(N, C, stays):
     """Upright body exactly at the threshold: where the theta^4 term holds it, it swings by the root of its tilt."""

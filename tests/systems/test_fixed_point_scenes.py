@@ -50,6 +50,7 @@ def test_example_scenes_state_what_they_show_and_how_long_they_take():
         assert re.match(r"# What it shows: .*# Stands for: .*# Time: ", head, re.S), path.name
 
 
+@pytest.mark.usual("quickstart", "sleeping_top_spin", "sleeping_top_field", "conical_precession_spin")
 @pytest.mark.parametrize("path", PATHS, ids=lambda p: p.stem)
 def test_scenes_agree_with_theory_at_reduced_counts(path):
     scene = reduced(path)

@@ -24,6 +24,20 @@ def test_rounding_of_the_body_changes_nothing(kind):
     np.testing.assert_allclose(growth, rate, atol=1e-7)
 
 
+@pytest.mark.usual(
+    "spherical",
+    "conical",
+    "conical, slow",
+    "conical, fast",
+    "sleeping",
+    "staude",
+    "rest",
+    "rest, free",
+    "free_rotation",
+    "free_precession",
+    "top, other_axis",
+    "spherical_any_axis",
+)
 @pytest.mark.parametrize("kind", ROWS)
 def test_stability_is_that_of_the_closed_form(kind):
     system, name, draw, form = ROWS[kind]

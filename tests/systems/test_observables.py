@@ -228,6 +228,7 @@ def test_a_label_at_the_tolerance_is_step_sensitive(pendulum):
     assert (at_limit["status"][1:] == Status.OK).sum() > 30
 
 
+@pytest.mark.usual("numeric-none")
 @pytest.mark.parametrize(("bound", "check"), [("numeric", "none"), ("proved", "none"), ("proved", "all")])
 def test_error_estimates_cover_the_errors(pendulum, monkeypatch, bound, check):
     points = random_points(200)
@@ -262,6 +263,7 @@ def test_variables_of_the_registry_and_of_the_trajectory(pendulum):
     assert float(tr["integral_drift"].max()) < 1e-8
 
 
+@pytest.mark.long
 def test_regular_motions_of_a_pendulum_are_not_chaotic(pendulum):
     points = {"omega": 1.0, "x0": np.array([1.5, 2.0, 3.0])}
     names = ["label", "status", "megno", "lyapunov", "regularity"]
@@ -314,6 +316,7 @@ def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatc
     assert 0 < float((refined["computed"] == 1).mean()) < 1
 
 
+@pytest.mark.long
 def test_figures(pendulum, tmp_path):
     ds = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False)
     ds.atlas.map().savefig(tmp_path / "label.png")
@@ -384,6 +387,7 @@ def test_the_bound_grows_along_motions_that_begin_slowly(pendulum):
     np.testing.assert_allclose(ds["x_max"], (2 * v0**2) ** 0.25, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_the_bound_sees_a_forcing_that_the_jacobian_does_not_contain(driven, monkeypatch):
     """Where it is blind the second run shows it, also at frequencies that the steps and half as many take for 0."""
     duration, w = 20.0, np.array([2.0, 64 * np.pi / 10, 100.0, 300.0])
@@ -410,6 +414,7 @@ def test_a_forcing_that_turns_once_from_sample_to_sample_is_seen_at_all_phases(d
     assert duration / float(ds["step"][0]) < 40 * 2000
 
 
+@pytest.mark.long
 def test_no_number_of_turns_between_two_samples_raises_the_bound(driven):
     """Of x = cos(w t) the larger ratio of derivatives is w at least, and sqrt(2) w where the phases are a quarter turn wide."""
     turns = np.array([0.5, 1, 1.382, 1.5, 1.764, 2, 3.1459, 4.9098, 5, 8.0557, 13])
@@ -421,6 +426,7 @@ def test_no_number_of_turns_between_two_samples_raises_the_bound(driven):
     assert (bound <= 0.75 * w).all()
 
 
+@pytest.mark.long
 def test_bounds_by_few_samples_are_about_those_by_many(driven, monkeypatch):
     rng, size = np.random.default_rng(0), 12
     w = rng.uniform(1.0, 20.0, size)
@@ -438,6 +444,7 @@ def test_bounds_by_few_samples_are_about_those_by_many(driven, monkeypatch):
     assert (few < 4.0 * many).all()
 
 
+@pytest.mark.long
 def test_a_trajectory_has_the_steps_of_the_atlas(driven):
     points = {"w": np.array([3.0, 2 * np.pi, 40.0]), "force": 5.0, "x0": 1.0, "damping": 0.1}
     options = {"duration": 600.0, "method": METHOD}
@@ -486,6 +493,7 @@ def test_an_integral_is_compared_with_its_terms_at_the_start_or_with_1(pendulum)
     np.testing.assert_allclose(scales, [[1.0, 1 / 16]], rtol=1e-15)
 
 
+@pytest.mark.long
 def test_motions_that_end_are_not_resolved(pendulum, monkeypatch):
     """With a negative spring the motion reaches infinity in a finite time."""
     points = {"omega": np.zeros(2), "cubic": np.array([-1.0, 1.0]), "x0": np.ones(2), "v0": np.zeros(2)}
@@ -555,6 +563,7 @@ class Wall(systems.System):
         return np.array([points["x0"], points["v0"]])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 def test_steps_through_a_wall_give_no_label(method, own_systems):
     """Against the ball that bounces, x = |R cos(t - phase)|: two runs that miss the wall alike are rare."""
@@ -587,6 +596,7 @@ class ConservativeWall(Wall):
     name = title = "conservative_wall"
 
 
+@pytest.mark.long
 def test_a_first_integral_shows_every_wall_that_steps_miss(own_systems):
     """Without the energy one of them is ok though every run misses its wall."""
     atlas.register(ConservativeWall)
@@ -600,6 +610,7 @@ def test_a_first_integral_shows_every_wall_that_steps_miss(own_systems):
     assert drifting_energy.sum() > 10
 
 
+@pytest.mark.long
 def test_chaos_keeps_its_label(driven):
     """Errors as large as the motion, which grew as the difference of two starts does, in Duffing's two wells."""
     points = {"x0": np.linspace(-1.5, 1.5, 40), "force": 0.3, "spring": -1.0, "cubic": 1.0, "damping": 0.15}

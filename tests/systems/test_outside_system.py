@@ -140,6 +140,7 @@ def random_points(count):
     }
 
 
+@pytest.mark.long
 def test_trajectories_agree_with_dop853_and_conserve_energy():
     point = {name: values[0] for name, values in random_points(1).items()}
     tr = atlas.trajectory("heavy_top", point, duration=10.0, samples=101, tolerance=1e-10, method="rk8")
@@ -171,6 +172,7 @@ def test_labels_of_steady_and_other_motions():
     assert (atlas.label_points("heavy_top", points, duration=20.0)["label"] == Label.DRIFTING).all()
 
 
+@pytest.mark.long
 def test_units_and_a_bound_that_are_filled_in_give_the_same_labels():
     points = random_points(40)
     points["spin"][:20] = steady_spin({"transverse": np.ones(40), **points})[:20]
@@ -243,6 +245,7 @@ def test_scene_file_and_queries(ds, tmp_path):
         opened.atlas.compare()
 
 
+@pytest.mark.long
 def test_figures(ds, tmp_path):
     from atlas.plotting.trajectory import trajectory_figure
 
@@ -262,6 +265,7 @@ def test_a_frame_of_another_name(monkeypatch):
     assert [text.get_text() for text in trajectory_figure(tr).axes[3].texts] == ["east", "north", "up"]
 
 
+@pytest.mark.long
 @pytest.mark.extension("studies")
 def test_refined_scene_and_accuracy(tmp_path):
     from atlas.extensions.studies import work_precision
@@ -273,6 +277,7 @@ def test_refined_scene_and_accuracy(tmp_path):
     assert float(report["error_state"].min()) < 1e-8
 
 
+@pytest.mark.long
 @pytest.mark.extension("studies")
 def test_stress_study_makes_its_own_cases(monkeypatch):
     from atlas.extensions.studies import stress
@@ -306,6 +311,7 @@ def test_commands(tmp_path, capsys):
         atlas.equilibria("heavy_top", {})
 
 
+@pytest.mark.long
 def test_variational_equations_follow_from_its_own():
     """A symmetric heavy top is integrable: its neighbours separate linearly, never exponentially."""
     points = {"tilt": np.array([0.5, 1.0, 2.5]), "precession": np.array([0.3, 0.7, 0.1]), "spin": 0.4}

@@ -124,6 +124,7 @@ def test_an_unknown_name_lists_the_installed_ones(pendulum):
     assert f"did you mean 'pendulum'? allowed: {names}" in error_of("pendulom")
 
 
+@pytest.mark.long
 def test_every_command_finds_it(pendulum, scene_file, tmp_path, capsys):
     out, night = tmp_path / "pendulum.nc", f"{tmp_path}/night/"
     scene = str(scene_file)

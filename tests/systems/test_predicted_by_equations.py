@@ -148,6 +148,7 @@ def test_polynomial_equations_predict_without_a_family():
     assert (ds.condition_residual[:34] < 1e-13).all()
 
 
+@pytest.mark.long
 def test_motions_about_any_axes_are_predicted_without_a_family():
     """A free top precesses about its angular momentum, wherever the vertical is."""
     points = random_points(20) | {"weight": 0.0}
@@ -197,6 +198,7 @@ def test_a_member_that_no_system_has_is_refused_in_one_line(name):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.usual("free tops")
 @pytest.mark.parametrize("kind", ["spheres", "free tops", "random satellites"])
 def test_predictions_about_any_axes_of_moved_starts_contradict_no_label(kind):
     """Changes of one parameter by 1e-16 to 0.1; in both frames of satellites."""

@@ -34,6 +34,7 @@ def test_other_satellites_keep_their_families():
     assert max(family.flag for family in families.FAMILIES.values()) + 1 == FAMILY.flag
 
 
+@pytest.mark.long
 def test_measured_labels_about_any_axes_agree():
     points = spheres(np.random.default_rng(4), 12)
     names = [

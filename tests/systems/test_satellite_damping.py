@@ -163,6 +163,7 @@ def test_kernels_without_damping_have_no_term_of_it():
     assert SATELLITE.specialization(set(), set()) == (set(), set())
 
 
+@pytest.mark.usual("cylindrical", "oblique")
 @pytest.mark.parametrize("name", [name for name in FAMILIES if name != "equilibrium"])
 def test_damping_leaves_no_motion_that_turns_in_the_orbital_frame(name):
     rng, count = np.random.default_rng(5), 0
@@ -272,6 +273,7 @@ def test_pitch_of_a_body_on_the_normal():
     np.testing.assert_allclose(growth_about_vertical(SATELLITE, points), [*expected, 0.0], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_damped_diagram():
     """Nudged: motions in Lagrange's triangle return to rest, those of DeBra and Delp drift, as predicted."""
     k1 = np.array([0.5, 0.8, 0.3, -0.05, -0.03, -0.02, 0.3])

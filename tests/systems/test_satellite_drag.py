@@ -104,6 +104,7 @@ def own_labels(w, alpha, gamma, Omega):
     return np.where(deviation > TOLERANCE, Label.DRIFTING, steady), distance.min(0), sine.min(0)
 
 
+@pytest.mark.long
 def test_motions_and_labels_are_those_of_equations_in_inertial_space():
     points, times = starts(), np.linspace(0, DURATION, 1601)
     R, w = in_inertial_space(points, times)
@@ -189,6 +190,7 @@ def test_drag_is_a_parameter_as_others():
         atlas.label_points("satellite", {"drag1": "much"})
 
 
+@pytest.mark.usual("oblique")
 @pytest.mark.parametrize("family", ["perp_radius", "oblique"])
 def test_a_family_with_drag_is_steady_and_found(family):
     """Axial drag keeps the tilt of the closed forms; the label is predicted, and measured."""

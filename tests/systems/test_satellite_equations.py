@@ -100,6 +100,7 @@ def test_jacobi_is_that_of_the_lagrangian():
     np.testing.assert_allclose(sum(terms), expected, atol=1e-13)
 
 
+@pytest.mark.usual("1.0")
 @pytest.mark.parametrize("rotor", [1.0, 30.0])
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_frequency_bound_holds_along_trajectories(symmetric, rotor):

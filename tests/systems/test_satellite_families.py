@@ -147,12 +147,22 @@ PROOFS = {
 }  # fmt: skip
 
 
+@pytest.mark.usual(
+    "cylindrical, no magnet",
+    "cylindrical, no rotation in space",
+    "perp_radius",
+    "oblique with drag alone",
+    "spherical",
+    "other_axis",
+    "despun_transverse",
+)
 @pytest.mark.parametrize("name", PROOFS)
 def test_family_solves_the_equations_identically(name):
     for substitutions in PROOFS[name]:
         assert missing_torque(**substitutions) == [0, 0, 0], substitutions
 
 
+@pytest.mark.long
 def test_equilibrium_rotor_leaves_only_the_torque_about_the_normal():
     """k = (R x gamma)/Omega + lambda gamma makes the torque gamma (beta.(3 Omega^2 I alpha + h1 mu) - alpha.drag)."""
     alpha = sp.Matrix([cy * cf - c * sf * sy, -cy * sf - c * cf * sy, s * sy])
@@ -171,6 +181,15 @@ def test_equilibrium_rotor_leaves_only_the_torque_about_the_normal():
 # Random points on every family, by its own formulas.
 
 
+@pytest.mark.usual(
+    "theta0",
+    "equilibrium-k1",
+    "oblique-drag3",
+    "transverse_magnet-h1",
+    "despun_transverse-mu3",
+    "spherical-n",
+    "other_axis-k2",
+)
 @pytest.mark.parametrize(
     ("name", "parameter"), [(name, key) for name in NAMES for key in FAMILIES[name].solve]
 )
@@ -218,6 +237,7 @@ def test_formulas_give_nan_where_a_family_does_not_exist():
 # A point is on a family if and only if its motion is steady.
 
 
+@pytest.mark.long
 @settings(max_examples=400, deadline=None)
 @given(data=st.data())
 def test_a_point_is_recognised_if_and_only_if_it_is_steady(data):
@@ -260,6 +280,7 @@ def test_a_point_is_recognised_if_and_only_if_it_is_steady(data):
         assert acceleration_error(point) > 1e-6
 
 
+@pytest.mark.long
 def test_points_one_percent_off_a_family_are_on_none():
     rng = np.random.default_rng(3)
     for name in NAMES:

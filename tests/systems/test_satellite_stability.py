@@ -46,6 +46,7 @@ def growth_along_the_motion(name, point):
 PERIODIC = ["cylindrical", "transverse_magnet", "despun_transverse", "asymmetric_tilt", "other_axis"]
 
 
+@pytest.mark.usual("cylindrical")
 @pytest.mark.parametrize("name", PERIODIC)
 def test_multipliers_are_those_of_the_equations_of_motion(name):
     # fast enough that rounding errors of an unstable motion stay small over a period
@@ -117,6 +118,7 @@ def test_marginal_roots():
         assert SATELLITE.linear_stability(point, flags) == (expected, 0.0)
 
 
+@pytest.mark.usual("transverse_magnet")
 @pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "other_axis"])
 def test_multipliers_of_slow_rotations_are_those_of_the_equations_of_motion(name):
     points = points_of_family(name, 6, min_rate=0.0, slower=0.05)
@@ -129,6 +131,7 @@ def test_multipliers_of_slow_rotations_are_those_of_the_equations_of_motion(name
         assert stable[i] == (Stability.UNSTABLE if expected > 2e-5 else Stability.STABLE)
 
 
+@pytest.mark.usual("other_axis")
 @pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "other_axis"])
 def test_very_slow_rotations_grow_like_their_frozen_phases(name, monkeypatch):
     points = points_of_family(name, 60, min_rate=0.0, slower=0.01)
@@ -142,6 +145,7 @@ def test_very_slow_rotations_grow_like_their_frozen_phases(name, monkeypatch):
     np.testing.assert_allclose((approximate * period)[certain], (growth * period)[certain], rtol=0.05, atol=5)
 
 
+@pytest.mark.usual("cylindrical")
 @pytest.mark.parametrize("name", ["cylindrical", "transverse_magnet", "despun_transverse", "other_axis"])
 def test_growth_over_a_part_of_a_period_is_that_of_the_equations_of_motion(name):
     points = points_of_family(name, 12, min_rate=0.0, slower=0.05)
@@ -184,6 +188,7 @@ def test_no_family_is_unknown_and_the_slowest_rotations_are_not():
     assert stable.dtype == np.int8
 
 
+@pytest.mark.long
 def test_nudged_motions_stay_where_stable_and_leave_where_unstable():
     """Nudged motions over 12 orbits, of the families without closed form."""
     for name in ("transverse_magnet", "asymmetric_tilt"):

@@ -125,6 +125,7 @@ def test_a_period_that_is_not_finite_gives_no_label(forced):
     assert list(ds.label.values) == [Steadiness.UNRESOLVED, Steadiness.DRIFTING]
 
 
+@pytest.mark.long
 @pytest.mark.extension("studies")
 def test_reference_by_dop853_measures_at_the_same_instants(forced):
     from atlas.extensions.studies.reference import reference

@@ -27,6 +27,7 @@ def starts(name, seed, count):
     return points
 
 
+@pytest.mark.usual("satellite")
 @pytest.mark.parametrize("name", STARTS)
 def test_machine_code_and_plain_python_agree_to_the_bit(name):
     system, points = systems.get(name), starts(name, 77, 6)

@@ -34,6 +34,14 @@ def family_rates(system, points):
     return sine, n, m
 
 
+@pytest.mark.usual(
+    "satellite-cylindrical",
+    "satellite-perp_radius",
+    "satellite-spherical",
+    "fixed_point-conical, n = 0",
+    "fixed_point-staude",
+    "fixed_point-free_precession",
+)
 @pytest.mark.parametrize(("name", "kind"), KINDS)
 def test_exact_starts_are_steady_in_all_units(name, kind):
     """With the rates and the nutation of the family; the axes differ by rounding errors of derivatives alone."""
@@ -93,6 +101,7 @@ MOVED = {"satellite": ("theta0", "m", "k3", "theta_dot0"), "fixed_point": ("thet
 ABOUT_THIRD = [(name, kind) for name, kind in KINDS if kind.split(",")[0] not in ("grioli", "balanced_field")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [6, pytest.param(24, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", STARTS)
 def test_moved_starts_are_not_decided_otherwise_than_measured(name, count):

@@ -123,6 +123,7 @@ def test_reduction_is_right_to_first_order(body):
     assert quasilinear_residual(fast)[1] < 0.2 * abs(missing)
 
 
+@pytest.mark.usual("100.0-50.0")
 @pytest.mark.parametrize(
     ("r0", "l3", "measured", "printed"),
     [(100.0, 50.0, 0.605158, 0.56025), (100.0, 300.0, 0.716318, 0.429286)],
@@ -208,6 +209,7 @@ def test_general_solution_contains_the_periodic_one():
     assert np.abs(general - periodic).max() < 50 * spin.eps**2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rotor", [(0.0, 0.0, 0.0), (30.0, 20.0, 10.0)])
 def test_period_correction_agrees_with_the_motion(rotor):
     """Mean turning rate of gamma over many periods of the full equations."""

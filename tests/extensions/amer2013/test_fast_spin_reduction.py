@@ -260,6 +260,7 @@ def test_33_with_the_data_of_the_paper():
     assert np.all(errors[fast_spin] < [1e-5, 1e-5, 1e-14])
 
 
+@pytest.mark.long
 def test_period_is_measured_by_the_phase():
     """Against a fit of the phase over 100 turns."""
     spin = fast_spin.FastSpin(22.49, 35.6, 30 * 9.81 * 5, 0.0147, 30.0, 20.0, 10.0, 300.0, 0.352)

@@ -39,6 +39,7 @@ def test_every_figure_has_the_quantity_of_its_caption(number):
     assert f"A = B {figure.body[2:]}" in figure.caption
 
 
+@pytest.mark.usual("12")
 @pytest.mark.parametrize("number", [2, 7, 12, 17])
 def test_curves_are_those_of_the_equations(number):
     """The true curves against the full equations by DOP853; the printed ones are far from them."""
@@ -74,6 +75,7 @@ def test_curves_are_those_of_the_equations(number):
             assert np.abs(motion["(20), printed"][0, :, i] - exact[0]).max() > 0.5 * size
 
 
+@pytest.mark.usual("9-3")
 @pytest.mark.parametrize(("number", "panels"), [(1, 3), (3, 6), (9, 3), (20, 4)])
 def test_figures_are_drawn(number, panels):
     drawn = amer2013.draw(number)
@@ -84,6 +86,7 @@ def test_figures_are_drawn(number, panels):
         assert np.isfinite(np.concatenate([line.get_ydata() for line in ax.lines])).all()
 
 
+@pytest.mark.usual("2")
 @pytest.mark.parametrize("number", [2, 3, 8, 13, 18])
 def test_no_curve_hides_another(number):
     """Every rotor has its colour in every panel that shows it, also where its curve coincides with others."""
@@ -103,6 +106,7 @@ def test_no_curve_hides_another(number):
             assert (same & (share > 0.3)).sum() > 50
 
 
+@pytest.mark.usual("4")
 @pytest.mark.parametrize("number", [4, 5])
 def test_the_legend_has_every_source_as_it_is_drawn(number):
     """Dashed, or a cross where a solution rests in the phase plane."""
@@ -141,6 +145,7 @@ def rotor_of(line, figure):
     raise AssertionError("no entry of this colour")
 
 
+@pytest.mark.usual("2")
 @pytest.mark.parametrize("number", [2, 3, 6, 13])
 def test_every_curve_is_that_of_its_rotor_column_and_axis(number):
     """Over tau: the exact motion by DOP853, the corrected one near it and the printed one not."""
@@ -227,6 +232,7 @@ def test_figure_table_agrees_with_the_full_equations():
     assert all(row.amplitude == 0 and row.gamma2_change < 1e-10 for row in resting)
 
 
+@pytest.mark.long
 def test_the_claims_of_the_paper_have_their_verdicts():
     rows = claims.figure_table((0.0, 10.0, 50.0))
     judged = claims.claims(rows)
@@ -254,6 +260,7 @@ def test_the_claims_of_the_paper_have_their_verdicts():
     assert "1.37 |mu/Omega| at most as printed, < 1e-9" in judged[9].measured
 
 
+@pytest.mark.long
 def test_every_claim_has_a_measure_all_of_whose_values_are_in_its_text():
     text = resources.files(claims.__package__).joinpath("claims.toml").read_text("utf-8")
     entries, rows = tomllib.loads(text), claims.figure_table((0.0, 20.0))
@@ -267,12 +274,14 @@ def test_every_claim_has_a_measure_all_of_whose_values_are_in_its_text():
         assert measure(rows)[1].keys() == names, name
 
 
+@pytest.mark.usual("A < C")
 @pytest.mark.parametrize("body", fast_spin.PAPER_BODIES)
 def test_gamma2_deviates_in_proportion_to_the_rotor(body):
     changes = [row.gamma2_change for row in claims.figure_table((10.0, 20.0, 50.0)) if row.body == body]
     np.testing.assert_allclose(np.array(changes) / changes[0], [1, 2, 5], rtol=0.02)
 
 
+@pytest.mark.long
 def test_the_upright_body_of_the_phase_plane_claim_is_unstable():
     """Growth of a small tilt in the full equations, at the r0 of the claim."""
     text = claims.claims(claims.figure_table((0.0, 10.0)))[6].measured

@@ -54,6 +54,7 @@ def in_dimensions(spin):
     return fast_spin.dimensional(spin, np.ones(6)), initial.constants(points)[:, 0]
 
 
+@pytest.mark.long
 def test_cases_are_stable_and_unstable(orbits):
     stable, unstable = PeriodicSolution.STABLE, PeriodicSolution.UNSTABLE
     assert list(orbits.stability) == [stable, stable, stable, unstable, unstable, unstable]
@@ -141,6 +142,7 @@ def test_against_harmonic_collocation(i, orbits):
     assert np.abs(traces - orbits.trace[i]).min() < 1e-6
 
 
+@pytest.mark.usual("1.5")
 @pytest.mark.parametrize(("C", "z0", "N"), [(1.5, 1.0, 0.0), (0.6, -1.0, 0.0), (1.3, -1.0, 0.5)])
 def test_without_a_transverse_rotor_it_is_the_regular_precession(C, z0, N):
     """Rate, period and nutation frequency in closed form, up to the spin at which the precession ends."""
@@ -159,6 +161,7 @@ def test_without_a_transverse_rotor_it_is_the_regular_precession(C, z0, N):
     np.testing.assert_allclose(spin.scale * reached.start[0], n * np.sqrt(1 - c**2), rtol=1e-8)
 
 
+@pytest.mark.long
 def test_an_upright_top_has_the_solution_while_its_precession_exists():
     """(C r0 + l3)^2 > 4 A Mg |z0| cos theta0, without a transverse rotor."""
     limit = np.sqrt((0.7 + 0.1) ** 2 / (4 * 0.7))  # at a tilt for which no nutation is in resonance before
@@ -197,6 +200,7 @@ def test_first_order_differs_from_the_exact_solution_by_second_order():
     np.testing.assert_allclose(exact.period - 2 * np.pi, fast_spin.period_correction(spin), rtol=0.03)
 
 
+@pytest.mark.long
 def test_near_the_resonance_omega_1_the_path_ends_in_a_fold():
     """rho comes to 1, and the solution moves ever faster with the field; bodies beside it have the solution."""
     share = np.array([0.02, 0.06, 0.08, 0.086, 0.1])
@@ -214,6 +218,7 @@ def test_near_the_resonance_omega_1_the_path_ends_in_a_fold():
     assert list(beside.stability) == 2 * [PeriodicSolution.STABLE]
 
 
+@pytest.mark.usual("0.75", "0.86")
 @pytest.mark.parametrize(
     ("C", "stable"), [(0.70, True), (0.75, True), (0.78, False), (0.86, False), (0.95, True)]
 )
@@ -245,6 +250,7 @@ def test_unstable_solutions_are_left_and_stable_ones_are_not(orbits):
 # Variables of an atlas.
 
 
+@pytest.mark.long
 def test_a_scene_contains_stability_period_and_trace():
     ds = atlas.label_points(
         "fixed_point",

@@ -213,6 +213,7 @@ TOP = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("frame", FRAMES)
 def test_the_attitude_of_a_satellite_is_that_in_inertial_space(frame):
     rng = np.random.default_rng(4)
@@ -370,6 +371,7 @@ def test_axes_take_vectors_and_equations_to_the_principal_axes():
     np.testing.assert_allclose(axes @ w_dot, principal, atol=1e-14)
 
 
+@pytest.mark.long
 def test_neither_import_of_the_package_nor_the_two_functions_load_the_compiler():
     code = (
         "import sys, atlas\n"
@@ -396,6 +398,7 @@ def test_a_motion_that_lacks_what_an_attitude_needs_is_refused():
     xr.testing.assert_equal(degrees.atlas.attitude(), motion.atlas.attitude())
 
 
+@pytest.mark.long
 def test_systems_of_other_packages_have_attitudes_if_they_have_the_start_values(install_example):
     with registry():
         for name in ("two_field_top", "henon_heiles"):

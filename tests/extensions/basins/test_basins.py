@@ -91,6 +91,7 @@ def ds(scene):
     return atlas.run(scene, progress=False)
 
 
+@pytest.mark.long
 def test_fractions_over_starts(ds):
     """With the interval of Wilson, over all axes or some; the coordinate is the position, -1 of those that are not settled."""
     whole = ds.atlas.basin_fractions()
@@ -188,6 +189,7 @@ def test_the_first_axis_tells_attitudes_apart_that_the_third_does_not(ds):
     assert texts(ends.assign(end_equilibrium=("point", [0, 0, 2]))).keys() == {"equilibrium_2"}
 
 
+@pytest.mark.long
 def test_run_folders_shards_and_refinement_give_the_same_ends(ds, scene, tmp_path, monkeypatch):
     """In memory, in tiles that two shards share, and in a refined run that was killed and goes on with workers of dask."""
     monkeypatch.setenv("ATLAS_TILE_POINTS", "40")

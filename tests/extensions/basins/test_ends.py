@@ -57,6 +57,7 @@ def vectors_of(equilibria, place):
     return np.concatenate([equilibria[name].values[place] for name in ("alpha", "gamma")], -1)
 
 
+@pytest.mark.usual("gravity_gradient")
 @pytest.mark.parametrize("given", SETS, ids=[each["name"] for each in SETS])
 def test_ends_are_those_of_two_other_integrators(given):
     """Among them DOP853 with quaternions; the numbers there are positions in a list of the minima."""
@@ -156,6 +157,7 @@ def test_rest_at_a_saddle_is_measured_and_without_damping_nothing_is_proved():
     ]
 
 
+@pytest.mark.long
 def test_an_end_that_changes_with_the_step_is_step_sensitive():
     """Steps far too long, and motions that choose between two ends many times: where runs of two steps differ no end is given."""
     starts = random_starts(np.random.default_rng(5), 64) | {"n": np.linspace(2.0, 3.0, 64)}
@@ -179,6 +181,7 @@ TUMBLING = (
 )
 
 
+@pytest.mark.long
 def test_runs_of_different_tolerances_agree_on_the_ends_that_they_give():
     """After chaotic transients: without regard to the growth of errors some of them differ with proofs in both."""
     rng = np.random.default_rng(8)
@@ -197,6 +200,7 @@ def test_runs_of_different_tolerances_agree_on_the_ends_that_they_give():
         assert 0 < decided[0] < decided[1] < decided[2] < 40
 
 
+@pytest.mark.long
 def test_ends_after_tumbling_are_those_of_another_integrator():
     body, duration = TUMBLING[0]
     starts = random_starts(np.random.default_rng(9), 40)
@@ -210,6 +214,7 @@ def test_ends_after_tumbling_are_those_of_another_integrator():
     np.testing.assert_array_equal(ds["end_equilibrium"].values[given], end)
 
 
+@pytest.mark.long
 def test_ends_after_a_transient_are_those_of_the_whole_run():
     """Undecided ones as well: errors grow from the start."""
     body, duration = TUMBLING[0]

@@ -27,6 +27,7 @@ PENDULUM = {
 }
 
 
+@pytest.mark.long
 def test_ends_are_those_of_dop853_and_every_loss_is_in_the_balance():
     rng, count = np.random.default_rng(6), 30
     starts = {"theta0": np.arccos(rng.uniform(-1, 1, count)), "phi0": rng.uniform(-3, 3, count)}

@@ -75,6 +75,7 @@ def cycles(mu, **options):
     return atlas.label_points("van_der_pol", points, **options)
 
 
+@pytest.mark.long
 def test_starts_of_an_oscillator_end_in_its_cycle():
     """Extremes of runs in 80 bits; for mu < 0 rest is the end."""
     ds = cycles([2.094, -0.5])
@@ -99,6 +100,7 @@ STARTS = np.array([[2.819, 2.042], [-1.53, 0.405], [2.736, 1.714], [-0.784, -0.1
 TURNING, BACK, SWINGING = (-1.4557034, 2.3847303), (-2.3847303, 1.4557034), (-2.7245481, 2.7245481)
 
 
+@pytest.mark.long
 def test_cycles_coexist():
     period = 2 * np.pi
     ds = atlas.label_points(

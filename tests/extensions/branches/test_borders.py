@@ -42,6 +42,7 @@ def crossings(ds, name, value, other, change_of="count_change"):
     return sorted(cuts)
 
 
+@pytest.mark.usual("fixed_point, general, rotor1", "fixed_point, A = B, rotor (closed form: astroid)")
 @pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case['system']}, {case['kind']}")
 def test_verified_borders(case):
     """Every fold, pitchfork and cusp of the list and no other, at the accuracy of the cubics between vertices."""
@@ -92,6 +93,7 @@ DRAGGED = {
 }
 
 
+@pytest.mark.usual("symmetric")
 @pytest.mark.parametrize("case", DRAGGED)
 def test_borders_with_drag_explain_the_numbers_of_equilibria(case):
     """In every cell, and at the ends of random lines across the curves."""
@@ -110,6 +112,7 @@ def test_borders_with_drag_explain_the_numbers_of_equilibria(case):
         np.testing.assert_array_equal(counted - counted[0], changes - changes[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["symmetric"])
 def test_limits_of_stability_with_drag_explain_the_numbers_of_stable_equilibria(case):
     ds = atlas.borders("satellite", *DRAGGED[case], stability=True)
@@ -117,6 +120,7 @@ def test_limits_of_stability_with_drag_explain_the_numbers_of_stable_equilibria(
     assert (ds.kind >= BorderKind.LIMIT_OF_STABILITY).any()
 
 
+@pytest.mark.long
 def test_sides_change_where_pitchforks_cross():
     """A rotor in a principal plane: beside each segment near k2 = 0 the numbers of equilibria differ by its count_change."""
     body = {"A": 1.443, "B": 1.108, "C": 0.502, "k1": 0.0}
@@ -185,6 +189,7 @@ def test_figures_and_tables(tmp_path):
     np.testing.assert_allclose(table.gamma_2, ds.gamma[:, 1], rtol=0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_curves_end_on_the_sides_of_the_ranges():
     """Also where a step along the tangent stays inside and the curve does not."""
     body = {"A": 1.352, "B": 1.445, "C": 0.956, "k2": -0.22180597552426218, "h1": 0.559637412812156, "h3": 0.7869113652768456,
@@ -201,6 +206,7 @@ def test_curves_end_on_the_sides_of_the_ranges():
     assert 0 < closed.sum() < closed.size
 
 
+@pytest.mark.long
 def test_a_body_without_symmetry_has_folds_alone():
     """Also over wide ranges, in which the magnet is so weak that folds look like pitchforks from afar."""
     body = {"A": 1.05, "B": 1.638, "C": 1.197, "k3": -0.09892719176930284, "h1": -1.5399972735490655, "h3": -0.2222643644,
@@ -211,6 +217,7 @@ def test_a_body_without_symmetry_has_folds_alone():
     assert (ds.kind == BorderKind.FOLD).all()
 
 
+@pytest.mark.usual("body0")
 @pytest.mark.parametrize(
     ("body", "ranges", "name", "value", "other", "total"),
     [  # complex solutions alone lead to one curve of the former, and points beyond the ranges to one of the latter
@@ -231,6 +238,7 @@ def test_curves_between_the_corners_of_the_coarse_grid(body, ranges, name, value
     np.testing.assert_array_equal(np.diff(numbers), [change for *_, change in cuts])
 
 
+@pytest.mark.long
 def test_bodies_that_cannot_exist_cut_borders():
     ds = atlas.borders("satellite", {"A": 1.0, "k1": 0.3, "k3": 0.5}, {"B": (0.5, 1.0), "C": (1.2, 1.8)})
     excess = (1 + ds.B - ds.C).values
@@ -240,6 +248,7 @@ def test_bodies_that_cannot_exist_cut_borders():
     assert (np.abs(ends) < 1e-9).any()
 
 
+@pytest.mark.usual("satellite")
 @pytest.mark.parametrize(
     ("system", "body", "ranges"),
     [
@@ -268,6 +277,7 @@ def test_limits_of_stability(system, body, ranges):
     assert (growth[1] > 1e-4).mean() > 0.9  # but where another exponent is near
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("k3", [0.0, 0.05])
 def test_limits_pass_other_exponents(k3):
     """Curves end at the border of the ranges alone, through cusps, at which all three pairs of exponents meet.
@@ -294,6 +304,7 @@ def test_limits_pass_other_exponents(k3):
     np.testing.assert_allclose(growth[1] / growth[0], 10, rtol=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("system", "body", "ranges"),
     [
@@ -335,6 +346,7 @@ EQUAL_MOMENTS = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("system", "body", "ranges"), EQUAL_MOMENTS)
 def test_equal_and_nearly_equal_moments(system, body, ranges):
     """Every vertex and special point is on its curve; along several lines the exponents of the equations of motion say the same, but in marked cells."""
@@ -360,6 +372,7 @@ def test_equal_and_nearly_equal_moments(system, body, ranges):
     assert seen > 3
 
 
+@pytest.mark.long
 def test_limits_on_both_sides_of_a_plane_of_symmetry():
     """Between corners of the coarse grid that lie beyond both they cancel."""
     top = {"A": 1.001, "B": 1.0, "Mg": 1.0, "y0": -0.74, "l2": 0.65, "N": 0.76, "n": 1.3}
@@ -382,6 +395,7 @@ def assert_explained(ds, system, body, name, other, ends, kinds=("count", "stabl
     return numbers
 
 
+@pytest.mark.long
 def test_folds_through_a_sphere():
     """At a body with equal moments and no rotor, whose equilibria form a circle, folds change their side and do not turn back."""
     field = {"A": 1.0, "C": 1.0, "h1": 0.5, "h3": 1.0, "mu1": 0.25, "mu2": -0.47, "mu3": -0.47}
@@ -393,6 +407,7 @@ def test_folds_through_a_sphere():
     assert not ds.sizes["special"]
 
 
+@pytest.mark.long
 def test_a_limit_of_stability_ends_twice_on_a_fold():
     """In between one of the two solutions that merge is stable, for 1e-9 of C, though neither is at the vertices beside."""
     body = {"A": 1.000001, "B": 1.0, "h1": 0.5, "h3": 1.0, "mu1": 0.26, "mu2": 0.12, "mu3": 0.44, "k1": 0.05}
@@ -404,6 +419,7 @@ def test_a_limit_of_stability_ends_twice_on_a_fold():
     assert (fold.stable_change != 0).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("body", "ranges", "values"),
     [
@@ -420,6 +436,7 @@ def test_limits_of_stability_cross(body, ranges, values):
         np.testing.assert_array_equal(stable, [2, 4, 2])
 
 
+@pytest.mark.long
 def test_directions_of_limits_of_stability_that_cross():
     """Where the equations have two tangents each limit keeps its own: own exponents change within 1e-5 of both lines beside the crossing."""
     body = {"A": 1.0, "B": 1.0, "C": 0.87}
@@ -433,6 +450,7 @@ def test_directions_of_limits_of_stability_that_cross():
             assert np.diff(stable) == change
 
 
+@pytest.mark.long
 def test_limits_of_stability_end_at_pitchforks_once():
     """Also where moments are nearly equal, so that limits there solve their equations to rounding on a piece of 1e-6."""
     body = {"A": 1.001, "B": 1.56, "C": 1.0}
@@ -443,6 +461,7 @@ def test_limits_of_stability_end_at_pitchforks_once():
         )
 
 
+@pytest.mark.long
 def test_lines_of_equilibria_are_no_borders():
     """Where equilibria of one body form a line, to rounding, nothing bifurcates, and curves that lead there are cut."""
     body = {"A": 1.0, "C": 1.000001, "k2": 1.21}
@@ -452,6 +471,7 @@ def test_lines_of_equilibria_are_no_borders():
     assert not ds.sizes["special"]
 
 
+@pytest.mark.long
 def test_limits_turn_back():
     """At a pitchfork the limits of mirror images are the same line, passed to and fro, with the same side up to its end."""
     top = {"B": 1.001, "C": 1.0, "Mg": 1.0, "z0": -0.5, "l3": -0.47}
@@ -477,6 +497,7 @@ def own_numbers(system, bodies):
     return np.array([np.bincount(row, minlength=count), np.bincount(row, growth < 1e-5, count)])
 
 
+@pytest.mark.long
 def test_momentum_has_an_extremum():
     """A pair of exponents vanishes where a change of the rate, and of the attitude with it, keeps the momentum about the vertical."""
     top = {"A": 1.0, "B": 1.3, "C": 1.7, "Mg": 1.0, "x0": 0.3, "y0": 0.2, "z0": 0.5, "l2": 0.1}

@@ -48,6 +48,7 @@ def check_consistent(ds, along, characteristic):
         assert own.sum() >= (where[0] > 0) + (where[-1] < values.size - 1)
 
 
+@pytest.mark.usual("A=1.6")
 @pytest.mark.parametrize("case", ORACLE["satellite"], ids=lambda case: f"A={case['A']}")
 def test_verified_folds_of_satellites(case):
     body = {name: float(case[name]) for name in ("A", "B", "C", "k2", "k3", "Omega")}
@@ -68,6 +69,7 @@ def test_verified_folds_of_satellites(case):
     assert minima == [fold["minima_below_above"] for fold in case["folds"]]
 
 
+@pytest.mark.usual("A=1, l1=0")
 @pytest.mark.parametrize("case", ORACLE["fixed_point"], ids=lambda case: f"A={case['A']}, l1={case['l'][0]}")
 def test_verified_folds_of_permanent_rotations(case):
     body = {name: float(case[name]) for name in ("A", "B", "C", "N")} | {"Mg": 1.0}
@@ -82,6 +84,7 @@ def test_verified_folds_of_permanent_rotations(case):
     assert counts == [[fold["count_below"], fold["count_above"]] for fold in case["folds"]]
 
 
+@pytest.mark.long
 def test_folds_between_two_values():
     """A window of two more minima, of which the numbers of equilibria at the values given tell nothing."""
     ds = atlas.branches("satellite", BODY | {"k2": 0.02, "k3": 0.05}, along={"k1": [0.9, 1.2, 1.5]})
@@ -97,6 +100,7 @@ LAST = [
 ]
 
 
+@pytest.mark.usual("satellite-body3", "fixed_point")
 @pytest.mark.parametrize(
     ("system", "body", "tie", "edge", "kind"),
     [  # solutions exist on one side of a bifurcation, which a parabola passes between two of eight values of e
@@ -159,6 +163,7 @@ def test_pitchforks_of_a_rotor_along_an_axis():
     assert ((ds.fold_branch >= 0).sum("meeting") == np.where(ds.fold_kind == PITCHFORK, 3, 1)).all()
 
 
+@pytest.mark.long
 def test_pitchforks_of_a_rotor_across_an_axis_over_a_wide_range():
     """Branches leave these pitchforks so steeply that Newton's method from beside them has to be told from one that ends."""
     values = np.geomspace(0.01, 30.0, 20)
@@ -202,6 +207,7 @@ def random_families(count):
             yield "fixed_point", body, "l2", (-5.03, 5.0)
 
 
+@pytest.mark.usual("fixed_point")
 @pytest.mark.parametrize("family", list(random_families(3)), ids=lambda family: family[0])
 def test_no_branch_of_a_random_body_is_lost(family):
     system, body, along, limits = family
@@ -325,6 +331,7 @@ def test_permanent_rotations_beside_a_symmetry(difference):
     assert (first != second).all()
 
 
+@pytest.mark.usual("2-B")
 @pytest.mark.parametrize(("axis", "moment"), [(1, "A"), (2, "B"), (3, "C")])
 def test_drag_along_an_axis_loses_its_equilibria_in_closed_form(axis, moment):
     """8 rest with this axis along the velocity; 4 more each while |drag| < |difference to another moment|, Omega = 1, and 3 times it.
@@ -344,6 +351,7 @@ def test_drag_along_an_axis_loses_its_equilibria_in_closed_form(axis, moment):
     np.testing.assert_array_equal(ds.equilibrium_count, expected)
 
 
+@pytest.mark.long
 def test_no_branch_of_a_body_with_all_torques_is_lost():
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k1": 0.1, "mu2": 0.3, "h1": 0.2, "drag1": 0.2, "drag3": 0.3}
     values = np.linspace(-1.01, 1.1, 8)

@@ -62,6 +62,7 @@ def test_borders_of_an_atlas(rotor_map):
     assert_refused(rotor_map.isel(k3=0).atlas.borders, sentence)
 
 
+@pytest.mark.long
 def test_lines_on_one_axis():
     ds = atlas.run(rotor_scene({"k3": {"from": 0.05, "to": 4.0, "count": 33}}), progress=False)
     panel = panel_of(ds, "equilibrium_count", ["k3"], scene_of(ds), True)
@@ -98,6 +99,7 @@ def test_curve_around_a_region_that_no_point_meets():
     assert np.abs(crossings[:, None] - folds).min(1).max() < 1e-3
 
 
+@pytest.mark.long
 def test_lines_between_numbers_of_stable_equilibria():
     """On both sides of each part of a line other numbers are stable, and sample points see no others than the lines separate."""
     body = {"A": 1.0, "B": 1.3, "C": 1.7, "k3": 0.05}

@@ -126,6 +126,7 @@ def test_diagrams_in_degrees(ds):
     np.testing.assert_array_equal(plain.lines[0].get_xydata(), same.lines[0].get_xydata())
 
 
+@pytest.mark.usual("True")
 @pytest.mark.parametrize("degrees", [False, True])
 def test_every_branch_looks_like_the_entry_of_its_stability(ds, degrees):
     """And every point at which branches meet like that of its kind; unstable ones alone are dashed."""

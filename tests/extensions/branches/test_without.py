@@ -78,6 +78,7 @@ def test_what_it_gives_is_refused_by_name(without_extension, tmp_path, monkeypat
     assert "'branches'" in line
 
 
+@pytest.mark.long
 def test_its_atlases_are_drawn_without_its_lines(without_extension, counts, tmp_path):
     with atlas.open_atlas(counts) as ds:
         ds = ds.load()

@@ -50,6 +50,7 @@ def test_rows_of_families_are_complete():
 # Tables of pandas, and for papers.
 
 
+@pytest.mark.long
 def test_the_table_of_conditions_has_the_keys_of_its_errata(capsys):
     """Of the papers on both systems; the shell prints the same rows."""
     for system in ("satellite", "fixed_point"):
@@ -95,6 +96,7 @@ def check_latex(text, columns):
     return body
 
 
+@pytest.mark.long
 def test_tables_for_papers_are_latex(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for system in ("satellite", "fixed_point"):
@@ -164,6 +166,7 @@ def test_free_parameters_of_the_fixed_point(name):
     assert not set(family.free) & set(family.solve)
 
 
+@pytest.mark.usual("perp_velocity-4")
 @settings(max_examples=60, deadline=None)
 @given(k3=st.floats(-6, 6), m=st.floats(-2, 2), C=st.floats(0.2, 1.9), h3=st.floats(-1, 1))
 @pytest.mark.parametrize(("name", "factor"), [("perp_radius", 1), ("perp_velocity", 4)])

@@ -125,6 +125,7 @@ def near_equilibria(rng):
     return points | {name: size * rng.normal(size=COUNT) for name in ("theta_dot0", "n", "m")}
 
 
+@pytest.mark.long
 def test_bounds_near_any_minimum_of_a_satellite():
     points = near_equilibria(np.random.default_rng(1))
     limits = limits_of(energy.attitude, SATELLITE, points)
@@ -246,6 +247,7 @@ def recorded(monkeypatch):
     return calls
 
 
+@pytest.mark.long
 def test_the_potential_at_the_rim_of_an_attitude_is_above_the_energy(monkeypatch):
     """At rest, far from the minimum: the start is inside, and turned by that angle about any axis W is larger."""
     rng, calls = np.random.default_rng(8), recorded(monkeypatch)

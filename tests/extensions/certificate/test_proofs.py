@@ -219,6 +219,7 @@ def test_rounding_errors_are_part_of_the_bounds():
     assert np.all(np.diff(proofs("fixed_point", 1e-3, 1e-2, **top)["proof_bound"]) > 0)
 
 
+@pytest.mark.long
 def test_no_measured_label_contradicts_a_proof():
     """Starts about the border of what can be proved, in units in which the frame turns slowly or fast."""
     rng, count = np.random.default_rng(6), 150
@@ -249,6 +250,7 @@ def test_no_measured_label_contradicts_a_proof():
     assert (result["label_inertial"] == result["predicted_inertial"]).where(proved, True).all()
 
 
+@pytest.mark.usual("satellite")
 @pytest.mark.parametrize("name", STARTS)
 def test_points_are_independent_of_each_other_and_of_machine_code(name):
     """Points of every family, half of them slow, as plain Python one by one and together in machine code: the same bits."""

@@ -99,6 +99,7 @@ def test_bodies_that_cannot_exist_or_have_no_isolated_equilibria():
     assert (sphere.completeness == Completeness.NOT_ISOLATED).all()
 
 
+@pytest.mark.long
 def test_lazy_equilibria_have_the_bits_of_eager_ones():
     k1 = xr.DataArray([0.01, 0.7, 2.0, 3.0], dims="k1")
     C = xr.DataArray([1.7, 9.0], dims="C")  # in the second chunk along C no body is possible

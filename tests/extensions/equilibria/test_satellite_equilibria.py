@@ -74,6 +74,7 @@ def complex_solutions(inertia, p, r, q, starts, seed):
     return np.array(distinct)
 
 
+@pytest.mark.usual("1.0-1")
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("drag", [0.0, 1.0])
 def test_24_complex_equilibria_of_a_general_body(seed, drag):
@@ -170,6 +171,7 @@ def test_the_number_of_complex_equilibria_by_eigenvectors_of_a_quartic_form(pres
     assert len(eigenvectors_of_the_quartic(inertia, fields, rng)) == expected
 
 
+@pytest.mark.usual("1.0-1.0")
 @pytest.mark.parametrize("with_p", [0.0, 1.0])
 @pytest.mark.parametrize("with_r", [0.0, 1.0])
 def test_continuation_finds_the_solutions_of_newtons_method(with_p, with_r):
@@ -243,6 +245,7 @@ def test_every_equilibrium_of_random_bodies_rests_and_the_indices_sum_to_zero():
     assert (solutions["stable"][body, place][odd] == Stability.UNSTABLE).all()
 
 
+@pytest.mark.long
 def test_bodies_at_once_and_one_by_one():
     points = random_bodies(12, seed=5)
     solutions = SATELLITE.equilibria_of_bodies(points)
@@ -341,6 +344,7 @@ def beside_symmetry(rng, i):
     return dict(zip("ABC", moments, strict=True)) | vectors | {"h1": 0.4, "h3": -0.7}
 
 
+@pytest.mark.long
 def test_lists_beside_a_symmetry_are_whole():
     """Against a search by itself, for one body and for all at once; the circles of the symmetric body are no equilibria here."""
     rng = np.random.default_rng(17)
@@ -385,6 +389,7 @@ def listed(body):
     return count
 
 
+@pytest.mark.long
 def test_lists_beside_bifurcations_are_whole_or_refused():
     """Beside verified folds and beside pitchforks of a rotor along an axis, where 24 equilibria become 20, and 16 become 12."""
     case = json.loads((REFERENCE / "branches.json").read_text())["satellite"][0]

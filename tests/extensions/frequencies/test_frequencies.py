@@ -81,6 +81,7 @@ def test_too_few_samples_are_refused():
         motion.atlas.frequencies(1)
 
 
+@pytest.mark.usual("50.6")
 @pytest.mark.parametrize("rate", [50.6, 2 * np.pi * 100 / 12.6])
 def test_lines_that_are_too_fast_for_the_samples(rate):
     """The vertical turns in a spherical body at its rate; the second has one phase at every sample, as a constant has."""

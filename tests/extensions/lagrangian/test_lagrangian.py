@@ -68,6 +68,7 @@ def in_euler_angles(tmp_path_factory):
     return module_of(source, tmp_path_factory.mktemp("gyrostat"))
 
 
+@pytest.mark.long
 def test_gyrostat_in_euler_angles_agrees_with_the_euler_poisson_equations(in_euler_angles):
     rng = np.random.default_rng(1)
     moments = rng.uniform(0.5, 1.0, (3, 20))
@@ -107,6 +108,7 @@ def double_pendulum():
     return from_lagrangian(L, [a1, a2], [w1, w2], [m1, m2, l1, l2, g])
 
 
+@pytest.mark.long
 def test_double_pendulum_agrees_with_the_textbook(double_pendulum, tmp_path):
     module = module_of(double_pendulum, tmp_path)
     rng = np.random.default_rng(2)
@@ -124,6 +126,7 @@ def test_double_pendulum_agrees_with_the_textbook(double_pendulum, tmp_path):
     assert drift(module, [2.0, 1.0, 0.0, 0.5], [1.0, 0.5, 1.0, 0.7, 9.81], 5.0)["energy"] < 1e-9
 
 
+@pytest.mark.long
 def test_equations_agree_with_those_of_sympy(tmp_path):
     """A pendulum on a cart in a rotating plane: a coupled mass matrix and terms linear in the velocities."""
     x, angle = dynamicsymbols("x angle")

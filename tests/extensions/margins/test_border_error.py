@@ -85,6 +85,7 @@ def test_the_sentence_has_the_numbers_of_the_dataset(ds):
     assert str(uniform.atlas.border_error()) == "There is no border; " + whole[2:]
 
 
+@pytest.mark.long
 def test_points_beside_a_border_are_counted_that_are_sensitive_to_the_step(ds):
     """The ends of its pairs along both axes, each once; only where every point was checked."""
     assert "checked" not in ds.atlas.border_error()
@@ -103,6 +104,7 @@ def test_points_beside_a_border_are_counted_that_are_sensitive_to_the_step(ds):
     assert f", where 3 of {ends.sum()} points are sensitive to the step; 0 of " in str(result)
 
 
+@pytest.mark.long
 def test_degrees_a_single_axis_and_numbers_of_equilibria(ds):
     axes = {"sigma": {"count": 12}, "theta0": {"count": 20}}
     tilted = atlas.run(atlas.example("stability_perp_velocity", axes=axes), progress=False)
@@ -124,6 +126,7 @@ def test_degrees_a_single_axis_and_numbers_of_equilibria(ds):
             others.atlas.border_error(variable)
 
 
+@pytest.mark.long
 def test_numbers_of_equilibria_change_at_their_borders_within_half_a_cell():
     scene = atlas.example("equilibrium_count", axes={"k1": {"count": 16}, "k2": {"count": 16}})
     counts = atlas.run(scene, progress=False).atlas.border_error("equilibrium_count")

@@ -80,6 +80,7 @@ def next_change(flags, i, step):
     return None
 
 
+@pytest.mark.usual("sleeping_top_spin")
 @pytest.mark.parametrize("name", SCENES)
 def test_margins_are_those_of_brute_force_and_closed_forms(name, run):
     """Every point walks along its row; places from curves change the stability of the closed form, in every row."""
@@ -120,6 +121,7 @@ def test_margins_are_those_of_brute_force_and_closed_forms(name, run):
     assert ds.atlas.margin(axis).atlas.map("margin").axes
 
 
+@pytest.mark.long
 def test_the_margin_of_given_values_is_that_from_the_value_itself(run):
     """Not from the nearest point: the place stays, from both sides of it."""
     ds = run("stability_perp_velocity").transpose("theta0", "sigma").isel(theta0=slice(None, None, -1))

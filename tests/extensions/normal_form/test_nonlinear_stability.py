@@ -236,6 +236,7 @@ def test_resonances_and_zeros_of_the_determinant():
         assert beside[NONLINEAR][0] == ARNOLD_MOSER
 
 
+@pytest.mark.usual("momenta0")
 @pytest.mark.parametrize(
     ("momenta", "ends"), [((-2.0, -1.5), (1.05182, 1.08671)), ((0.3, 0.6), (1.05606, 1.07165))]
 )

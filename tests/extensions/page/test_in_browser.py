@@ -45,6 +45,7 @@ def painted(browser, canvas):
     )
 
 
+@pytest.mark.long
 def test_hover_shows_parameters_label_status_statistics_and_theory(browser, address, small_atlas):
     browser.open(address)
     assert text(browser, "place") == "Point at the map"
@@ -111,6 +112,7 @@ def states_of(browser, index):
     )
 
 
+@pytest.mark.usual("index1")
 @pytest.mark.parametrize("index", [(0, 0), (8, 6), (5, 1)])
 def test_the_motion_has_the_bits_of_the_kernel_in_plain_python(browser, address, small_atlas, index):
     """The compiled kernel fuses products and sums, and differs by rounding alone."""
@@ -310,6 +312,7 @@ def test_a_map_over_one_axis(browser, small_atlas, tmp_path, quick_page):
     assert not browser.errors
 
 
+@pytest.mark.long
 def test_a_system_with_observables(browser, tmp_path, monkeypatch, quick_page, own_systems):
     """A pendulum of another module: its angle and height over time, with the steps that the atlas recorded."""
     (tmp_path / "pendulum_of_a_page.py").write_text(PENDULUM)
@@ -394,6 +397,7 @@ def test_in_a_notebook(browser, small_page, tmp_path):
     assert not browser.requests
 
 
+@pytest.mark.long
 def test_scripts_that_need_a_browser_run(browser, small_scene, quick_page, tmp_path, monkeypatch, capsys):
     (tmp_path / "small.toml").write_text(small_scene)
     file, picture = str(tmp_path / "small.nc"), tmp_path / "page.png"
@@ -433,6 +437,7 @@ def widget_page(browser, small_page, tmp_path):
     return frame
 
 
+@pytest.mark.long
 def test_a_click_in_the_widget_reaches_python(browser, widget_page, small_atlas):
     """What the widget saves is the point, exactly, and nothing else may send one."""
     left, top = browser.evaluate(

@@ -124,6 +124,7 @@ def test_scales_of_colours_span_the_values(small_atlas, small_page):
     assert ends["psi_dot_mean"] == (-largest, largest)
 
 
+@pytest.mark.long
 def test_starts_are_those_of_the_trajectory(small_atlas, cube_atlas, sampled_atlas):
     for ds in (small_atlas, cube_atlas, sampled_atlas):
         shown = page_layout(ds)
@@ -150,6 +151,7 @@ def test_points_without_a_scene_have_motions(quick_page):
     assert table["commands"]["shell"] == "atlas trajectory points.nc --at"
 
 
+@pytest.mark.long
 def test_each_point_of_a_grid_without_a_scene_has_its_own_motion(small_atlas, quick_page):
     """Labelled points put on a grid, and an atlas that has lost its scene: the starts are the coordinates, by name."""
     C, m = np.repeat([0.5, 1.0, 1.3], 2), np.tile([0.1, 0.4], 3)

@@ -20,6 +20,7 @@ def data_of(page):
     )
 
 
+@pytest.mark.long
 def test_a_page_in_degrees(small_atlas):
     rad, deg = data_of(small_atlas.atlas.page()), data_of(small_atlas.atlas.page(degrees=True))
     for before, after in zip(rad["axes"], deg["axes"], strict=True):
@@ -51,6 +52,7 @@ def test_joined_atlases_have_no_page(small_atlas):
         joined.atlas.page()
 
 
+@pytest.mark.long
 def test_the_shell_makes_pages_in_degrees(scene_text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text(scene_text({}))

@@ -69,6 +69,7 @@ def test_every_function_of_the_equations_has_the_same_bits(system):
     assert np.array_equal(values, np.concatenate(expected))
 
 
+@pytest.mark.usual("rk4")
 @needs_node
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda s: s.name)

@@ -23,6 +23,7 @@ def nutations():
     return atlas.periodic("satellite", BODY, motion=MOTION, frequency=1, max_period=1.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("y", ["period", "amplitude", "energy"])
 def test_lines_are_full_up_to_the_doubling_and_dashed_after_it(nutations, y):
     figure = nutations.atlas.periodic_diagram(y)
@@ -77,6 +78,7 @@ duration = "2 orbits"
 """
 
 
+@pytest.mark.long
 def test_the_command_draws_and_writes_families_of_a_motion_of_a_scene(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.toml").write_text(SCENE)

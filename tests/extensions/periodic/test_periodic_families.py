@@ -59,6 +59,7 @@ def turned(states, chi):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ORACLE)
 def test_families_are_those_of_another_code(case):
     """Every orbit at given energies, multipliers, stability and turns, the end, and events that were solved for."""
@@ -105,6 +106,7 @@ def test_families_are_those_of_another_code(case):
         assert np.where(same, gaps, np.inf).min() < 1e-6, (kind, expected)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", [CASES[i] for i in (4, 12, 14)])
 def test_orbits_close_and_repeat_up_to_their_turn_by_trajectories(case):
     ds = families_of(case, orbits=5, events=False).isel(family=0)
@@ -154,6 +156,7 @@ def reversors(flow):
     return found
 
 
+@pytest.mark.usual("15")
 @pytest.mark.parametrize("index", [7, 8, 9, 14, 15])
 def test_symmetric_orbits_are_on_the_fixed_set_again_after_half_a_period(index):
     """States there have zeros where the reversor changes signs; an orbit that meets the set does so twice a period."""
@@ -202,6 +205,7 @@ def born(system, point):
     return [birth.frequency for birth in births], slopes
 
 
+@pytest.mark.long
 def test_slopes_at_birth_are_those_of_the_normal_form():
     """dT/dh = -4 pi c / frequency^3 with the coefficient c of the square of the action, of 40 random bodies."""
     rng, done = np.random.default_rng(84), 0
@@ -249,6 +253,7 @@ def test_planar_librations_have_the_period_of_elliptic_integrals():
     assert ds.end_energy.item() - ds.birth_energy.item() == pytest.approx(C * f**2 / 2, rel=1e-10)
 
 
+@pytest.mark.long
 def test_a_free_body_has_the_period_of_its_elliptic_functions():
     """Rotations about the axis of the largest moment: T = 4 K(k) / p, the vertical along the angular momentum."""
     A, B, C, m = 1.0, 1.4, 1.9, 0.8
@@ -267,6 +272,7 @@ def test_a_free_body_has_the_period_of_its_elliptic_functions():
     assert largest < 1e-11
 
 
+@pytest.mark.long
 def test_arrays_of_bodies_make_an_atlas_over_their_parameters():
     k3, mu3 = xr.DataArray([0.2, 0.4], dims="k3"), xr.DataArray([0.1, 5.0], dims="mu3")
     body = {"A": 1.0, "B": 1.25, "C": 1.5, "k3": k3, "mu3": mu3, "h3": -1.0}
@@ -279,6 +285,7 @@ def test_arrays_of_bodies_make_an_atlas_over_their_parameters():
     np.testing.assert_array_equal(at.multiplier_real, one.multiplier_real[0])
 
 
+@pytest.mark.long
 def test_datasets_are_written_read_and_labelled(tmp_path):
     ds = families_of(CASES[4], orbits=5, events=False)
     ds.to_netcdf(tmp_path / "families.nc")

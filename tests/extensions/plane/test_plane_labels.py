@@ -30,6 +30,7 @@ def test_verified_motions_in_the_plane_are_predicted():
     assert unsteady(SATELLITE, ds.family.values).all()
 
 
+@pytest.mark.long
 def test_verified_unstable_periodic_motions_are_hyperbolic():
     content = json.loads((REFERENCE / "chaos_cases.json").read_text())["cases"]
     of_plane = [

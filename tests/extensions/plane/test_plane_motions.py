@@ -117,6 +117,7 @@ def test_verified_borders_of_tongues():
             assert sorted(stable) == [Stability.STABLE, Stability.UNSTABLE]
 
 
+@pytest.mark.long
 def test_multipliers_are_those_of_the_equations_of_motion():
     points = random_points(5, seed=4)
     motions = motions_of(points)
@@ -167,6 +168,7 @@ def unstable_motions(count, seed):
     return select(points, np.flatnonzero(stable == Stability.UNSTABLE))
 
 
+@pytest.mark.long
 def test_growth_is_that_of_the_multipliers():
     """To 1e-9, or 10 times what changes of the multipliers by 1e-15 make of it, with multipliers of either sign beyond 1e25."""
     points = unstable_motions(180, seed=8)

@@ -23,6 +23,7 @@ DIFFERENT = {
 }
 
 
+@pytest.mark.long
 def test_what_needs_a_missing_extension_says_so(without_extension):
     result_of.cache_clear()  # the first test, so that this costs nothing
     without_extension("normal_form")

@@ -72,6 +72,7 @@ def function(at, motion, axis):
     return value, (theta, phi, theta_dot, psi_dot)
 
 
+@pytest.mark.usual("theta = 0.7 either", "phi = 0.5")
 @pytest.mark.parametrize("at", RISING)
 def test_crossings_of_a_satellite_are_those_of_another_integrator(at):
     """DOP853 with dense output, whose zeros are between sign changes at many instants."""
@@ -161,6 +162,7 @@ def test_errors_near_the_vertical_are_known(point, at, expected):
     assert errors[1] < ds["error"].values[0, i] < 1e-5
 
 
+@pytest.mark.long
 def test_zeros_of_a_cosine():
     """Times and rates in closed form, of both directions."""
     ds = atlas.section(
@@ -206,6 +208,7 @@ def test_a_motion_that_stays_on_the_surface_has_no_crossings(at):
     assert atlas.section("fixed_point", point, at=at, duration=50.0)["crossings"].item() == 0
 
 
+@pytest.mark.long
 def test_a_passage_of_the_vertical_hides_no_crossing():
     """A top whose axis passes the vertical at a small distance: psi' is a sharp peak there, and crosses a level twice a passage."""
     point = {"A": 1.0, "B": 1.0, "C": 0.5, "Mg": 1.0, "z0": 1.0, "theta0": 1.0, "n": 1e-3, "m": -5e-4}

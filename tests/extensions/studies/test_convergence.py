@@ -19,6 +19,7 @@ def study(scene_text):
     return scene, convergence.convergence(scene, ["duration", "rate_tolerance"], progress=False)
 
 
+@pytest.mark.long
 def test_labels_are_those_of_runs_with_other_settings(study, scene_text):
     _, ds = study
     for name, changes in (
@@ -75,6 +76,7 @@ def test_points_that_change_are_flagged_and_counted(study):
     )
 
 
+@pytest.mark.long
 def test_twice_the_transient_shows_whether_it_is_over(scene_text):
     """Damped satellites of which some have come to rest."""
     changes = {"integration.duration": 6.0, "fixed.damping": 0.4, "labels.transient": "12 / Omega"}
@@ -90,6 +92,7 @@ def test_twice_the_transient_shows_whether_it_is_over(scene_text):
         convergence.convergence(load_scene(scene_text({})), ["transient"])
 
 
+@pytest.mark.long
 def test_a_large_grid_is_thinned_and_a_refined_one_taken_coarse(scene_text, monkeypatch):
     sizes = []
     columns = convergence.columns_of

@@ -64,6 +64,7 @@ def test_inverse_elliptic_functions(seed):
     np.testing.assert_allclose([round_trip[0][0], round_trip[1][0]], [sn, cn], rtol=0, atol=1e-13)
 
 
+@pytest.mark.usual("3", "7", "11", "15")
 @pytest.mark.parametrize("seed", range(16))
 def test_symmetric_top(seed):
     """Heavy and free tops with a rotor, upright and hanging, in a frame at rest and in one that turns."""
@@ -80,6 +81,7 @@ def test_symmetric_top(seed):
     assert_same_motion(motion, run, expected, duration)
 
 
+@pytest.mark.usual("0.001-passes", "0.01-ends")
 @pytest.mark.parametrize("part", ["starts", "ends", "passes"])
 @pytest.mark.parametrize("sine", [1e-1, 1e-2, 1e-3])
 @pytest.mark.parametrize("weight", [0.8, -0.8])
@@ -101,6 +103,7 @@ def test_symmetric_top_beside_the_vertical(weight, sine, part):
     assert_same_motion(motion, run, expected, duration, tolerance=1e-12 / sine**2)
 
 
+@pytest.mark.usual("0.6-0.001", "0.0-0.1")
 @pytest.mark.parametrize("sine", [1e-1, 1e-2, 1e-3])
 @pytest.mark.parametrize("rotor", [0.0, 0.6])
 def test_free_gyrostat_beside_the_vertical(sine, rotor):
@@ -111,6 +114,7 @@ def test_free_gyrostat_beside_the_vertical(sine, rotor):
     assert_same_motion(motion, run, expected, 2.0, tolerance=1e-12 / sine**2)
 
 
+@pytest.mark.usual("-1.0")
 @pytest.mark.parametrize("theta_dot", [1.0, -1.0])
 def test_free_sphere(theta_dot):
     """A free sphere turns about a fixed w: its third axis by Rodrigues' formula, psi from its direction."""
@@ -158,6 +162,7 @@ def random_free_gyrostat(seed):
     return inertia.sum() - inertia, rotor, start
 
 
+@pytest.mark.usual("3", "7", "11", "15")
 @pytest.mark.parametrize("seed", range(16))
 def test_free_gyrostat(seed):
     inertia, rotor, start = random_free_gyrostat(seed)

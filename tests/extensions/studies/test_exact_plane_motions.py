@@ -18,6 +18,7 @@ def planar_libration(A, B, C, Omega, angle, rate):
     return exact.motion_of(SATELLITE, PlaneMotion, points, 0)
 
 
+@pytest.mark.usual("1", "9")
 @pytest.mark.parametrize("seed", range(16))
 def test_planar_libration(seed):
     """Librations and rotations about either stable direction, against the pendulum equation."""

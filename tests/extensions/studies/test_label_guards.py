@@ -124,6 +124,7 @@ def test_the_automatic_step_resolves_the_rate_tolerance():
     assert step_sizes.rate_error[0] < 0.5 * 1e-5
 
 
+@pytest.mark.long
 def test_an_exact_start_that_leaves_is_step_sensitive_before_rounding_is_expected_to_decide(monkeypatch):
     monkeypatch.setattr(theory, "rounding_limit", lambda *_: np.inf)
     results = set()
@@ -140,6 +141,7 @@ def test_an_exact_start_that_leaves_is_step_sensitive_before_rounding_is_expecte
     assert run("satellite", pushed, duration=50.0)["label"][0] == Label.DRIFTING
 
 
+@pytest.mark.long
 def test_growth_hidden_by_dissipation_is_flagged():
     """s < w^6 h^5 / 144: the spin is damped faster than the motion can leave."""
     hidden = unstable_point(m=60.0)
@@ -278,6 +280,7 @@ def unstable(system, points):
     return select(points, chosen), growth[chosen]
 
 
+@pytest.mark.usual("1.0")
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize(
     ("name", "draw"), [("satellite", satellites_on_families), ("fixed_point", fixed_points_on_families)]
@@ -295,6 +298,7 @@ def test_an_exact_start_never_drifts_in_any_unit_of_time(name, draw, rate):
     assert not decided[log_growth < 0.5 * np.log(1e11)].any()
 
 
+@pytest.mark.usual("1.0")
 @pytest.mark.parametrize("slower", [1.0, 0.1, 0.01])
 def test_exact_starts_with_a_periodic_linear_system_never_drift(slower):
     points = satellites_on_families(np.random.default_rng(9), 100, PERIODIC, slower)
@@ -321,6 +325,7 @@ FREE_ANGLES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "draw"), [("satellite", satellites_on_families), ("fixed_point", fixed_points_on_families)]
 )
@@ -457,6 +462,7 @@ def check_results(name, columns, method):
     assert (result["integral_drift"][ok] <= 1e-5).all()
 
 
+@pytest.mark.long
 @given(any_points("satellite"), st.sampled_from(["rk4", "rk8"]))
 @settings(max_examples=60)
 @example({"k1": [1e200, 0, 0, 1e-320], "m": [0, 1e300, 5e-324, 0]}, "rk4")
@@ -467,6 +473,7 @@ def test_any_satellite(columns, method):
     check_results("satellite", columns, method)
 
 
+@pytest.mark.long
 @given(any_points("fixed_point"), st.sampled_from(["rk4", "rk8"]))
 @settings(max_examples=60)
 @example({"l1": [1e200, 0, 0, 1e-320], "m": [0, 1e300, 5e-324, 0]}, "rk4")
@@ -474,6 +481,7 @@ def test_any_gyrostat_about_a_fixed_point(columns, method):
     check_results("fixed_point", columns, method)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", ["satellite", "fixed_point"])
 def test_nudged_motions_are_as_predicted_for_ten_thousand_time_units(system):
     """The rates that the nudge itself causes are far below the tolerance."""

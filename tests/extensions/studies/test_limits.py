@@ -9,12 +9,14 @@ from atlas.kernel.tableaux import METHODS
 from atlas.systems import SYSTEMS
 
 
+@pytest.mark.usual("rk4")
 @pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.name)
 def test_observed_stability_limits_are_those_of_theory(method):
     for y in stress.observed_stability(method, steps=4000).values():
         assert y == pytest.approx(method.stability, rel=2e-4)
 
 
+@pytest.mark.usual("rk4-0.02")
 @pytest.mark.parametrize(("name", "y"), [("rk4", 0.05), ("rk4", 0.02), ("rk8", 0.2)])
 def test_constraint_errors_stay_below_their_bound(name, y):
     system, method, steps = SYSTEMS["satellite"], METHODS[name], 200_000

@@ -36,6 +36,7 @@ def test_no_label_differs_from_the_true_one(pitch):
     assert (coarse.verdict.values[unstable] != stress.Verdict.RIGHT).all()
 
 
+@pytest.mark.long
 def test_no_label_where_rounding_decides():
     ds = study("unstable pitch, offset", "unstable pitch, long")
     assert np.unique(ds["case"]).size == 2

@@ -155,6 +155,7 @@ def passages_near_the_vertical(name):
     return points, duration, reference.reference(system, points, duration, PASSAGES.at(1e-5)).statistics
 
 
+@pytest.mark.usual("rk8")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_statistics_of_passages_near_the_vertical(name, method):
@@ -189,6 +190,7 @@ def passages_at_an_end(at):
     return points, duration, reference.reference(SATELLITE, points, duration, PASSAGES.at(1e-5)).statistics
 
 
+@pytest.mark.usual("end-rk8")
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("at", ["beginning", "end"])
 def test_statistics_of_passages_at_an_end_of_the_run(at, method):

@@ -48,7 +48,7 @@ def sample(system, share):
     return cases
 
 
-@pytest.fixture(scope="module", params=[0.1, pytest.param(1.0, marks=pytest.mark.long)])
+@pytest.fixture(scope="module", params=[0.02, pytest.param(1.0, marks=pytest.mark.long)])
 def share(request):
     """Share of the sample that is studied."""
     return request.param
@@ -81,6 +81,7 @@ def test_no_label_differs_from_the_true_one(studies, share, system):
     assert (coarse.verdict.values[unstable] != stress.Verdict.RIGHT).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_no_label_where_rounding_decides(system):
     if not stress_cases_of(SYSTEMS[system]):
@@ -151,6 +152,7 @@ def test_departures_of_large_offsets_agree_with_the_reference():
     np.testing.assert_allclose(departure.unsteadiness, whole.unsteadiness, rtol=1e-5)
 
 
+@pytest.mark.usual("symmetric top")
 @pytest.mark.parametrize("truth", ["", "symmetric top"])
 def test_truth_at_the_rim_of_the_cylinder(truth):
     """A hanging top between 0.0086 and 0.02 rad from the vertical: beyond half of its run in the cylinder it counts as inside."""
@@ -184,6 +186,7 @@ def test_departures_grow_at_the_rate_of_theory():
     np.testing.assert_allclose(tiny[0] / tiny[1], 8, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_growth_of_a_disturbance_over_a_run():
     """Where theory gives the growth rate, the fundamental matrix grows as it predicts."""
     system = SYSTEMS["satellite"]

@@ -47,6 +47,7 @@ def test_levels_contain_the_scenes_own_setting(value, step):
     assert all(math.log(a / b) > 0 for a, b in pairwise(values))
 
 
+@pytest.mark.long
 def test_no_error_is_below_the_uncertainty_of_the_reference(study):
     assert study.sizes["sample"] == 10
     was_run = np.isfinite(study.seconds_per_point)
@@ -128,6 +129,7 @@ def test_wrong_labels_are_counted_and_bounded(study):
     assert row["labels_wrong_at_most"] == half_step.upper_bound(3, row["labels_compared"])
 
 
+@pytest.mark.long
 def test_advice_where_no_level_reaches_the_tolerance(scene_text):
     scene = load_scene(scene_text({"integration.duration": 0.5, "integration.tolerance": 1e-17}))
     ds = work_precision(scene, 3)
@@ -138,6 +140,7 @@ def test_advice_where_no_level_reaches_the_tolerance(scene_text):
     assert float(ds.error_state.min()) >= reference.LEAST_UNCERTAINTY
 
 
+@pytest.mark.long
 def test_a_scene_with_a_step_and_the_observed_orders(scene_text):
     changes = {"integration.duration": 5.0, "integration.tolerance": None, "integration.step": 0.05}
     ds = work_precision(load_scene(scene_text(changes)), 4)
@@ -150,6 +153,7 @@ def test_a_scene_with_a_step_and_the_observed_orders(scene_text):
     assert "own median error" in advice(ds)
 
 
+@pytest.mark.long
 def test_points_without_a_reference_are_left_out_and_named(scene_text):
     """One point of three turns too fast for the reference; the others keep theirs."""
     changes = {

@@ -42,6 +42,7 @@ def script(path):
     return module
 
 
+@pytest.mark.long
 def test_every_printed_equation_has_its_verdict_and_residuals():
     rows = catalogue.published(SATELLITE)
     catalogue.residual.cache_clear()
@@ -132,6 +133,7 @@ def test_lagrange_form_is_exact_on_precessions_and_singular_upright():
     assert 1e-11 < errors.min() < errors.max() < 1e-6
 
 
+@pytest.mark.long
 def test_lagrange_form_reports_where_it_is_not_resolved():
     form = script("tools/lagrange_form.py")
     tilts = np.concatenate([np.geomspace(1e-8, 1, 20), np.linspace(0.5, 2.6, 20)])

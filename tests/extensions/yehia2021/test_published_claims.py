@@ -21,6 +21,7 @@ def test_every_numbered_equation_has_a_row():
         assert f"({i})" in numbers, i
 
 
+@pytest.mark.long
 def test_the_kinematics_by_computer_algebra():
     """(1): the columns of a rotation matrix, whose rate is that of omega'."""
     alpha, beta, gamma, rate = paper_vectors()

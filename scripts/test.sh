@@ -6,4 +6,4 @@ cd "$(dirname "$0")/.."
 extras="test"
 . scripts/setup.sh
 echo "Running the tests, several minutes for all of them" >&2
-.venv/bin/python -m pytest --numprocesses auto --dist worksteal "$@"
+exec .venv/bin/python -m pytest --numprocesses auto --dist worksteal "$@"

@@ -28,7 +28,7 @@ def derivatives_change(w, vectors, constants, dw, changes):
 
 
 def magnitudes(w, vectors, constants, size):
-    """Sum of the magnitudes of the terms of w' and of their changes by w by `size` and of the vectors by 1."""
+    """Magnitudes of the terms of w', plus their changes when w changes by `size` and the vectors by 1."""
 
 
 def frame_motion(w, vectors, constants):
@@ -36,12 +36,12 @@ def frame_motion(w, vectors, constants):
 
 
 def frame_motion_change(w, vectors, constants, dw, changes):
-    """Change of that angular velocity to first order in changes of w and of the vectors."""
+    """Change of the angular velocity relative to the frame to first order in changes of w and of the vectors."""
 
 
 def rotate_all(vectors, nu, back, s, around):
-    """Every vector after turns, each (cosine, sine), about nu and about s."""
+    """Vectors turned about nu by the angle with (cosine, sine) `back`, then about s by `around`."""
 
 
 def turn_all(vectors, u):
-    """v x u of every vector."""
+    """v x u for every vector v."""

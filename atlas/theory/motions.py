@@ -1,4 +1,4 @@
-"""What theory says of many starts: the functions of one start in loops, arrays in and out."""
+"""Theory of many starts: loops over the functions of one start, with arrays in and out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .prediction import find, predict, predict_circle, residual_of
 
 
 class Starts(NamedTuple):
-    """Bodies at the starts of runs, see Body, in columns."""
+    """Columns of `Body`, one entry for each start of a run."""
 
     states: Array  # (states, points)
     constants: Array  # (constants, points)
@@ -46,10 +46,10 @@ def find_motions(
     angle_tolerance: float,
     in_machine_code: bool = False,
 ) -> tuple[TwoAxes, SteadyTest]:
-    """The steady motion that each start is, or would be, and what the equations say of it, of a system of a `polynomial_degree`.
+    """Steady motion of each start, if none the motion about the third axis and the vertical, and its test by the equations.
 
-    Before a nudge and, unless points is None, after it. Inside a cone of angle_tolerance about the vertical, rad, only the tilt
-    and the rate about the vertical count.
+    base: before a nudge; points: after it, None: no nudge. Within angle_tolerance (rad) of the vertical only the tilt and the
+    rate about the vertical count. The system has a `polynomial_degree`.
     """
     before = Starts.of(system, base)
     after, one = before if points is None else Starts.of(system, points), np.ones_like(before.bound)
@@ -63,7 +63,7 @@ def find_motions(
 
 
 def find_starts(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacking, axes, columns):
-    """Rows of axes: s, m, nu, n."""
+    """Write motions into the rows s, m, nu, n of axes, and tests into columns."""
     for i in range(duration.size):
         body, other = body_at(before, i), body_at(after, i)
         motion, test = find(body, other, duration[i], rate_tolerance[i], angle_tolerance, nudged, lacking[i])
@@ -86,9 +86,9 @@ def body_at(starts, i):
 
 @np.errstate(all="ignore")
 def condition_residual(system: System, points: Points) -> Array:
-    """How far each start is from a steady motion about the third axis and the vertical, (points,); 0 on an exact one.
+    """Residual (dimensionless) of a steady motion about the third axis and the vertical at each start, (points,).
 
-    Of systems of which the theorem says nothing that of the families, nan without any.
+    Where the theorem does not apply, the residual of the families; nan without families.
     """
     if isinstance(polynomial_degree(system), str):
         return system.identify_family(points)[1] if system.families else np.full(shape_of(points), np.nan)
@@ -114,7 +114,7 @@ def predict_labels(
     nudged: bool,
     in_machine_code: bool = False,
 ) -> StartLabels:
-    """What theory predicts of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
+    """Predicted labels of starts; exact: labels of their exact motions in the system's frame and in inertial space."""
     one = np.ones_like(test.residual)
     label, inertial, answer = np.empty((3, one.size), np.int8)
     result = StartLabels(label, inertial, answer, np.empty(one.size))

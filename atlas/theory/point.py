@@ -28,17 +28,17 @@ class Body(NamedTuple):
     vectors: tuple[Vector, ...]  # at rest in the frame
     constants: tuple[float, ...]  # of the equations
     rates: Vector  # sin theta, n, m of System.steady_rates
-    bound: float  # of frequencies
+    bound: float  # of frequencies, rad per time unit
     square: float  # squared unit of rates
     in_range: bool  # whether no formula of theory overflows
 
 
 class Start(NamedTuple):
-    """A state and what the equations say of it."""
+    """A state, and quantities that the equations give for it."""
 
     w: Vector  # angular velocity
     vectors: tuple[Vector, ...]  # at rest in the frame
-    slip: float  # by how much the vectors v fail v' = v x u
+    slip: float  # sum of |v' - v x u| over the vectors v
     u: Vector  # angular velocity relative to the frame
     frame: Vector  # angular velocity of the frame, w - u
     slope: Vector  # w'
@@ -47,36 +47,36 @@ class Start(NamedTuple):
 
 
 class SteadyTest(NamedTuple):
-    """What the equations say of a start, before a nudge where nothing else is said."""
+    """Test of a start by the equations, before a nudge unless a comment says otherwise."""
 
-    answer: Value  # of Existence
+    answer: Value  # value of Existence
     elsewhere: Value  # whether it is a steady motion about other axes than the third and the vertical
     may_be_member: Value  # whether it may be on a family
     kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
     pushed: Value  # whether a nudge moved the start off the motions about the third axis and the vertical
-    residual: Value  # of the conditions of a steady motion, after a nudge
-    change: Value  # by a nudge, of the rates of a steady motion, in tolerances
+    residual: Value  # of a steady motion about the third axis and the vertical, after a nudge
+    change: Value  # largest change of the rates of a steady motion by a nudge, in tolerances
     away: Value  # departure of the nudged start from a steady motion, in tolerances
 
 
 class Membership(NamedTuple):
-    """What the families say of a start."""
+    """Test of a start by the families."""
 
     varies: Value  # whether its motion turns about the vertical at a varying rate
     elsewhere: Value  # whether its motion is about other axes than the third and the vertical
-    residual: Value  # of the conditions of its family before a nudge, inf on none
+    residual: Value  # condition residual of its family before a nudge, inf without a family
     nudged_residual: Value  # the same after a nudge
-    stable: Value  # of Stability
-    growth: Value  # of a distance from the motion until the end of the run, as a logarithm; nan where it is unknown
+    stable: Value  # value of Stability
+    growth: Value  # logarithm of the growth of a distance from the motion over the run; nan: unknown
 
 
 class StartLabels(NamedTuple):
-    """What theory predicts of a start."""
+    """Prediction of theory for a start."""
 
-    label: Value  # of Label, in the system's frame
-    inertial: Value  # in inertial space
-    answer: Value  # of Existence
-    growth: Value  # of a distance, 0 where it is unknown or does not matter
+    label: Value  # value of Label, in the system's frame
+    inertial: Value  # value of Label, in inertial space
+    answer: Value  # value of Existence
+    growth: Value  # logarithm of the growth of a distance; 0: unknown or irrelevant
 
 
 def dot(a, b):
@@ -88,7 +88,7 @@ def cross(a, b):
 
 
 def cross_sum(a, b):
-    """Sum of the magnitudes of the terms of a vector product, of magnitudes."""
+    """Vector product with plus signs: of magnitudes it is the sum of the magnitudes of the terms."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
 
 
@@ -122,7 +122,7 @@ def length(a):
 
 
 def unit(a, otherwise):
-    """The vector over its length, another one where that is 0."""
+    """Vector divided by its length; `otherwise` if the length is 0."""
     size = length(a)
     return otherwise if size == 0.0 else divided(a, size)
 
@@ -143,12 +143,12 @@ def over(value, scale):
 
 
 def larger(a, b):
-    """The larger one, nan where one is nan."""
+    """The larger number; nan if one is nan."""
     return a if a != a or a > b else b
 
 
 def smaller(a, b):
-    """The smaller one, nan where one is nan."""
+    """The smaller number; nan if one is nan."""
     return a if a != a or a < b else b
 
 
@@ -163,14 +163,14 @@ def smallest(a):
 
 
 def fmax(a, b):
-    """The larger one, the other where one is nan."""
+    """The larger number; if one is nan, the other one."""
     if a != a:
         return b
     return b if b > a else a
 
 
 def fmin(a, b):
-    """The smaller one, the other where one is nan."""
+    """The smaller number; if one is nan, the other one."""
     if a != a:
         return b
     return b if b < a else a

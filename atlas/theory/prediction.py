@@ -1,16 +1,16 @@
-"""What theory predicts of one start, in this order, whose reasons are in docs/methods.md:
+"""Prediction of theory for one start, by these rules in this order (docs/methods.md has the reasons):
 
 1. Beyond the range of the formulas nothing is predicted.
-2. The equations say of the start before a nudge whether it is a steady motion (`steady`): exact, far from all, or near one.
-3. A start on a family in the plane is exact, before a nudge or to rounding, whatever the equations say.
-4. What is far drifts, what is near has no label, what is exact has that of its exact statistics.
-5. A nudge that leads to no other steady motion leaves the label of a stable motion, drifting for an unstable one, else none.
-6. A nudge that leads far from every steady motion drifts, of near starts as well; one that changes rates by a good part of the
-   tolerances leaves no label. Not so of motions in the plane and beyond the range.
-7. A motion in the plane that drifts does so however it grows.
-8. The distance that grows is that of the family's own conditions in the plane and about other axes.
-9. Without a nudge an exact start whose distance grows beyond the tolerances becomes near, and keeps drifting alone.
-10. Labels about any axes follow from the motion after 3 and 9.
+2. The equations classify the start before a nudge (`steady`): exactly a steady motion, far from all of them, or near one.
+3. A start on a family in the plane is exact, if it is nudged or on the family to rounding, whatever the equations say.
+4. A far start drifts, a near one has no label, an exact one has the label of its exact statistics.
+5. After a nudge that leads to no other steady motion, a stable motion keeps its label, an unstable one drifts, others lose it.
+6. After a nudge that leads far from every steady motion a start drifts, also a near one; if the nudge changes rates by more than
+   KEPT tolerances, the label is lost. This does not hold for motions in the plane and beyond the range.
+7. Growth does not change the label of a motion in the plane that drifts.
+8. Growth begins at the residual of the equations, but in the plane and about other axes at the residual of the family.
+9. Without a nudge, an exact start whose residual grows beyond the tolerances becomes near; it keeps no label but drifting.
+10. Labels about any axes follow from the answer after 3 and 9.
 
 `find` is 1 and 2, `predict` 3 to 9, `predict_circle` 10.
 """
@@ -34,19 +34,18 @@ from .steady import (
     steady_motion,
 )
 
-# The conditions of a steady motion are satisfied as well as rounding allows where their residual is at most this: of a
-# larger distance from the motion, rounding errors change less than a hundredth.
+# Largest residual (dimensionless) of a steady motion that is rounding; rounding changes a larger one by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
-# Residual of a start about the third axis and the vertical beyond which it is on no family about these.
+# Residual above which a start is on no family about the third axis and the vertical.
 NEARBY = 1e-6
-# A nudged start keeps the label of a stable motion up to this change of its rates, in tolerances.
+# Largest change of rates by a nudge, in tolerances, with which a stable motion keeps its label.
 KEPT = 1 / 3
 
 
 def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks_theory):
-    """The steady motion that a start is, or would be, and what the equations say of it before and after a nudge.
+    """Steady motion of a start, if none the motion about the third axis and the vertical, and its test by the equations.
 
-    lacks_theory: whether a family of a missing extension may decide on it.
+    lacks_theory: whether the start may be on a family of a missing extension.
     """
     answer, motion = steady_motion(
         before.w, before.vectors, before.constants, before.rates, before.bound, duration, rate_tolerance, angle_tolerance
@@ -60,7 +59,7 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
     may_be_member = nudged or answer != Existence.FAR or residual <= NEARBY or upright
     kept, pushed, change, away = not nudged, False, 0.0, 0.0
     if nudged:
-        # Only a start that fails by at most the tolerance of families may be on a motion again.
+        # Only a start with a residual of at most FAMILY_TOLERANCE may be on a steady motion again.
         beside = residual <= FAMILY_TOLERANCE
         start = start_on_axis(after.w, after.vectors, after.constants, after.rates)
         if elsewhere or beside:
@@ -73,10 +72,10 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
 
 
 def residual_of(body):
-    """How far a start is from a steady motion about the third axis and the vertical, 0 on an exact one.
+    """Residual (dimensionless) of a steady motion about the third axis and the vertical, 0 on an exact one.
 
-    The larger of |u' - n m gamma x e3| over the squared unit of rates, u the angular velocity in the frame, and what of u across
-    e3 is not n gamma, over the unit. Beside the vertical, if less, that of a rotation about e3.
+    The larger of |u' - n m gamma x e3| over the squared unit of rates, u the angular velocity relative to the frame, and the
+    part of u - n gamma across e3 over the unit. Near the vertical a smaller residual of a rotation about e3 replaces the first.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -93,10 +92,10 @@ def residual_of(body):
 
 
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
-    """By how much a nudge changes rates at most from a steady motion, and the departure to first order, in tolerances.
+    """Largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure is the least change of the rates; the oscillation may be some times as large, that of psi' by 1 / sin(theta).
-    Inside the cone the tilt is no measure of it, but the change of the angular velocity. start: of `after`.
+    The departure is a lower bound of the oscillation of rates, that of psi' may be larger by 1 / sin(theta). Inside the cone the
+    change of the angular velocity measures the oscillation. start: of `after`.
     """
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)
@@ -111,9 +110,9 @@ def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
 def predict(
     test, membership, exact, exact_inertial, bound, rate_tolerance, angle_tolerance, nudged, by_equations
 ):
-    """What theory predicts of a start.
+    """Labels that theory predicts for a start.
 
-    exact: the labels of the statistics of the exact motion; by_equations: whether the answer of `find` is that of the equations.
+    exact, exact_inertial: labels of the exact motion, by its statistics; by_equations: whether `find` tested the equations.
     """
     answer = test.answer
     if membership.varies and (nudged or membership.residual <= ROUNDING_RESIDUAL):
@@ -134,7 +133,7 @@ def predict(
 
 
 def label_of(test, membership, answer, exact, nudged):
-    """The label of a start in one frame, before growth decides."""
+    """Label of a start in one frame, before rule 9 on growth."""
     if answer == Existence.EXACT:
         label = after_nudge(exact, membership.stable) if test.pushed else exact
     else:
@@ -147,9 +146,9 @@ def label_of(test, membership, answer, exact, nudged):
 
 
 def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
-    """The label about any axes: of the exact motion about other axes, else its own; a start near a circle does not drift.
+    """Label about any axes: of the exact motion about other axes, else `own`; near a circle, drifting is not predicted.
 
-    own, answer: of `predict`; exact: of the circle of the exact motion; near: whether the start may stay on a circle.
+    own, answer: from `predict`; exact: label of the circle of the exact motion; near: whether the start may stay on a circle.
     """
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:
@@ -162,14 +161,14 @@ def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
 
 
 def after_nudge(label, stable):
-    """Label of a steady motion beside which a nudged start is."""
+    """Label of a nudged start near a steady motion with this label and stability."""
     if label == Label.DRIFTING or stable == Stability.STABLE:
         return label
     return Label.DRIFTING if stable == Stability.UNSTABLE else Label.NOT_COMPUTED
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Growth, as a logarithm, by which rounding errors reach a tolerance, by the residual of a steady start.
+    """Logarithm of the growth with which the residual of a steady start, at least rounding, reaches a tolerance.
 
     Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
     """

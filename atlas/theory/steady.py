@@ -1,28 +1,28 @@
 """Steady motions by the equations of motion alone: whether a start is one, about which axes and at which rates.
 
 A body in a frame has as states an angular velocity w and vectors v at rest in the frame, v' = v x u, where u is the rotation
-relative to the frame and w - u that of the frame. A steady motion u = n nu + m s has an axis s at rest in the body and an
+relative to the frame and w - u the rotation of the frame. A steady motion u = n nu + m s has an axis s at rest in the body and an
 axis nu at rest in the frame. Seen from the body nu turns about s at -m, so that u' = n m nu x s and u'' = m u' x s:
 
 - with s known, m = u'.(u x s) / |u x s|^2 and n nu = u - m s;
 - with nu known, n = u'.(nu x u) / |nu x u|^2 and m s = u - n nu;
-- with neither, s is along u' x u''.
+- with neither known, s is along u' x u''.
 
 **Theorem.** Let the right-hand side be a polynomial of degree d in the states. Along a candidate every state is a
-trigonometric polynomial of degree 1 in each of the phases n t and m t, and the residual of the equations, w' less what the
-candidate needs, is one of degree d: a sum of the frequencies k n + l m, |k|, |l| <= d. Where n : m = p : q in lowest terms, with
-|p|, |q| <= 2 d, the motion is periodic, the residual is of degree d (|p| + |q|) in its phase, and it vanishes for all time exactly
-if it does at N = 2 d (|p| + |q|) + 1 equidistant instants, a discrete Fourier transform of condition 1. At any other n : m no two
-frequencies coincide, so that it must vanish on the whole torus of the phases. There the line of direction 1 : 2 d + 1 is as good:
-the numbers k + (2 d + 1) l differ, and its N = (2 d + 1)^2 instants decide. Where n or m is 0, or every vector is along nu, one phase
-is left, p or q is 0. Between the nodes the residual is at most 3.6 times its largest value at them for d = 2.
+trigonometric polynomial of degree 1 in each of the phases n t and m t, and the residual, w' of the equations minus w' of the
+candidate, is one of degree d: a sum over the frequencies k n + l m, |k|, |l| <= d. Where n : m = p : q in lowest terms, with
+|p|, |q| <= 2 d, the motion is periodic, the residual has degree d (|p| + |q|) in its phase, and it vanishes for all time if and
+only if it vanishes at N = 2 d (|p| + |q|) + 1 equidistant instants, a discrete Fourier transform of condition 1. At any other
+n : m no two frequencies coincide, so that the residual must vanish on the whole torus of the phases. For this the line of
+direction 1 : 2 d + 1 suffices: the numbers k + (2 d + 1) l differ, and N = (2 d + 1)^2 instants decide. Where n or m is 0, or
+every vector is along nu, one phase is left: p or q is 0. Between the nodes the residual is at most 3.6 times its largest value at
+the nodes for d = 2.
 
-A ratio counts as p : q within RATIO. What the torus would find beside it grows from what the instants find
-in a time of 1 / (RATIO n) only.
+A ratio within RATIO of p : q counts as p : q; the torus would give another result only after a time of 1 / (RATIO n).
 
-The residual vanishes where each component is at most TERM_ROUNDING of the magnitudes of its terms, those of the right-hand side with
-every difference replaced by a sum, and of what errors of the states change: fast spins are no scale of it. Axes from derivatives
-have errors of their own, by the cancellation in u'.
+The residual counts as 0 where each component is at most TERM_ROUNDING times the magnitudes of its terms (the right-hand side with
+every difference replaced by a sum) and of their changes by errors of the states: fast spins do not loosen the test. Axes from
+derivatives have larger errors, by the cancellation in u'.
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ from .point import (
     unit,
 )
 
-# Parts of rates within this share of what they are differences of are rounding.
+# A difference of rates below this share of its operands is rounding.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
-# Largest error of axes from derivatives, in units of rounding, with which they may be a motion's.
+# Largest error of axes from derivatives, in units of rounding, by which the test of the residual is widened.
 MAX_ERROR = 1e4
 # A start is far from every steady motion where rates change to first order by more than this, in tolerances: of 30 000
 # starts beside steady motions none with a steady label changed by more than 2.4.
@@ -75,13 +75,13 @@ CANDIDATES = 4
 class Existence(IntEnum):
     """Whether a start is a steady motion."""
 
-    NEAR = 0  # as near one as rounding or the tolerances of labels cannot tell from it
+    NEAR = 0  # rounding or the tolerances of labels cannot tell it from one
     EXACT = 1  # as exactly as rounding allows
     FAR = 2  # its rates vary by more than the tolerance
 
 
 def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
-    """Whether a start is a steady motion, a value of Existence, and which; about the third axis and the vertical if it is none.
+    """Value of Existence of a start, and its steady motion, or if none the motion about the third axis and the vertical.
 
     rates: (sin theta, n, m) of System.steady_rates; bound: of frequencies.
     """
@@ -94,7 +94,7 @@ def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance,
 
 
 def exact_motion(start, constants, rates, bound):
-    """Whether a start is a steady motion as exactly as rounding allows, and which; about the third axis and the vertical if not."""
+    """Whether a start is a steady motion to rounding, and this motion, else the one about the third axis and the vertical."""
     about_third = motion_about_third(start, rates)
     if is_beside(start, about_third, bound) and is_steady(start, constants, about_third, bound, False):
         return True, about_third
@@ -119,7 +119,7 @@ def start_at(w, vectors, constants):
 
 
 def start_on_axis(w, vectors, constants, rates):
-    """The start, without what a fast precession on the vertical to rounding leaves across it, which is rounding too."""
+    """The start; on the vertical, transverse rates that are rounding errors of a fast precession are removed."""
     start, (sine, n, _) = start_at(w, vectors, constants), rates
     if abs(sine) <= TERM_ROUNDING and np.hypot(start.u[0], start.u[1]) <= TERM_ROUNDING * abs(n):
         return start_at((w[0] - start.u[0], w[1] - start.u[1], w[2]), vectors, constants)
@@ -140,7 +140,7 @@ def motion_about_third(start, rates):
 
 
 def candidate(which, start, second, bound):
-    """A motion that u, u' and u'' allow: 0 about one axis, 1 about the vertical, 2 about the third axis, 3 with neither known.
+    """Candidate for the motion from u, u', u''; which: 0 one axis, 1 nu is vertical, 2 s is the third axis, 3 neither.
 
     second: u''.
     """
@@ -164,14 +164,14 @@ def candidate(which, start, second, bound):
         nu, n = unit(rest, g), length(rest)
         if not n > least:
             n = 0.0
-    # Of a steady motion u'' is m u' x s.
+    # A steady motion has u'' = m u' x s.
     if not length(minus(second, scaled(m, cross(first, s)))) <= GATE * bound**3:
         m = np.nan
     return Motion(s, m, nu, n)
 
 
 def rate_about(turn, u, first, least):
-    """The rate with which u' is along this turn, 0 where it is rounding; nan where u is along the axis."""
+    """Rate r for which r * turn is nearest to u', 0 within rounding; nan where u is along the axis."""
     if not length(turn) > GATE * length(u):
         return np.nan
     value = dot(first, turn) / dot(turn, turn)
@@ -179,7 +179,7 @@ def rate_about(turn, u, first, least):
 
 
 def rest_of(start, motion):
-    """u and u' less what a motion needs."""
+    """u and u' of a start minus their values in a motion."""
     s, m, nu, n = motion
     u = minus(minus(start.u, scaled(n, nu)), scaled(m, s))
     return u, minus(start.acceleration, scaled(n * m, cross(nu, s)))
@@ -191,9 +191,9 @@ def is_beside(start, motion, bound):
 
 
 def is_steady(start, constants, motion, bound, derived):
-    """Whether the residual vanishes along a candidate, by its nodes up to the first that fails.
+    """Whether the residual vanishes at all nodes of a candidate.
 
-    derived: whether the axes come from derivatives, with their errors.
+    derived: whether the axes come from derivatives, whose errors widen the test.
     """
     s, m, nu, n = motion
     rate, _ = rest_of(start, motion)
@@ -204,7 +204,7 @@ def is_steady(start, constants, motion, bound, derived):
     p, q = phases(start, motion)
     nodes = 2 * DEGREE * (p + q) + 1
     terms = (0.0, 0.0, 0.0)
-    # From the last node back: there both phases have changed, which is enough for most.
+    # From the last node back: there both phases have changed, so that most candidates fail at once.
     for j in range(1, nodes + 1):
         angle = -2 * math.pi * j / nodes
         residual = residual_at(start, constants, motion, np.sign(n) * p * angle, np.sign(m) * q * angle)
@@ -223,7 +223,7 @@ def is_steady(start, constants, motion, bound, derived):
 
 
 def phases(start, motion):
-    """p and q of the line on which the residual is tested."""
+    """p and q, the direction of the line of phases on which the residual is tested."""
     _, m, nu, n = motion
     loose = 0.0
     for i in range(len(start.vectors)):
@@ -256,7 +256,7 @@ def residual_at(start, constants, motion, alpha, beta):
 
 
 def rounding(start, constants, motion):
-    """Sum of the magnitudes of the terms of a residual and of their changes by errors of the states, relative to 1 in unit vectors."""
+    """Magnitudes of the terms of a residual, plus their changes by errors of the states of relative size 1."""
     s, nu, frame = magnitude(motion.s), magnitude(motion.nu), magnitude(start.frame)
     m, n = abs(motion.m), abs(motion.n)
     base = n + length(frame)
@@ -275,14 +275,14 @@ def second_derivative(start, constants):
 
 
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
-    """Change of theta', psi' and phi' to first order, in tolerances; inside the cone that of the tilt and the rate about the vertical.
+    """First-order change of theta', psi' and phi', in tolerances; in the cone, of the tilt and the rate about the vertical.
 
-    motion: about the third axis and the vertical. A change x of the start begins as x' = A x + f, and an oscillation at most as
-    fast as the bound changes rates by |f| / bound or more, unless damping takes that away.
+    motion: about the third axis and the vertical. A deviation x from it obeys x' = A x + f at first, and an oscillation no
+    faster than the bound changes rates by at least |f| / bound, unless it is damped.
     """
     s, m, g, n = motion
     inside = np.hypot(g[0], g[1]) < angle_tolerance
-    if inside:  # n and m are any with this angular velocity: without n the axes rest in the frame
+    if inside:  # n and m are not unique; with n = 0 the axes rest in the frame
         m, n = start.u[2], 0.0
     offset, f = rest_of(start, Motion(s, m, g, n))
     time = fmin(1 / bound, duration)
@@ -298,7 +298,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Root of the share of a run in which damping leaves an oscillation, by the divergence of the equations."""
+    """Square root of the share of a run before an oscillation is damped, by the divergence of the equations."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

@@ -1,4 +1,4 @@
-"""The text of a kernel for the compiler: `integrate` and its callees, the equations of a system and what `generated` declares."""
+"""Source text of a kernel: `integrate` and its callees, the equations of a system, and functions that `generated` declares."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .ensemble import Plug
 from .statistics import Row
 from .tableaux import METHODS, Method
 
-# Files of kernels that measure the change of first integrals.
+# Names of the kernel modules that measure the change of first integrals.
 MEASURING = ("integrate", "observe")
 
 
@@ -26,9 +26,9 @@ MEASURING = ("integrate", "observe")
 def reachable(
     functions: tuple[Any, ...], stubs: ModuleType = generated, absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """Functions, sources and numbers that some functions need, by name, callees first, without what `stubs` declares.
+    """Functions, their sources, and numbers that some functions use, by name, callees first, except names in `stubs`.
 
-    The sources contain numbers in place of the members of enumerations, and no blocks `if name:` of absent names.
+    The sources contain numbers in place of members of enumerations, and no blocks `if name:` of absent names.
     """
     trees: dict[str, dict[str, ast.FunctionDef]] = {}
     objects: dict[str, Any] = {}
@@ -57,7 +57,7 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Name of the file of a kernel; only the file that is compiled is imported."""
+    """Name of a kernel module without its package, compared in place of modules so that no other kernel is imported."""
     return of.__name__.rpartition(".")[2]
 
 
@@ -118,7 +118,7 @@ def source(
     equations = augmented.with_losses(equations, measured)
     try:
         texts = generated_functions(equations, METHODS[method], zero, equal, of, plugs)
-    except ValueError as error:  # of `differential`
+    except ValueError as error:  # raised by `differential`
         raise BadInput(f"equations: {error}") from None
     names = {"INTEGRALS": equations.INTEGRALS, "LOSSES": equations.LOSSES.values()}
     for key, name in ((key, name) for key, members in names.items() for name in members):
@@ -155,7 +155,7 @@ def generated_numbers(
         "INTEGRALS": len(equations.INTEGRALS),
         "TANGENT": augmented.tangent_size(equations),
         "STEP": method.kernel_step,
-        # Worth its loads and stores where a step is much longer than they are.
+        # Storing the slope saves time only in methods with many stages.
         "STORES_SLOPE": method.stages > 4,
         "HAS_AXIS": hasattr(equations, "axis_in_frame"),
         **(measured if file_of(of) in MEASURING else {}),
@@ -171,7 +171,7 @@ def generated_functions(
     of: ModuleType,
     plugs: Sequence[Plug],
 ) -> dict[str, str]:
-    """Source of the equations, simplified, and of the functions that `generated` declares, by name."""
+    """Name -> source of the simplified equations and of the functions that `generated` declares."""
     states, constants = len(equations.STATE), len(equations.CONSTANTS)
     extended = states + augmented.tangent_size(equations)
     texts = arithmetic.functions(equations)
@@ -229,7 +229,7 @@ def generated_functions(
 
 
 def observable_names(equations: ModuleType) -> tuple[str, ...]:
-    """Names of the observables of a system by its completed equations; a body in a frame has none."""
+    """Names of the observables in completed equations; none for a body in a frame."""
     return getattr(equations, "OBSERVABLES", ())
 
 

@@ -10,7 +10,7 @@ attitude is a rotation by a small vector eta of the body's axes: dv = v x eta, a
 
     eta' = du + eta x u.
 
-Three components thus replace the changes of all vectors, and keep lengths and angles; every other state has its own.
+Three components thus replace the changes of all vectors, and keep lengths and angles; every other state has one component.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SCALED, UNSCALED = "scaled_motion", "unscaled_motion"
 
 
 def losses_of(equations: ModuleType, zero: Collection[str], equal: Mapping[str, str]) -> dict[str, str]:
-    """Names of the functions of the losses that are not 0, by first integral."""
+    """First integral -> name of the function of its loss, for losses that do not vanish identically."""
     sources, losses = arithmetic.functions(equations), {}
     for integral, function in getattr(equations, "LOSSES", {}).items():
         match function_tree(simplify(sources[function], zero, equal)).body[-1]:
@@ -58,7 +58,7 @@ def with_losses(equations: ModuleType, losses: Mapping[str, str]) -> ModuleType:
 
 @cache
 def with_frame_vector(equations: ModuleType) -> ModuleType:
-    """Equations of a body with `axis_in_frame`; equations without a frame are returned as they are.
+    """Equations of a body with `axis_in_frame`; equations without a frame are returned unchanged.
 
     Where it is missing, three more states hold the first axis of the frame in body axes, x' = x x u with the angular velocity u
     of ``frame_motion``. Unlike psi they are regular everywhere.
@@ -163,9 +163,9 @@ def tangent_size(equations: ModuleType) -> int:
 
 
 def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
-    """Sources by name of ``rhs_change(state, constants, change)`` and of ``variation(state, constants, tangent)``.
+    """Sources by name of ``rhs_change(state, constants, change)`` and ``variation(state, constants, tangent)``.
 
-    The second one is the time derivative of the tangent vector.
+    ``variation`` is the time derivative of the tangent vector.
     """
     own, names = own_components(equations), list(equations.STATE)
     changes = [f"t{j}" for j in range(len(own))]
@@ -180,7 +180,7 @@ def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
         lines += [
             f"{', '.join(slopes)}, = rhs_change(state, constants, change)",
             "u1, u2, u3, v1, v2, v3 = frame_motion(state, constants)",
-            "du1, du2, du3, dv1, dv2, dv3 = frame_motion(change, constants)",  # it is linear
+            "du1, du2, du3, dv1, dv2, dv3 = frame_motion(change, constants)",  # frame_motion is linear
         ]
         rotation = ["du1 + e2 * u3 - e3 * u2", "du2 + e3 * u1 - e1 * u3", "du3 + e1 * u2 - e2 * u1"]
         lines.append(f"return ({', '.join([*(slopes[i] for i in own), *rotation])},)")

@@ -24,7 +24,7 @@ from .stepsize import StepSizes
 
 # Largest number of point-steps in a call of the kernel, about 0.1 s: Ctrl-C and the progress line wait for its end.
 CHUNK = 20_000_000
-# Number of point-steps, about 1 ms, for which starting threads takes longer than they save.
+# Most point-steps, about 1 ms, for which starting threads takes longer than it saves.
 FEW = 100_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -33,7 +33,7 @@ Counts = NDArray[np.int64]
 class BlockSchedule(NamedTuple):
     """Blocks of points with equal numbers of steps and nodes."""
 
-    points: Counts  # their indices, (blocks, WIDTH); an incomplete block repeats its last point
+    points: Counts  # indices of points, (blocks, WIDTH); an incomplete block repeats its last point
     steps: Counts  # as in StepSizes, (blocks,)
     steps_per_sample: Counts  # as in StepSizes, (blocks,)
 
@@ -96,20 +96,20 @@ def start_state(kernel: ModuleType, state: Array) -> Array:
 
 
 def resumable(kernel: ModuleType, arrays: Arrays) -> Arrays:
-    """The arrays with room for the interrupted runs between two calls."""
+    """The arrays with `resume` allocated, for runs that take several calls."""
     rows = 4 * kernel.NODE_ROWS + len(arrays.scales)
     return arrays._replace(resume=np.empty((rows, arrays.state.shape[1])))
 
 
 @dataclass(frozen=True)
 class Threads:
-    """The threads that integrate, and what they call with the work done since the last call; it may end the run by an exception."""
+    """Threads that integrate; progress gets the work done since its last call, and may end the run by an exception."""
 
     count: int | None = None  # None: as many as there are processors; 0: the calling thread
     progress: Callable[[float], None] = lambda work: None
 
     def scaled(self, factor: float) -> Threads:
-        """The same threads for work in another unit; by 0 the progress is called without work done."""
+        """The same threads with work in another unit; with factor 0, progress is called but no work reported."""
         return Threads(self.count, lambda work: self.progress(factor * work))
 
 
@@ -126,8 +126,8 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    `segment` is the first and the last node of each block (default: whole runs). The threads, or the calling one where no
-    number is given and there are few steps, tell the point-steps done. On KeyboardInterrupt the running calls of the kernel end first, a fraction of a second later.
+    `segment`: first and last node of each block (default: whole runs). Without a number of threads the calling thread does few
+    steps itself. Progress counts point-steps. On KeyboardInterrupt running calls of the kernel end first, in under a second.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN
@@ -135,7 +135,7 @@ def integrate(
     steps = np.minimum((last - first) * schedule.steps_per_sample, schedule.steps) * WIDTH
     if not arrays.resume.size and (steps > CHUNK).any():
         arrays = resumable(kernel, arrays)
-    # A kernel that has not been called may be compiled: in a thread, so that Ctrl-C need not wait for it.
+    # The first call may compile the kernel; it is made in a thread, so that Ctrl-C need not wait for it.
     if threads.count is None and steps.sum() <= FEW and getattr(kernel.integrate, "signatures", True):
         threads = Threads(0, threads.progress)
     call_by_parts(partial(kernel.integrate, schedule, arrays), steps, first, last, threads)

@@ -1,4 +1,4 @@
-"""The time that this process has spent on compiling kernels, which speeds leave out. This module imports no compiler."""
+"""Time that this process spends on compiling kernels, which measured speeds exclude. This module imports no compiler."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ ANNOUNCEMENT = "compiling these equations to machine code, which later runs use 
 
 _lock = threading.Lock()
 _finished = 0.0  # seconds of all finished compilations
-_began: float | None = None  # start of the running one; there is one at a time
+_began: float | None = None  # start of the running compilation; there is only one at a time
 _announcers = 0
 
 
 @contextmanager
 def compilation() -> Iterator[None]:
-    """The time in which one kernel is compiled."""
+    """Context in which one kernel is compiled, which measures the time and announces it."""
     global _began, _finished
     with _lock:
         _began = time.perf_counter()
@@ -39,7 +39,7 @@ def say(announcement: str) -> None:
 
 
 def announce(change: int) -> None:
-    """Add (1) or remove (-1) a part of the program that asks for a line on stderr when a kernel is compiled."""
+    """Count (1) or discount (-1) a part of the program that wants a line on stderr when a kernel is compiled."""
     global _announcers
     with _lock:
         _announcers += change

@@ -1,4 +1,4 @@
-"""Arithmetic as a syntax tree: its differentials, for the variational equations, and its form where terms vanish in a scene.
+"""Arithmetic as syntax trees: differentials, for the variational equations, and simplification where terms vanish.
 
 `simplify` leaves out x * 0, x + 0, x - x and x * 1; x * y - x * z becomes x * (y - z). The result is the same to round-off.
 LLVM may not do this itself, because x * 0 is not 0 for a NaN or an infinity.

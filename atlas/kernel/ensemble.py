@@ -17,8 +17,8 @@ from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
-# Shares of the nodes after which runs are interrupted, to leave out points that are certain to drift. Most drifting motions
-# are certain after a small part of the run; motions that leave an unstable one only later.
+# Shares of the nodes at which runs are interrupted, to leave out points that certainly drift: most are certain after a small
+# part of the run, motions that leave an unstable one only later.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
 # A run is not interrupted before this node: shorter segments cost more than they save.
 MIN_NODES = 8
@@ -40,9 +40,9 @@ class Plug(Protocol):
         """Function (sums, s, given, g, l, nodes, i, intervals, spacing, inverse_unit) of lane l, pasted into the kernel.
 
         Its sums begin at row s and its constants at row g. Node i of the intervals + 1, `spacing` apart in the kernel's unit of
-        time, is nodes[i & 3, row, l] with the rows of `statistics.Node`; the three before it are in the other slots. None: the
-        constants are levels of the energy, the first of the equations' INTEGRALS, and the sums count those above them of every
-        `integrate.NODES_PER_LEVEL`-th node.
+        time, is nodes[i & 3, row, l] with the rows of `statistics.Node`; the three nodes before it are in the other slots.
+        None: the constants are levels of the energy, the first of the equations' INTEGRALS, and each sum counts the nodes with
+        more energy than its level, among every `integrate.NODES_PER_LEVEL`-th node.
         """
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
@@ -57,7 +57,7 @@ class Integration:
     sums: Array  # output of the kernel, (kernel.SUMS, points)
     intervals: NDArray[np.int64]  # intervals between the nodes reached
     duration: Array  # integrated time, time units
-    stopped_early: Mask  # whether the point was certain to drift before its end
+    stopped_early: Mask  # whether the run ended early because the point certainly drifts
 
     def subset(self, where: NDArray[np.int64]) -> Integration:
         return Integration(*(each[..., where] for each in vars(self).values()))
@@ -105,11 +105,11 @@ class Ensemble:
     def arrays(
         self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
     ) -> blocks.Arrays:
-        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: in nodes."""
+        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: of strobes, in nodes."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
         given = self.given
-        if len(given) < kernel.PLUGGED_GIVEN:  # the kernel measures once a period
+        if len(given) < kernel.PLUGGED_GIVEN:  # strobed observables need their period
             given = np.full((1, self.size), period, np.float64)
         return blocks.Arrays(
             step_size, blocks.start_state(kernel, self.state), self.constants, self.scales, given, rule,
@@ -125,7 +125,7 @@ class Ensemble:
         early_stop_rate: Array | None = None,
         threads: Threads = ALL_THREADS,
     ) -> Integration:
-        """Integrate every point; the threads tell the point-steps done.
+        """Integrate every point; progress counts point-steps.
 
         `cylinder` is a radius in rad. A run may end early once the root mean square of theta' over the whole run is certain to
         exceed early_stop_rate outside the cylinder; by default every run is whole.
@@ -146,13 +146,13 @@ class Ensemble:
     def final_states(
         self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, threads: Threads = ALL_THREADS
     ) -> Array:
-        """States after so many steps of these sizes (time units), (states, points), without statistics."""
+        """States, (states, points), after these numbers of steps of these sizes (time units), without statistics."""
         return self.states_at_samples(kernel, steps, step_size[None], threads)[:, 0]
 
     def states_at_samples(
         self, kernel: ModuleType, steps: NDArray[np.int64], step_sizes: Array, threads: Threads = ALL_THREADS
     ) -> Array:
-        """States each time that so many steps have ended, (states, samples, points); step_sizes: (samples, points)."""
+        """States, (states, samples, points), at samples that are `steps` steps apart; step_sizes: (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
         states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
         direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # such calls are many and short
@@ -163,11 +163,11 @@ class Ensemble:
             else:
                 blocks.integrate(kernel, schedule, arrays, threads=threads)
             states[:, k] = arrays.state[: len(self.state)]
-            arrays.state[len(self.state) :] = 0.0  # losses, which no sample takes over
+            arrays.state[len(self.state) :] = 0.0  # accumulated losses begin anew in each sample
         return states
 
     def nodes(self, kernel: ModuleType, steps: NDArray[np.int64], step_size: Array, count: int) -> tuple[Array, Array]:  # fmt: skip
-        """States and their derivatives at the start and each time that so many steps have ended, (states, count, points).
+        """States and their derivatives, (states, count, points), at the start and at nodes that are `steps` steps apart.
 
         kernel: `specialization.node_kernel`.
         """
@@ -187,11 +187,11 @@ class Ensemble:
         early_stop_rate: Array,
         threads: Threads,
     ) -> NDArray[np.int64]:
-        """Number of nodes that each point took.
+        """Integrate in SEGMENTS; returns the number of nodes of each point.
 
         All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run, and the axis
-        was so far outside the cylinder that a later entry is a change of theta, no later motion brings the label back. A passage
-        of the vertical takes away at most one sample near it. Whole runs have the same bits as in a single call.
+        was so far outside the cylinder that a return would be a change of theta, the point drifts. The correction of a passage
+        near the vertical removes at most one sample. Whole runs have the same bits as in a single call.
         """
         run_nodes, arrays = step_sizes.intervals + 1, blocks.resumable(kernel, arrays)
         with np.errstate(over="ignore"):
@@ -237,6 +237,6 @@ def integral_scales(
         terms = getattr(system.equations, name)(state, constants)
         size = np.maximum(sum(np.abs(term) for term in terms), floors[name])
         size = np.where(size == 0.0, 1.0, size)
-        # With a floor of nan the change does not count.
+        # A floor of nan gives the scale 0, so that changes of the integral are ignored.
         rows.append(np.where(np.isnan(size), 0.0, 1.0 / size))
     return np.ascontiguousarray(np.reshape(rows, (len(rows), state.shape[1])))

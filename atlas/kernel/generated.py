@@ -7,11 +7,11 @@ kernel's units (see `scaled` of a system's equations), blocks are (rows, WIDTH),
 from __future__ import annotations
 
 WIDTH = 32  # points of a block
-STATES = 0  # of the equations, and the sums of losses
+STATES = 0  # states of the equations, and accumulated losses
 CONSTANTS = 0
 INTEGRALS = 0
 LOSSES = ()  # integrals whose losses are the last states, see `augmented`; only where there are any
-OBSERVABLES = 0  # measured throughout
+OBSERVABLES = 0  # observables measured at every node
 STROBED = 0  # observables measured once a period; without them the blocks `if STROBED:` are left out
 TANGENT = 0  # components of a tangent vector
 STEP = 1.0  # length of a step in the kernel's unit of time, `Method.kernel_step`
@@ -62,7 +62,7 @@ def axis_in_frame(state, constants):
 
 
 def step(state, slope, constants):
-    """State after one step of length STEP; slope: its derivative before it."""
+    """State after one step of length STEP; slope: derivative of the state before the step."""
 
 
 def load_state(block, l):
@@ -90,7 +90,7 @@ def store_integrals(block, l, state, constants):
 
 
 def largest_change(first, scales, l, state, constants, largest):
-    """The larger of `largest` and the scaled changes of the first integrals since their column l of `first`."""
+    """Largest of `largest` and the scaled changes of the first integrals since the values in column l of `first`."""
 
 
 def add_to_plugged(plugged, given, nodes, i, intervals, spacing, inverse_unit, state, constants):

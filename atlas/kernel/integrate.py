@@ -68,10 +68,10 @@ from .poles import (
 from .sampling import END, LONG, rule_position, stretched
 from .statistics import Node, Row, accumulate, begin, end, extend, may_extend
 
-MOTION = 6  # components of the motion, rows of a `Node` that are followed by their derivatives
+MOTION = 6  # components of the motion: the first rows of a `Node`, before their derivatives
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_DRIFT = 4
-# One node in so many is compared with levels of the energy.
+# Every NODES_PER_LEVEL-th node is compared with levels of the energy.
 NODES_PER_LEVEL = 8
 # Turning points and passages computed side by side; their queues have room for WIDTH more.
 QUEUE = 32
@@ -128,15 +128,15 @@ def interpolated_motion(nodes, slots, weights, l):
 
 
 def sample_weights(samples, j, spacing):
-    """The eight weights of sample j as scalars; derivatives are for a distance `spacing` of two nodes."""
+    """The eight weights of sample j; those of derivatives are multiplied by `spacing`, the distance of two nodes."""
     w = samples[j]
     return w[1], w[2], w[3], w[4], w[5] * spacing, w[6] * spacing, w[7] * spacing, w[8] * spacing
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks over a range of nodes, (blocks,), with the same bits however a run is cut.
+    """Integrate blocks from first_node to last_node, (blocks,), with the same bits however a run is divided into calls.
 
-    Node 0 begins a run, the node steps / steps_per_sample ends it; the rule is a `sampling.Quadrature`.
+    A run begins at node 0 and ends at node steps / steps_per_sample; the rule is a `sampling.Quadrature`.
     """
     full_vectors()
     points, steps, steps_per_sample = schedule
@@ -286,7 +286,7 @@ def end_runs(stats, nodes, slot):
 
 
 def mark(turning, near, stats, nodes, spacing, interval, intervals):
-    """Write 1.0 into `turning` for lanes that may turn beyond their extremes, into `near` for lanes that may pass the vertical."""
+    """Write 1.0 into `turning` of lanes where theta may have a new extreme, into `near` of lanes that may pass the vertical."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, Node.DG3, l], spacing * nodes[second, Node.DG3, l]
@@ -414,7 +414,7 @@ def correct(
 
 
 def zeros(passages, terms, farther, count):
-    """Write the nearer or the farther zeros of `count` passages, of divided differences, into terms[farther]."""
+    """Write the nearer or the farther zeros of `count` passages, given by divided differences, into terms[farther]."""
     for e in range(count):
         approximate_zero(passages, e, farther)
     for _ in range(NEWTON_STEPS):
@@ -425,7 +425,7 @@ def zeros(passages, terms, farther, count):
 
 
 def collect_farther(passages, farther, places, count):
-    """Copy the passages whose farther zero may be near into `farther`; returns their number, rounded up to whole vectors."""
+    """Copy the passages whose farther zero may be near into `farther`; returns their number, rounded up to a multiple of 8."""
     number = 0
     for e in range(count):
         if passages[Passage.FARTHER, e] > 0.0:

@@ -91,7 +91,7 @@ def store_plugged(points, block, plugged, out, first_row):
 
 
 def advance(state, slopes, constants, steps):
-    """Take some steps; `slopes` holds the derivatives of the states before the first."""
+    """Take `steps` steps; `slopes` holds the derivatives of the states before the first step."""
     for k in range(steps):
         if STORES_SLOPE and k > 0:
             for l in range(WIDTH):

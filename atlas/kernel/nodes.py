@@ -1,4 +1,4 @@
-"""The kernel of nodes alone: states and their derivatives along the motions of blocks of points, without statistics."""
+"""The kernel of trajectories: states and their derivatives at nodes of the motion, without statistics."""
 
 from .generated import (
     CONSTANTS,
@@ -18,7 +18,7 @@ from .lanes import advance, load_points
 
 
 def integrate(schedule, arrays, first_block, last_block):
-    """Write the nodes of blocks, node 0 the start, the others after equally many steps; derivatives by the kernel's time."""
+    """Write states and derivatives (by the kernel's time) of blocks at the start and at equidistant nodes after it."""
     full_vectors()
     points, steps, _ = schedule
     step_size, state0, constants0, scales, states, derivatives = arrays

@@ -2,8 +2,8 @@
 
 The numeric frequency of `systems.jacobian` at the start alone is often too low, because a motion may begin slowly. A
 preliminary run with the longest possible steps therefore samples it, and is repeated with a larger bound where it has grown.
-Powers of the Jacobian do not show a forcing by time, which is a state; the derivatives of the states along the run do. No
-point's result depends on others.
+Powers of the Jacobian do not show a forcing by time, which is a state; the derivatives of the states along the run do. The
+result of a point does not depend on other points.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from .ensemble import Ensemble
 from .stepsize import GOLDEN_SECTION
 from .tableaux import Method
 
-# Mean distance of samples in rad of the bound: short enough to show that a motion becomes faster, such as on an eccentric orbit
-# before the centre, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
+# Mean distance of samples, in rad at the bound: short enough to show that a motion becomes faster, as before the pericentre of
+# an eccentric orbit, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Samples are early by up to this share of their mean distance, so that no forcing has about the same phase at all of them.
+# Samples are early by up to this share of their mean distance, so that no forcing has nearly one phase at all samples.
 EARLY = 0.5
-# The least bound is so many turns in a run: a motion whose Jacobian vanishes at the start needs samples as well.
+# Least bound, in turns per run: a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4
-# Phase error and loss of amplitude of the preliminary run, and its largest step over the stability limit.
+# Phase error and loss of amplitude of the preliminary run, and its largest step divided by the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
 # A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because a coarse run may
 # be wrong.
@@ -36,7 +36,7 @@ TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 # Derivatives below the share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # Jacobians computed at a time
-FEW_STEPS = 20000  # of all points: fewer take less time than starting a thread
+FEW_STEPS = 20000  # of all points together: up to these no thread is started, which would take longer
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
@@ -48,7 +48,7 @@ def before_run(system: System, points: Points, duration: Array) -> Array:
 
 
 def _least(duration: Array) -> Array:
-    """The least bound of runs of these durations."""
+    """Least bound, rad per time unit, of runs of these durations."""
     with np.errstate(all="ignore"):
         return np.asarray(2 * np.pi * LEAST_TURNS / duration)
 
@@ -92,16 +92,16 @@ def along_runs(
         bound[pending[grown]] = raised[grown]
         finite_bound[pending[grown & ~overflowed]] = raised[grown & ~overflowed]
         pending = pending[grown & (not_finite[pending] <= MAX_NOT_FINITE)]
-    # Where even short steps overflow, so does the motion.
+    # Where even short steps overflow, the motion itself does.
     bound = np.where(not_finite > MAX_NOT_FINITE, finite_bound, bound)
     return bound, settled
 
 
 def _distances(count: int) -> Array:
-    """Distance of each sample from the one before, the first from the start, over their mean distance.
+    """Distances of successive samples, the first from the start, divided by their mean.
 
-    Sample k is early by EARLY times the fractional part of g k^2, g the golden section. With g k, distances would be in an order in
-    which forcings of about 5, 8, 13 ... turns between two samples have nearly one phase at all of them.
+    Sample k is early by EARLY times the fractional part of g k^2, g the golden section. With g k in place of g k^2, forcings of
+    about 5, 8, 13 ... turns between two samples would have nearly one phase at all samples.
     """
     k = np.arange(count + 1)
     return np.diff(k - EARLY * (GOLDEN_SECTION * k**2 % 1.0))
@@ -118,8 +118,8 @@ def _largest_frequency(
 ) -> Array:
     """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
-    # A state whose rate depends on no state is time. Without it the Jacobian shows every frequency, and the derivatives of
-    # steady motions would be rounding errors.
+    # A state whose rate depends on no state is time. Systems without time have every frequency in the Jacobian, and on their
+    # steady motions the derivatives would be rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
     sizes = np.zeros((4, *ensemble.state.shape))  # the largest of each state and derivative

@@ -34,11 +34,11 @@ from .generated import (
 from .lanes import advance, extend_changes, load_points, load_runs, store_ends, store_runs, store_sums
 from .poles import place_of_turn, turns_twice
 
-# Rows of the sums: the change of first integrals, then from FIRST_ROW on those of `Field` for each observable.
+# Rows of the sums: the change of first integrals, then from FIRST_ROW on the rows of `Field` for each observable.
 CHANGE, FIRST_ROW = 0, 1
 # First integrals change slowly: they are evaluated at every fourth node and at the end.
 NODES_PER_CHANGE = 4
-# Relative change of an observable that may be rounding.
+# Largest relative change of an observable that may be rounding.
 CHANGE_ROUNDING = 1e-14
 
 
@@ -58,7 +58,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     sums, turning = aligned_empty((FIRST_ROW + len(Field) * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
-    if STROBED:  # the given constants are the nodes between two instants
+    if STROBED:  # the given constants are intervals between nodes per period
         sums = aligned_empty((FIRST_ROW + len(Field) * (OBSERVABLES + STROBED), WIDTH))
         strobes, period = aligned_empty((STROBED, WIDTH)), aligned_empty((WIDTH,))
     for block in range(first_block, last_block):

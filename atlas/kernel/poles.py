@@ -6,8 +6,8 @@ function of complex time, has a zero z close to the real axis, so that
     phi' = -Im(zeta' / zeta),    psi' = (u3 - phi') / g3,    theta'^2 = g3'^2 / |zeta|^2
 
 have poles there. The trapezoidal rule converges slowly on such a spike, but its error on a pole has a closed form (Poisson's
-summation formula): `trapezoid_error_of_pole`. The polynomial of degree 7 through four nodes of the motion has the zero
-(`pole_terms`), and the kernel subtracts the errors of the sums.
+summation formula): `trapezoid_error_of_pole`. The zero is computed on the polynomial of degree 7 through four nodes
+of the motion (`pole_terms`), and the kernel subtracts the errors of the sums.
 
 Turning points of theta are computed on the same polynomials (`turning_point`), from a first approximation on the cubic between
 two nodes (`turns_twice`, `place_of_turn`). The unit of time is the distance of two nodes.
@@ -17,7 +17,7 @@ from enum import IntEnum
 
 import numpy as np
 
-# Beyond this distance from the real axis a pole does no harm: exp(-8 pi).
+# Distance of a pole from the real axis beyond which its error, exp(-8 pi), is negligible.
 REACH = 4.0
 # Steps of Newton's method for the position of a pole; a step of Halley's in `pole_terms` follows.
 NEWTON_STEPS = 3
@@ -28,10 +28,10 @@ class Passage(IntEnum):
 
     G1, G1_SLOPE, G2, G2_SLOPE, U3, U3_SLOPE = range(0, 24, 4)
     TIME = 24  # real instant near the zeros, counted from the first of the four nodes
-    Z_REAL, Z_IMAG = range(25, 27)  # a zero or its approximation, counted likewise
+    Z_REAL, Z_IMAG = range(25, 27)  # a zero or its approximation, counted from the same node
     FARTHER = 27  # whether the farther zero may be near as well, 1.0 or 0.0
     VERTICAL = 28  # the sign of g3
-    PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # the sums count psi' and phi' from here
+    PSI_DOT_REFERENCE, PHI_DOT_REFERENCE = range(29, 31)  # values that the sums subtract from psi' and phi'
 
 
 PASSAGE_ROWS = max(Passage) + 1
@@ -112,7 +112,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of passage e, of divided differences, into column e of terms[farther]."""
+    """Write zero, Laurent coefficients and errors of passage e, given by divided differences, into column e of terms[farther]."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
@@ -232,7 +232,7 @@ class Turn(IntEnum):
 
     G1, G1_SLOPE, G2, G2_SLOPE, G3, G3_SLOPE = range(0, 24, 4)
     TIME = 24  # first approximation, counted from the first of the four nodes
-    NODE = 25  # the node before it, counted likewise
+    NODE = 25  # the node before it, counted from the same node
 
 
 TURN_ROWS = max(Turn) + 1
@@ -241,7 +241,7 @@ TURN_ROWS = max(Turn) + 1
 def turns_twice(f0, f1, s0, s1, rounding):
     """Whether the cubic with these values at 0 and 1, and slopes of one sign, has two extremes between them, 1.0 or 0.0.
 
-    The cubic of a motion that starts at rest and turns back once counts as well, changes below `rounding` do not.
+    A cubic that starts at rest and turns back once counts as well; changes below `rounding` are ignored.
     """
     both = s0 + s1
     excess = both - 3.0 * (f1 - f0)
@@ -250,7 +250,7 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Place from 0 to 1 at which that cubic turns; of two places the one farther from both nodes."""
+    """Place from 0 to 1 of the extreme of a cubic with these values and slopes; of two, the one farther from 0 and 1."""
     a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))

@@ -1,4 +1,4 @@
-"""The kernel of reference solutions: slopes of states and of the integrals of their rates, point by point."""
+"""The kernel of reference solutions: derivatives of states and of integrals of the Euler rates, point by point."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from .generated import STATES, frame_motion, load_constants, load_state, rhs, st
 
 
 def integrate(path, constants, duration, first, cylinder, slopes):
-    """Write the slopes in the time t / duration; columns are points, rows the states, then the sums of `reference`."""
+    """Write derivatives by t / duration; columns are points, rows the states, then the sums of a reference solution."""
     for p in range(path.shape[1]):
         state, c = load_state(path, p), load_constants(constants, p)
         store_state(slopes, p, rhs(state, c))
@@ -22,10 +22,7 @@ def integrate(path, constants, duration, first, cylinder, slopes):
 
 
 def euler_rates(motion, cylinder):
-    """theta', psi', phi', the rate about the vertical, 1.0 outside the cylinder, and theta; inside psi', phi' and the 1.0 are 0.
-
-    Of numbers and of arrays.
-    """
+    """theta', psi', phi', rate about the vertical, 1.0 outside the cylinder, theta; inside, psi', phi' and the 1.0 are 0."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside, safe_sine = 1.0 * (sine >= cylinder), sine + 1.0 * (sine == 0.0)

@@ -45,7 +45,7 @@ def sample(motion, cylinder_squared):
 
 
 def rule_position(i, intervals):
-    """Row of `Quadrature` for node or interval i of a run: a long run is one of LONG intervals with more in the middle."""
+    """Index of node or interval i in the rules of `Quadrature`; all in the middle of a run above LONG share one index."""
     return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
 
@@ -86,7 +86,7 @@ def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float6
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
-    low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # of the logarithm of start / end
+    low, high = np.full(tau.shape, -40.0), np.full(tau.shape, 40.0)  # bounds of log(start / end)
     for _ in range(20):
         middle = 0.5 * (low + high)
         too_low = stretched(*_from_both_ends(middle, intervals))[0] < tau
@@ -144,11 +144,11 @@ class EndWeights(NamedTuple):
 
 @cache
 def end_weights() -> EndWeights:
-    """The weights for any run.
+    """The weights for runs of any length.
 
     By the Euler-Maclaurin formula the integral over a run is the sum over the nodes, the first and the last counted half, plus
-    B_2k / (2k)! times the odd derivatives at the start minus the derivatives at the end. With the derivatives of the Hermite interpolation
-    of four nodes the rule is exact up to degree 7.
+    B_2k / (2k)! times the difference of odd derivatives, start minus end. With derivatives from the Hermite interpolation of
+    four nodes the rule is exact up to degree 7.
     """
     x = np.linspace(0.0, 3.0, 8)
     basis = [Polynomial.fit(x, column, 7, domain=[-1, 1]) for column in hermite_weights(x).T]

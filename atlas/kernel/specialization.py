@@ -24,7 +24,7 @@ class Specialization:
 
     @classmethod
     def of(cls, system: System, zero: Set[str], equal: Set[tuple[str, str]]) -> Specialization:
-        """Where these parameters are 0 (or absent), and these pairs of them equal, at every point."""
+        """Specialization for parameters that are 0 (or absent), and pairs of equal parameters, at every point."""
         zero_constants, equal_constants = system.specialization(zero, equal)
         return cls(frozenset(zero_constants), frozenset(equal_constants))
 
@@ -66,7 +66,7 @@ def tangent_kernel(system: System, specialization: Specialization = GENERIC) -> 
 
 @cache
 def node_kernel(system: System, method: str, specialization: Specialization = GENERIC) -> ModuleType:
-    """The compiled module of the states of a system along its motions, without statistics."""
+    """The compiled module that gives states of a system along its motions, without statistics."""
     from . import nodes
 
     return _jit().load(source(system, method, specialization, of=nodes))

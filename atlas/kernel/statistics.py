@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Marks an empty slot for a zero.
+# Real part of a zero in an empty slot.
 NO_ZERO = -1e3
-# Relative difference of the mean of theta' over the samples from its mean over the run: by rounding, and, where theta' is nearly
-# constant, by the error of the steps.
+# Largest relative difference between the mean of theta' over the samples and (theta_end - theta_start) / duration, from rounding
+# or, where variance / mean square of theta' is below CONSTANT, from errors of the steps.
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
@@ -61,7 +61,7 @@ class Statistic:
     name: str  # name in the atlas and in the result of `finish`
     unit: str  # UDUNITS spelling
     long_name: str  # meaning, in a few words
-    needs_psi: bool = False  # has no meaning where the third axis stays inside the cylinder
+    needs_psi: bool = False  # undefined where the third axis stays inside the cylinder
 
 
 _RATE = "rad s-1"
@@ -176,7 +176,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]  # of the cylinder: psi' and phi' are nan without it
+        outside = out[Row.OUTSIDE]  # weight outside the cylinder; 0: psi' and phi' are nan
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]
@@ -205,5 +205,5 @@ def finish(
 
 
 def theta_dot_squared_sum(out: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum of theta'^2 over the samples of output of the kernel, corrected for passages near the vertical."""
+    """Sum of theta'^2 over the samples, from output of the kernel, corrected for passages near the vertical."""
     return np.asarray(out[Row.THETA_DOT_SQUARED] - out[Row.THETA_DOT_SQUARED_ERROR])

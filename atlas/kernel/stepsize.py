@@ -1,4 +1,4 @@
-"""Steps and samples of each point, from that point and the settings alone."""
+"""Numbers and sizes of the steps of each point, which do not depend on other points."""
 
 from __future__ import annotations
 
@@ -14,21 +14,19 @@ from .tableaux import METHODS, Method
 MAX_STEPS_PER_SAMPLE = 16
 # Share of the rate tolerance that an automatic step may spend on a motion that turns at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
-ROUNDING = (
-    1e-16  # relative error of a state by a step, or at the start, where an unstable motion amplifies it
-)
+ROUNDING = 1e-16  # relative rounding error of a state at the start and by each step
 # A run is resolved up to this step ratio and this dissipation error.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
 # Steps of a run that is not resolved: enough to show an overflow, because it gets no label in any case.
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
-# Error of the interpolation between four nodes that are x radians of an oscillation apart: this times x^8.
+# Error of the interpolation between four nodes, divided by x^8, if nodes are x rad of an oscillation apart.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
 class StepSettings(Protocol):
-    """What steps depend on: see `scene.model.Settings`."""
+    """Settings that determine steps, see `scene.model.Settings`."""
 
     @property
     def method(self) -> str: ...
@@ -49,16 +47,16 @@ class StepSizes:
     steps: NDArray[np.int64]  # number of steps
     steps_per_sample: NDArray[np.int64]  # steps between two nodes of the statistics
     step_size: NDArray[np.float64]  # in time units
-    step_ratio: NDArray[np.float64]  # step_size times frequency bound, over the stability limit of the method
+    step_ratio: NDArray[np.float64]  # step_size x frequency bound, over the stability limit of the method
     # At the end of the run, for an oscillation at the frequency bound: phase error in rad, relative loss of amplitude
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
     # Expected variation of a steady rate as large as the bound, rad per time unit
     rate_error: NDArray[np.float64]
-    # Of the run, with equally many nodes in each; 0: nothing is measured once a period
+    # Number of periods of strobed observables in the run, each with equally many nodes; 0: there are none
     periods: NDArray[np.int64]
     transient: NDArray[np.float64]  # time before the run, time units
-    transient_steps: NDArray[np.int64]  # steps in it, about as long as those of the run
+    transient_steps: NDArray[np.int64]  # steps in this time, about as long as in the run
 
     @classmethod
     def of(
@@ -70,11 +68,11 @@ class StepSizes:
     ) -> StepSizes:
         """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
 
-        Steps are at most as long as `step`, of each point, or else `settings.step`. Without both the phase error of an
+        Steps are at most as long as `step`, (points,), or else `settings.step`. Without both, the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and neither its loss of amplitude nor the local error lets a
         steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance. `settings.max_steps` limits
-        the number before it is rounded up: the errors show the cost. A point without a finite bound gets the fewest steps and an
-        infinite step ratio. settings: see `scene.model.Settings`.
+        the number before it is rounded up, at the cost of larger errors. A point without a finite bound gets the fewest steps
+        and an infinite step ratio.
         """
         method, length = METHODS[settings.method], settings.step if step is None else step
         radians = bound * duration
@@ -122,7 +120,7 @@ class StepSizes:
         )
 
     def after(self, transient: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
-        """The last part of these runs, of this duration after a transient; the errors stay those of the whole runs."""
+        """Step sizes of the last part of these runs, of this duration after a transient; errors are of the whole runs."""
         has = transient > 0
         intervals = np.ceil(self.intervals * duration / (transient + duration) - 1e-9).astype(np.int64)
         steps = np.maximum(intervals, 2 * MIN_INTERVALS) * self.steps_per_sample
@@ -138,17 +136,17 @@ class StepSizes:
 
     @property
     def whole_steps(self) -> NDArray[np.int64]:
-        """Steps from the start, the transient included."""
+        """Number of steps from the start, the transient included."""
         return self.steps + self.transient_steps
 
     @property
     def intervals(self) -> NDArray[np.int64]:
-        """Intervals between the nodes of the whole run."""
+        """Number of intervals between nodes in the run."""
         return self.steps // self.steps_per_sample
 
     @property
     def nodes_per_period(self) -> NDArray[np.int64]:
-        """Intervals between the nodes of a period."""
+        """Number of intervals between nodes in one period."""
         return np.maximum(self.intervals // np.maximum(self.periods, 1), 1)
 
     @property
@@ -163,7 +161,7 @@ class StepSizes:
         return np.asarray(stable & (self.dissipation_error <= MAX_DISSIPATION_ERROR))
 
     def without_unresolved(self) -> StepSizes:
-        """The same step sizes, with at most STEPS_UNRESOLVED steps and no transient where they do not resolve the point."""
+        """The same step sizes, but at most STEPS_UNRESOLVED steps and no transient at unresolved points."""
         shorter = ~self.resolved & (self.steps > STEPS_UNRESOLVED)
         return replace(
             self,
@@ -185,9 +183,9 @@ class StepSizes:
         return self._in_steps(steps, np.gcd(steps, self.steps_per_sample), method)
 
     def incommensurate(self, method: Method) -> StepSizes:
-        """Fewer steps, by about the golden section, with hardly any node in common.
+        """Fewer steps, by about the golden section, so that hardly any node is common to both runs.
 
-        A motion that is faster than the steps and looks slow at these nodes looks different at the others: the golden section is
+        A motion faster than the steps that looks slow at one set of nodes looks different at the other: the golden section is
         the number farthest from all fractions with small denominators.
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
@@ -198,7 +196,7 @@ class StepSizes:
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 
     def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
-        """The same runs with equally many nodes in each period; periods: their numbers, or None."""
+        """The same runs with equally many nodes in each period; periods: number in each run, or None."""
         if periods is None:
             return self
         steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
@@ -225,7 +223,7 @@ class StepSizes:
 
 
 def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
-    """Number of steps of at most a length, from the least to the largest number allowed."""
+    """Number of steps no longer than `length`, but at least `least` and at most `most`."""
     count = np.ceil(np.minimum(duration / length, float(most)) - 1e-9)
     return np.maximum(count, least).astype(np.int64)
 

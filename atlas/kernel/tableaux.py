@@ -19,13 +19,13 @@ class Method:
     a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
     b: tuple[float, ...]  # weights of the stages
     # To leading order a step has the error dispersion * y^(order + 1), of the phase in methods of even order, and the relative
-    # loss of amplitude dissipation * y^dissipation_order. What is not given, here and below, follows from the tableau.
+    # loss of amplitude dissipation * y^dissipation_order. Values that are 0, here and below, are computed from the tableau.
     dispersion: float = 0.0
     dissipation: float = 0.0
     dissipation_order: int = 0
     stability: float = 0.0  # largest stable y
     kernel_step: float = 1.0  # length of the step in the kernel's unit of time: most coefficients are 1
-    # Processor time of a step, samples included, over a step of rk4: see bench_methods.py
+    # Processor time of a step, samples included, relative to a step of rk4: see bench_methods.py
     step_cost: float = 0.0
 
     def __post_init__(self) -> None:
@@ -41,7 +41,7 @@ class Method:
                 object.__setattr__(self, name, value)
 
     def _on_oscillations(self) -> dict[str, float]:
-        """The errors and the limit of stability, of R(z) = 1 + sum b a^(k-1) 1 z^k at z = iy, by which a step multiplies x."""
+        """Errors and stability limit on oscillations, from the stability function R(z) = 1 + sum b a^(k-1) 1 z^k at z = iy."""
         a = np.array([(*row, *[0.0] * (self.stages - len(row))) for row in self.a])
         column, R = np.ones(self.stages), [1.0]
         for _ in self.b:
@@ -71,7 +71,7 @@ class Method:
         return len(self.b)
 
     def step(self, slope: Callable[[Any], Any], state: Any, step_size: Any) -> Any:
-        """The state after a step of this size (time units) by its slope, a function of the state, in NumPy."""
+        """State after a step of this size (time units), in NumPy; slope: derivative as a function of the state."""
         slopes: list[Any] = []
         for row in (*self.a, self.b):
             change = sum((a * each for a, each in zip(row, slopes, strict=True) if a), 0.0)

@@ -1,7 +1,7 @@
 """The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
 
-`augmented` gives the layout of the tangent vector v, which is divided by its norm at the nodes, equally spaced but for the
-length of a step, and at the end of the run. With L the logarithm of the growth of |v| up to an instant t,
+`augmented` gives the layout of the tangent vector v, which is divided by its norm at the nodes, equally spaced to within a
+step, and at the end of the run. With L the logarithm of the growth of |v| up to an instant t,
 
     Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
 
@@ -41,7 +41,7 @@ class Growth(IntEnum):
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks with tangent vectors over a range of nodes; the schedule has their number, not the steps between."""
+    """Integrate blocks with tangent vectors from first_node to last_node; schedule: points, numbers of steps and of nodes."""
     full_vectors()
     points, steps, nodes = schedule
     step_size, state0, constants0, tangent0, weights, out = arrays

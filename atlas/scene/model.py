@@ -231,9 +231,7 @@ class Scene:
     ties: Mapping[str, Tie]  # name -> expression of other names, in order of evaluation
     family: str | None = None  # family of steady motions on which every point starts
     solve: tuple[str, ...] = ()  # parameters computed by the family's formulas, in this order
-    choice: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # the entry branch or near of [family], see `family.near_values`
+    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near, see `family.near_values`
     nudge: Mapping[str, float] = field(default_factory=dict)  # start value -> amount added after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin

@@ -106,9 +106,8 @@ class Condition:
     residual: Callable[[Points], Array]
 
 
-NEAR = (
-    "near "  # prefix of a name in Family.several: key in points of the value whose nearest solution is wanted
-)
+# Prefix of a name in Family.several: key in points of the value to which the solution is nearest.
+NEAR = "near "
 
 
 @dataclass(frozen=True)
@@ -185,9 +184,7 @@ class DerivedVariable:
     check: Callable[[Points, Array], object] = lambda points, duration: None
     # of int8 flags: name -> sentence, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = (
-        False  # whether it describes the motion from its start, so that it is refused with a transient
-    )
+    from_start: bool = False  # whether it describes the motion from its start: refused with a transient
     # Values of several variables by name; variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 

@@ -54,9 +54,7 @@ class Equilibria(NamedTuple):
     alpha: Array  # (points, 3)
     gamma: Array
     rate: Array  # unit of rates, rad per time unit, (points,)
-    cyclic: (
-        Array  # columns: the vertical and the axis of symmetry where these are cyclic, else 0, (points, 3, 2)
-    )
+    cyclic: Array  # columns vertical and axis of symmetry, 0 where not cyclic, (points, 3, 2)
     free: Mask  # where nothing acts and gamma is chosen along the angular momentum
 
     @classmethod

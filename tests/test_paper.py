@@ -4,10 +4,10 @@ import re
 from pathlib import Path
 
 import pytest
-from atlas.analysis.catalogue import TRUE
 from atlas.analysis.published import published_equations
 
 from atlas import systems
+from atlas.extensions.catalogue.tables import TRUE
 
 TEXT = (Path(__file__).parents[1] / "docs" / "paper" / "paper.md").read_text()
 

@@ -10,10 +10,10 @@ from . import interruption as _interruption
 if _interruption.is_command():
     _interruption.end_on_signal()
 
-from . import sources as _sources  # noqa: F401  (before all that it hashes is loaded)
+from . import sources as _sources  # noqa: F401  (before the modules that it hashes)
 
 # isort: split
-if not _interruption.is_command():  # commands that need no dataset start in half of the time without xarray
+if not _interruption.is_command():  # commands that need no dataset start twice as fast without xarray
     from . import registration as _registration  # noqa: F401  (registers ds.atlas with xarray)
 from ._version import __version__ as __version__
 
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
-        import_module(".registration", __name__)  # a command may load equations of one's own
+        import_module(".registration", __name__)  # a command may load equations of the user
         if name not in _MODULES:
             return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
@@ -64,5 +64,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names: of the core, then of extensions."""
+    """The public names of the core, then of extensions."""
     return [*_MODULES, "__version__", *(name for name in _extension.parts("functions") if "." not in name)]

@@ -1,7 +1,7 @@
-"""`ds.atlas`: questions to an atlas; `registration` tells xarray of it.
+"""`ds.atlas`: questions to an atlas; `registration` registers it with xarray.
 
-An atlas may be larger than memory: files opened lazily, dask-chunked datasets and datasets in memory are
-all read in chunks. Only the methods that make figures, films and pages import Matplotlib.
+An atlas may be larger than memory, so that every dataset, lazy, chunked or in memory, is read in chunks. Only the methods that
+make figures, films and pages import Matplotlib.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class Atlas(Questions):
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
 
-    Each raises BadInput for names and values that the dataset does not have, and where it cannot answer: without axes, flags
-    or variables that the question needs, with more than two axes left, where the family of its scene has no motion, or where
-    motions or theory follow from a scene that does not give the coordinates of the dataset.
+    Every method raises BadInput for unknown names and values, and if the dataset cannot answer: it lacks axes, flags or
+    variables that the method needs, more than two axes are left, the family of its scene has no motion, or its coordinates are
+    not those of the scene from which motions or theory would follow.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -43,7 +43,7 @@ class Atlas(Questions):
         self._ds = subject_of(ds)
 
     def __repr__(self) -> str:
-        """The questions, one in a line."""
+        """The methods with the first lines of their documentation, one in a line."""
         own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
         methods = own | {name: load("questions", name) for name in parts("questions")}
         rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
@@ -53,21 +53,20 @@ class Atlas(Questions):
     def map(self, variable: str | None = None, **options: Any) -> Figure:
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
-        Flags have one colour each in every figure. Positive numbers that span more than two decades, but no angles, get a logarithmic
-        scale, numbers of both signs a scale centred on zero, integers a colour each. White cells have no value. A single axis
-        gives a curve, of flags with a level for each.
+        A flag has the same colour in every figure. Positive numbers, except angles, that span more than two decades get a
+        logarithmic colour scale, numbers of both signs a scale centred on zero, integers a colour each. White cells have no
+        value. Over a single axis the figure is a curve, with a level for each flag.
 
         Parameters
         ----------
         variable : str, optional
-            Default: what the scene names by `map` in [outputs], else label; without labels the first flags that are not the same at
-            all points.
+            Default: `map` in [outputs] of the scene, else label; without labels, the first flag variable that is not constant.
         **options
 
         Returns
         -------
         matplotlib.figure.Figure
-            With one panel, or one for each value of `row` and `col`; the figure of `ax` if that is given.
+            With one panel, or one for each value of `row` and `col`; the figure of `ax` if `ax` is given.
         """
         from .plotting.maps import atlas_map
 
@@ -79,10 +78,10 @@ class Atlas(Questions):
         Parameters
         ----------
         degrees : bool, optional
-            Return angles in degrees, for tables; questions that compute anything from such a dataset refuse it.
-        **flags : str, int or sequence of them
-            Flag variable -> one name or number, or several, such as label="drifting", label=3,
-            agreement=["theory_only", "differ"]; of several variables all must hold.
+            Return angles in degrees, for tables; methods that compute anything from such a dataset refuse it.
+        **flags : str, int or sequence of str or int
+            Flag variable -> one or several names or numbers, such as label="drifting", label=3,
+            agreement=["theory_only", "differ"]. A point is selected if it matches for every variable.
 
         Returns
         -------
@@ -108,7 +107,7 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            The point; along axes without a value, all of their points.
+            The point, with all values of the axes that are not in `coords`.
         """
         from .analysis.degrees import in_degrees
         from .analysis.select import nearest
@@ -126,8 +125,8 @@ class Atlas(Questions):
         Returns
         -------
         pandas.DataFrame
-            Its index is the axes, of single points "point". Its columns are the variables and parameters; flags are
-            categories by name.
+            Indexed by the axes, or by "point" for single points. The columns are variables and parameters; flags are
+            categories with their names.
         """
         from .analysis.select import to_dataframe
 
@@ -146,8 +145,8 @@ class Atlas(Questions):
         Returns
         -------
         DataArray
-            float64, the fractions of a row sum to 1; nan where there are no points. The dimension named like the variable, whose
-            coordinate is the names of the flags, comes after the dimension `along` if that is given.
+            float64, over a dimension named like the variable, whose coordinate is the names of the flags, after the dimension
+            `along` if it is given. The fractions of all flags sum to 1; they are nan where there are no points.
         """
         from .analysis.trust import fractions
 
@@ -161,14 +160,14 @@ class Atlas(Questions):
         variable : str, optional
             A flag variable; default label.
         over : str or sequence of str
-            The axis, or axes, of the draws.
+            The axis, or axes, of the random draws.
 
         Returns
         -------
         Dataset
-            `probability`, `lower` and `upper`, the 95 % interval of Wilson for each cell by itself, over the other axes
-            and a dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
-            draws one of them. All draws count; a draw without a motion counts as not_computed.
+            `probability`, and `lower` and `upper`, the limits of Wilson's 95 % interval for each cell, over the other axes and a
+            dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
+            draws the map of a flag. All draws count; a draw without a motion counts as not_computed.
         """
         from .analysis.trust import probability
 
@@ -189,11 +188,11 @@ class Atlas(Questions):
         Parameters
         ----------
         label : str or int, optional
-            Name or number of a flag: the lines then enclose the region where the variable has it. Default: the lines of
+            Name or number of a flag: the lines enclose the region where the variable has this flag. Default: the lines of
             theory.
         variable : str, optional
-            The flag variable; default label. For the lines of theory its frame counts, label_inertial for labels in inertial
-            space; a frequency gives the resonances too, and a variable of which an extension has lines gives these.
+            The flag variable; default label. The lines of theory are those of its frame: label_inertial gives lines in inertial
+            space. A frequency adds resonances; a variable with lines from an extension gives only these lines.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional
@@ -204,12 +203,12 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            Over the dimension "vertex", line by line: the values of the axes by their names, `line`, the number
-            of the line, and `kind`, what changes there, such as "stability limit"; the kinds of theory are
-            `atlas.analysis.boundary.KINDS`, and "conical (exact)" for the exact motions of a family. Lines close or end
-            with the axes. Attributes are the parameters that all points have in common, angles in rad. Lines of a region run halfway
-            between points in and out of it, on a logarithmic axis in the logarithm; of axes longer than `atlas.analysis.select.MAX_CELLS` every k-th
-            value counts.
+            Over the dimension "vertex", line by line: the values of the axes by their names; `line`, the number of the line;
+            `kind`, what changes at the line, such as "stability limit". Kinds of theory are `atlas.analysis.boundary.KINDS`, and,
+            for exact motions of a family, kinds such as "conical (exact)". A line is closed or ends at a limit of the axes.
+            Attributes are the parameters that all points share, angles in rad. Lines of a region run halfway between points
+            inside and outside, on a logarithmic axis in the logarithm; of an axis with more than
+            `atlas.analysis.select.MAX_CELLS` values only every k-th counts.
         """
         from .analysis.boundary import boundary
 
@@ -218,17 +217,16 @@ class Atlas(Questions):
     def trajectory(self, *, samples: int = 1001, degrees: bool = False, **coords: float) -> xr.Dataset:
         """Motion of the point nearest to values of the axes, integrated again as the atlas was.
 
-        Start, nudge, duration, method and step come from the atlas' own scene, among single points from
-        the point.
+        Start, nudge, duration, method and step come from the scene of the atlas, or from the point if there is no scene.
 
         Parameters
         ----------
         samples : int, optional
-            Number of times, evenly spaced from 0 to the duration; at least 2.
+            Number of evenly spaced instants from 0 to the duration, at least 2.
         degrees : bool, optional
             Take and return angles in degrees.
         **coords : float
-            As in `nearest`; of an atlas with a scene, every axis.
+            As in `nearest`; an atlas with a scene needs a value for every axis.
 
         Returns
         -------
@@ -255,10 +253,10 @@ class Atlas(Questions):
         Returns
         -------
         str
-            With theory: confusion table, agreement, survivors and the clearest disagreements; the variables label
-            and predicted are loaded whole. With another atlas: what differs in the input; changes of flags, with a table of
-            labels here (rows) and there; for each variable of numbers the largest difference, the largest over the larger
-            error_estimate, and where that is. Variables are loaded one by one.
+            With theory: confusion table, agreement, unstable points that survive, and the clearest disagreements; label and
+            predicted are loaded whole. With another atlas: differences of the scenes; changes of flags, with a table of labels
+            here (rows) and there (columns); for each numeric variable the largest difference, and the largest ratio to the
+            larger error_estimate with its place. Variables are loaded one by one.
         """
         if other is None:
             from .analysis.compare import report
@@ -301,7 +299,8 @@ class Atlas(Questions):
         Returns
         -------
         dict
-            Family -> curves of shape (vertices, axes), x first. Which families have curves: see `atlas.analysis.exact_curves.family_curves`.
+            Family -> curves of shape (vertices, axes), x first; `atlas.analysis.exact_curves.family_curves` says which families
+            have curves.
         """
         from .analysis.exact_curves import family_curves
         from .analysis.metadata import resolved_scene, scene_of, system_of
@@ -335,18 +334,18 @@ class Atlas(Questions):
         ax : matplotlib.axes.Axes, optional
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
         view : (float, float)
-            Azimuth of the viewer from the first axis of the frame towards the second, and elevation, degrees; about a
-            fixed point, where the third axis points down, from x away from y, and above the horizon.
+            Azimuth of the viewer from the first axis of the frame towards the second, and elevation, in degrees; about a fixed
+            point, where the third axis points down, azimuth from x away from y, and elevation above the horizon.
         degrees : bool
             Show angles in degrees.
         width : {"page", "column"} or float
-            180 mm or 88 mm, or mm; below 140 mm the sphere is under the other panels.
+            "page" is 180 mm, "column" 88 mm; or a number of mm. Below 140 mm the sphere is under the other panels.
 
         Returns
         -------
         matplotlib.figure.Figure
             The path is dark on the near side of the sphere and pale on the far side, with a dot at its start; up is at the
-            top. Of a system with observables these over time.
+            top. For a system with observables, the observables over time.
         """
         from .plotting.trajectory import trajectory_figure
 
@@ -366,7 +365,7 @@ class Atlas(Questions):
         path : str or Path, optional
             File to write or replace: .gif, or .mp4 by the program ffmpeg.
         seconds : float, optional
-            Length of the animation, at most 25 frames per second, as far as the motion has samples.
+            Length of the animation; it has at most 25 frames per second, and at most one frame for each sample of the motion.
         view : (float, float)
             As in `plot`.
 
@@ -391,8 +390,8 @@ class Atlas(Questions):
         -------
         DataArray
             Sum over the axes of the second differences of theta_max - theta_min between neighbouring points, rad; nan
-            at the edges. It is small where motions depend smoothly on the parameters and large where they are chaotic
-            or a border runs; draw its logarithm.
+            at the edges. It is small where motions depend smoothly on the parameters, and large where motions are chaotic and at
+            borders; draw its logarithm.
 
         References
         ----------
@@ -405,8 +404,8 @@ class Atlas(Questions):
     def trust(self, variable: str = "label") -> xr.Dataset:
         """Reliability of a map between its points, estimated from the map itself.
 
-        Cells of side s have their corners s points apart, along the axes of at least
-        `atlas.analysis.trust.MIN_VALUES` values; shorter axes count as separate maps.
+        Cells of side s have corners s points apart, along axes with at least `atlas.analysis.trust.MIN_VALUES` values; each value
+        of a shorter axis is a map of its own.
 
         Parameters
         ----------
@@ -416,19 +415,18 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            - uncertain (stride): fraction of the cells of side 1, 2, 4, ... whose corners differ. Side
-              1: the fraction of the map in which a border runs.
-            - exponent: least-squares slope of log(uncertain) over log(side), for sides with a fraction
-              above 0 [1]_: 1 for smooth borders, towards 0 for fractal ones, which finer grids hardly
-              sharpen; nan with fewer than two such sides. The dimension of the borders is the number of
-              axes minus the exponent.
-            - entropy, border_entropy: mean over boxes of `atlas.analysis.trust.BOX` points along each axis of
-              -sum p ln p, p the fractions of the flags in a box [3]_, and over the boxes with more than one
-              flag alone, where more than ln 2 means fractal borders.
-            - missed: fraction of the cells of side 2 with equal corners that have another value on the
-              points between them, such as an island or a thin tongue.
-            - missed_bound: its upper 95 % bound [2]_, cells taken as independent samples. It holds for
-              side 2; with an exponent above 0 the map itself, of side 1, misses less.
+            - uncertain (stride): fraction of the cells of side 1, 2, 4, ... whose corners differ; for side 1, the fraction of the
+              map in which a border runs.
+            - exponent: least-squares slope of log(uncertain) over log(side), for sides with a fraction above 0 [1]_: 1 for smooth
+              borders, towards 0 for fractal borders, which finer grids hardly sharpen; nan with fewer than two such sides. The
+              dimension of the borders is the number of axes minus the exponent.
+            - entropy: mean of -sum p ln p over boxes of `atlas.analysis.trust.BOX` points along each axis, where p are the
+              fractions of the flags in a box [3]_; border_entropy: the mean over boxes with several flags, where more than ln 2
+              means fractal borders.
+            - missed: fraction of the cells of side 2 with equal corners that have another value at a point between the corners,
+              such as an island or a thin tongue.
+            - missed_bound: upper 95 % bound of missed [2]_, with cells as independent samples. It holds for side 2; with an
+              exponent above 0 the map itself, of side 1, misses less.
 
         References
         ----------
@@ -446,12 +444,12 @@ class Atlas(Questions):
         Parameters
         ----------
         bibtex : bool, optional
-            Return BibTeX in place of the text: entries of the program, of the paper of the system, and of this atlas.
+            Return BibTeX instead: entries for the program, for the paper of the system, and for this atlas.
 
         Returns
         -------
         str
-            Three lines, or three entries. That of the atlas names it by its hash, `atlas_result`, of points the kernel's.
+            Three lines, or three entries. The entry of the atlas has its hash, `atlas_result`, or for points the hash of the kernel.
         """
         from .analysis.citation import cite
 

@@ -17,7 +17,7 @@ MAX_TEXT = 200  # characters of a value in a message
 
 
 class BadInput(ValueError):
-    """Invalid input, of anyone: one printable line with the key, its value and the allowed values."""
+    """Invalid input: one printable line with the key, its value and the allowed values."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), MAX_MESSAGE))
@@ -42,7 +42,7 @@ def _shorten(text: str, limit: int) -> str:
 
 def say(*lines: str, file: TextIO | None = None) -> None:
     """Print each argument as one line; commands print by this function alone."""
-    # At once, because a process that ends ignores signals and could wait for its reader for ever.
+    # Flush at once: while a process exits it ignores signals, and could wait for its reader for ever.
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -70,7 +70,7 @@ logging.getLogger("atlas").addFilter(_Printable())
 
 
 def shown(value: object) -> str:
-    """A value, however long or nested, as a message shows it: its repr in at most MAX_TEXT characters."""
+    """Repr of any value, however long or nested, in at most MAX_TEXT characters, for messages."""
     text = _SHORT.repr(value)
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
 
@@ -90,7 +90,7 @@ def similar_text(value: object, names: Collection[str]) -> str:
 
 
 def failure_text(error: Exception) -> str:
-    """A failure of the system in words; of a file whose folder is gone the folder."""
+    """Text of a system error; if the folder of a file is missing, the text names the folder."""
     folder = Path(str(getattr(error, "filename", None) or ".")).parent
     if isinstance(error, FileNotFoundError) and not folder.is_dir():
         return f"{folder}: this folder is not there any more: it was removed, renamed or unmounted"
@@ -141,7 +141,7 @@ class _Short(reprlib.Repr):
     """Short reprs that need little time for long and deeply nested values."""
 
     def repr_instance(self, x: object, level: int) -> str:
-        """A scalar of NumPy as the number that it is."""
+        """A NumPy scalar as a plain number."""
         if getattr(x, "shape", None) == () and hasattr(x, "item"):
             return repr(x.item())
         return super().repr_instance(x, level)
@@ -166,7 +166,7 @@ def one_line(error: Exception) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
-    """Rows of cells as lines with columns of equal width, if `right` all but the first flush right."""
+    """Rows of cells as lines with aligned columns; right: whether all columns but the first are aligned on the right."""
     signs = ["<", *(">" if right else "<" for _ in rows[0][1:])]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     form = "  ".join(f"{{:{sign}{width}}}" for sign, width in zip(signs, widths, strict=True))

@@ -21,9 +21,10 @@ Reference = str
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """What a package adds to the core; each part is imported when it is asked for.
+    """What a package adds to the core; each part is imported on use.
 
-    The entry point of the extension's name is the record. Parts are references, "module:name", to modules inside `package`.
+    An entry point with the name of the extension refers to this record. Parts are references, "module:name", to modules inside
+    `package`.
 
     Parameters
     ----------
@@ -34,7 +35,7 @@ class Extension:
     title : str
         What the extension adds, in a few words.
     needs : sequence of str, optional
-        Names of the extensions without which none of its parts is there.
+        Names of extensions that this one needs; if one is missing, it has no parts.
     functions : mapping of str to str, optional
         Public name below `atlas` -> function.
     questions : mapping of str to str, optional
@@ -42,31 +43,31 @@ class Extension:
     commands : mapping of str to str, optional
         Name of a command of the shell -> object made by `atlas.cli.options.command`.
     variables : mapping of str to str, optional
-        Name of a variable from theory -> function of a system that returns these `DerivedVariable` by name, or none of a
-        system that they have no meaning for.
+        Name of a variable from theory -> function of a system that returns `DerivedVariable` objects by name, none if they
+        have no meaning for the system.
     instruments : mapping of str to str, optional
-        Name of a measured variable -> object of a subclass of `atlas.measure.instrument.Instrument` that makes it.
+        Name of a measured variable -> `atlas.measure.instrument.Instrument` object that measures the variable.
     methods : mapping of str to str, optional
         Name of a method of `System` that asks extensions -> function of the system and the arguments of the method, which
-        returns None where it has no answer.
+        returns None if it has no answer.
     families : mapping of str to str, optional
-        Name of a family of steady motions -> function of a system that returns these `Family` by name; their flags follow
-        those of the system's own.
+        Name of a family of steady motions -> function of a system that returns `Family` objects by name; their flags follow
+        the flags of the system's own families.
     lines : mapping of str to str, optional
-        Name of a variable -> function of a `Plane` and the dataset that returns the lines on its maps by kind; of one or two
-        axes, all lines that these maps show.
+        Name of a variable -> function of a `Plane` (of one or two axes) and the dataset that returns, by kind, all lines on
+        maps of this variable.
     flag_texts : mapping of str to str, optional
-        Name of a variable -> function of a dataset that returns texts of its flags for the legends of its maps.
+        Name of a variable -> function of a dataset that returns texts of the variable's flags for the legends of maps.
     line_styles : mapping of str to str, optional
-        Kind of these lines -> colour, linestyle and linewidth, as Matplotlib has them; others are thin and black.
+        Kind of line -> Matplotlib's color, linestyle and linewidth; without them lines are thin and black.
     stress_cases : mapping of str to str, optional
-        Name of a system -> function of it that returns more of its stress cases; several extensions may have some.
+        Name of a system -> function of the system that returns more stress cases; several extensions may have such functions.
     formats : mapping of str to str, optional
-        Suffix of a file, in lower case -> `Format` of `atlas.store.finished` that writes and reads atlases of this name.
+        Suffix of a file, in lower case -> `Format` of `atlas.store.finished` that writes and reads atlases with this suffix.
     published : mapping of str to str, optional
-        Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have some.
+        Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have such rows.
     published_numbers : mapping of str to str, optional
-        Name of a system -> function of it that returns rows on printed numbers; several extensions may have some.
+        Name of a system -> function of its name that returns rows of printed numbers; several extensions may have such rows.
     """
 
     name: str
@@ -90,12 +91,12 @@ class Extension:
 
     @property
     def folder(self) -> Path:
-        """The folder of its modules."""
+        """The folder of the extension's modules."""
         return Path(import_module(self.package).__path__[0])
 
     @property
     def code(self) -> str:
-        """Hash of its modules and of the extensions that it needs, as they were when a part of it was first loaded."""
+        """Hash of the modules, and of needed extensions, as they were when a part was first loaded."""
         own = sources.of_folder(self.folder)
         return sources.code(own | {name: (0, extensions()[name].code) for name in self.needs})
 
@@ -107,16 +108,16 @@ class Extension:
             return getattr(import_module(f"{self.package}.{module}"), name)
         except BadInput:
             raise
-        except Exception as error:  # whatever its code raises
+        except Exception as error:  # the code of an extension may raise anything
             why = _found()[1][self.name] = f"{type(error).__name__}: {one_line(error)}"
             raise BadInput(f"the extension {self.name} cannot be loaded ({why})") from error
 
 
-# Kinds of parts: names -> references.
+# Kinds of parts: fields that map names to references.
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )
-# Parts by the name of a system, of which several extensions may have some: see `of_each`.
+# Kinds of parts named by systems; several extensions may have a part for the same system, see `of_each`.
 OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 
@@ -130,13 +131,13 @@ def _found() -> tuple[dict[str, Extension], dict[str, str]]:
             if not isinstance(record, Extension) or record.name != entry.name:
                 raise TypeError(f"{entry.value} is no Extension of this name")
             extensions[record.name] = record
-        except Exception as error:  # whatever its code raises
+        except Exception as error:  # the code of an extension may raise anything
             broken[entry.name] = f"{type(error).__name__}: {one_line(error)}"
     return extensions, broken
 
 
 def extensions() -> Mapping[str, Extension]:
-    """The extensions of all installed packages by name, in alphabetical order, but those that need a missing one."""
+    """The extensions of all installed packages by name, in alphabetical order, except those that need a missing extension."""
     available, broken = dict(_found()[0]), _found()[1]
     while lacking := [(e, name) for e in available.values() for name in e.needs if name not in available]:
         for each, name in lacking:
@@ -157,7 +158,7 @@ def available_text(value: object, names: Collection[str]) -> str:
 
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
-    """Every part of one of the PARTS by name; BadInput if two extensions give the same name."""
+    """Every part of a kind (one of PARTS) by name; BadInput if two extensions give the same name."""
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():
@@ -178,25 +179,25 @@ def load(kind: str, name: str) -> Any:
 
 
 def of_each(kind: str, system: str) -> list[Any]:
-    """The part of a kind for a system, from every extension that has one; BadInput if one cannot be loaded."""
+    """The parts of a kind for a system, from all extensions; BadInput if one cannot be loaded."""
     given = [(each, getattr(each, kind)) for each in extensions().values()]
     return [each.load(of_system[system]) for each, of_system in given if system in of_system]
 
 
 def every(kind: str, among: Callable[[str], bool] = bool) -> list[Any]:
-    """The different objects of one of the PARTS, in the order of the extensions; parts that cannot be loaded are left out.
+    """The different objects of a kind (one of PARTS), in the order of extensions; parts that cannot be loaded are left out.
 
-    among: whether a part is wanted, by its name; the others are not imported.
+    among: whether a part is wanted, from its name; other parts are not imported.
     """
     objects = []
     for extension, reference in dict.fromkeys(part for name, part in parts(kind).items() if among(name)):
-        with suppress(BadInput):  # which not_loaded() keeps
+        with suppress(BadInput):  # not_loaded() tells the reason
             objects.append(extension.load(reference))
     return objects
 
 
 def used(variables: Iterable[str], families: Iterable[str]) -> list[Extension]:
-    """The extensions that give some of these variables and families, in alphabetical order."""
+    """The extensions that give any of the variables or families, in alphabetical order."""
     given = [parts(kind).get(name) for kind in ("variables", "instruments") for name in variables]
     given += [parts("families").get(name) for name in families]
     names = {part[0].name for part in given if part}

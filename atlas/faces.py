@@ -15,7 +15,7 @@ from .scene.checks import typed
 
 
 class Questions:
-    """Questions of extensions to a dataset, as methods."""
+    """Methods of `ds.atlas` that extensions add."""
 
     _ds: xr.Dataset
 

@@ -1,7 +1,7 @@
-"""Writing files so that they are whole or absent, and checks of where they go.
+"""Files that are written whole or not at all, and checks of their paths.
 
-A file is written under a temporary name in its folder and then moved. The name contains the process, so that another process
-removes leftovers of dead processes alone: `remove_leftovers`.
+A file is written under a temporary name in its folder and then moved. The name contains the process, so that `remove_leftovers`
+in another process removes only files of dead processes.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from .process import PROCESS_NAME, is_running, process_name
 FIGURES = (".png", ".pdf", ".svg")  # suffixes of figures
 # A write that fails with fewer free bytes than this, more than a tile, means a full disk.
 MIN_FREE_BYTES = 1 << 25
-# Limits for files of unknown origin: bytes of JSON; and, for numbers of more than MIN_CLAIM bytes, their bytes for each stored byte
-# (sound files reach 3000 by compression).
+# Limits for files of unknown origin: bytes of JSON; ratio of compression, if a file claims more than MIN_CLAIM bytes of numbers
+# (sound files reach 3000).
 MAX_JSON_BYTES = 100_000_000
 MAX_RATIO, MIN_CLAIM = 4_000, 1_000_000_000
 TEMPORARY = re.compile(rf"\.atlas-({PROCESS_NAME.pattern})-[0-9a-f]{{8}}\.tmp")
-# Seconds without a write after which the temporary file of another machine is a leftover.
+# Seconds without a write after which a temporary file of another machine counts as left over.
 FOREIGN_LEFTOVER_AGE = 7 * 86400.0
 CLOCK_ERROR = 60.0  # seconds by which the times of two machines may differ
 
@@ -48,15 +48,15 @@ def damaged_message(path: object, error: Exception) -> str:
 
 
 def foreign_message(path: Path | str) -> str:
-    """Message about a place that holds what no command of this package wrote."""
+    """Message about a path with something that this package did not write."""
     return f"{path}: holds something else than an atlas, or is damaged; it is not replaced: remove it or choose another name"
 
 
 @contextmanager
 def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iterator[Path]:
-    """Give the name of an empty file, which replaces `path` whole at the end or not at all; `durable`: even after a power cut; `new`: never an older file."""
+    """Path of an empty file, which replaces `path` at the end, whole or not at all; durable: even after a power cut; new: `path` must not exist."""
     temporary = temporary_path(path)
-    # O_EXCL and O_NOFOLLOW: never through a link that somebody else has made.
+    # O_EXCL and O_NOFOLLOW: never write through a link that another user has made.
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
     try:
         yield temporary
@@ -71,7 +71,7 @@ def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iter
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Give a temporary folder, which appears at `path` whole or, where a kill falls between two moves, not at all."""
+    """Path of a temporary folder, which replaces `path` whole at the end; a kill between two moves leaves no folder at `path`."""
     remove_leftovers(path.parent)
     temporary, old = temporary_path(path), temporary_path(path)
     temporary.mkdir()
@@ -98,12 +98,12 @@ def age(path: Path) -> float:
 
 
 def is_recent(age: float, most: float) -> bool:
-    """Whether an age is at most so many seconds; one far below 0 is of a clock that was wrong, and tells nothing."""
+    """Whether an age is at most `most` seconds; False for an age far below 0, which comes from a wrong clock."""
     return -CLOCK_ERROR <= age <= most
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of dead processes in a folder; of other machines by FOREIGN_LEFTOVER_AGE."""
+    """Remove temporary files of dead processes in a folder; files of other machines only after FOREIGN_LEFTOVER_AGE."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if not (match := TEMPORARY.fullmatch(entry.name)):
@@ -124,7 +124,7 @@ def temporary_path(path: Path) -> Path:
 
 
 def sealed(content: Mapping[str, Any]) -> str:
-    """JSON text of some entries with a checksum of them, for `parsed`."""
+    """JSON text of entries with their checksum, for `parsed`."""
     return json.dumps({**content, "checksum": hash_of(content)}, indent=1)
 
 
@@ -160,7 +160,7 @@ def cache_folder() -> Path:
 
 
 def is_private(folder: Path, instead: str) -> bool:
-    """Whether no other user can have filled a folder of the cache; otherwise warns once, and says what is done instead of using it."""
+    """Whether only this user can have written into a folder of the cache; if not, warn once and say what is done `instead`."""
     if folder != cache_folder() and not is_private(cache_folder(), instead):
         return False
     status = os.lstat(folder)
@@ -191,7 +191,7 @@ def read_private(path: Path) -> bytes:
 
 
 def _danger(status: os.stat_result) -> str | None:
-    """Why another user may have written a file or folder; None if nobody can have."""
+    """Reason why another user may have written a file or folder; None if there is no reason."""
     if hasattr(os, "geteuid") and status.st_uid != os.geteuid():
         return "belongs to another user"
     if os.name == "posix" and status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
@@ -227,7 +227,7 @@ def check_claim(claimed: int, stored: int) -> None:
 
 
 def hash_of(content: Any) -> str:
-    """Hash of a content of JSON, independent of the order of entries."""
+    """Hash of a value that JSON can represent, independent of the order of entries."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -291,7 +291,7 @@ def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def without_suffix(name: str | Path, *suffixes: str) -> Path:
-    """A path without the suffix of its kind: k3_0.5.nc becomes k3_0.5; k3_0.5/ stays, and of an address its last name."""
+    """A path without a suffix that is in `suffixes`: k3_0.5.nc becomes k3_0.5, and k3_0.5/ stays; of an address, the last name."""
     path = Path(Path(name).name) if "://" in str(name) else Path(name)
     if path.name in ("", ".."):
         path = path.resolve()
@@ -322,7 +322,7 @@ def writable(
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise BadInput if a file of numbers stands at `path` that is not certainly an atlas of this package, or none can."""
+    """Raise BadInput if `path` is a file of numbers that is not certainly an atlas of this package, or if no NetCDF file can be there."""
     from .hdf5 import SIGNATURES, check_path, is_own, locked_text  # here, because few processes write
 
     if path.suffix.lower() == ".nc":

@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Flag(IntEnum):
-    """Value of a flag variable, whose name in files is the member's in lower case, and its meaning."""
+    """Value of a flag variable and its meaning; files use the name of the member in lower case."""
 
     sentence: str
 
@@ -81,7 +81,7 @@ class Stability(Flag):
 
 
 class EnergyStability(Flag):
-    """Whether a steady motion is stable by the energy with what dissipation inside the body keeps."""
+    """Whether the energy of a steady motion is a minimum at fixed values of what dissipation inside the body conserves."""
 
     UNKNOWN = 0, "not known, or the second variation is degenerate"
     YES = 1, "a minimum of the energy on the level of what internal dissipation keeps: stable, also with it"
@@ -89,7 +89,7 @@ class EnergyStability(Flag):
 
 
 class StabilityKind(Flag):
-    """Linear stability and stability by the energy together."""
+    """Linear stability and stability by the energy combined."""
 
     UNKNOWN = 0, "linear stability unknown, or no steady motion"
     ENERGY_STABLE = 1, "stable by the energy: small dissipation inside the body leaves it stable"
@@ -147,7 +147,7 @@ class OrbitStability(Flag):
 
 
 class EventsComplete(Flag):
-    """Whether the events of a family are all listed up to three periods of its birth."""
+    """Whether all events of a family are listed, up to three times the period at which the family begins."""
 
     NO = 0, "some may be missing"
     YES = 1, "steps of half the length find no others"
@@ -175,7 +175,7 @@ class Completeness(Flag):
 
 
 class SettledBy(Flag):
-    """How it is known in which equilibrium a motion ends."""
+    """How the equilibrium in which a motion ends is known."""
 
     NOT = 0, "not settled, or unresolved: see status"
     PROVED = 1, "the energy holds the body in the well of one minimum, in which every motion ends"
@@ -223,5 +223,5 @@ def owner_of_family(name: str) -> str:
 
 
 def reserved_families(system: str) -> dict[str, str]:
-    """Families of extensions, name -> motion; their flags follow the flags of the system's own families in this order, whatever is installed."""
+    """Families of extensions, name -> motion; in this order their flags follow those of the system's own families, installed or not."""
     return _RESERVED_FAMILIES.get(system, {})

@@ -1,6 +1,6 @@
-"""HDF5 files of unknown origin, seen by h5py before the NetCDF library opens them: what they contain, and whose they are.
+"""Checks of HDF5 files of unknown origin by h5py, before the NetCDF library opens them.
 
-The NetCDF library follows whatever a file names: numbers in other files, links into them, groups that contain themselves.
+The NetCDF library follows every reference in a file: to numbers in other files, to links, to groups that contain themselves.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from typing import Any
 
 from .errors import BadInput, one_line
 
-MAX_NAMES = 2000  # variables and groups of a file
-MAX_CHUNK_BYTES = 1 << 26  # of a chunk that is larger than its array
-SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # of NetCDF 4 and of its earlier formats
+MAX_NAMES = 2000  # largest number of variables and groups of a file
+MAX_CHUNK_BYTES = 1 << 26  # largest size of a chunk that is larger than its array
+SIGNATURES = b"\x89HDF\r\n\x1a\n", b"CDF"  # first bytes of NetCDF 4 and of its earlier formats
 OWN = b"atlas_version", b"checksums"  # attribute of every atlas; group of an atlas of version 0.1.0
 
 
@@ -34,7 +34,7 @@ def locked_text(path: Path | str) -> str:
 
 
 def check_path(path: Path | str) -> None:
-    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another one."""
+    """Raise BadInput for a path that the NetCDF library cannot open, or takes for another path."""
     whole = os.path.abspath(path)
     if "\\" in whole or any("\ud800" <= character <= "\udfff" for character in whole):
         raise BadInput(
@@ -45,7 +45,7 @@ def check_path(path: Path | str) -> None:
 def unreadable(
     path: Path | str, error: Exception, what: str = "not a NetCDF file that can be read"
 ) -> BadInput:
-    """The answer to an error while a file was read: the error itself if it is one, that it is locked, or what it is and why."""
+    """BadInput for an error while a file was read: the error itself if it is BadInput, else that the file is locked, or `what`."""
     if isinstance(error, BadInput):
         return error
     return BadInput(f"{path}: {locked_text(path) or f'{what} ({one_line(error)})'}")
@@ -53,7 +53,7 @@ def unreadable(
 
 @contextmanager
 def _opened(path: Path | str) -> Iterator[Any]:
-    """An open HDF5 file, whatever locks there are."""
+    """An open HDF5 file; locks are ignored."""
     from h5py import h5f, h5p
 
     access = h5p.create(h5p.FILE_ACCESS)
@@ -66,7 +66,7 @@ def _opened(path: Path | str) -> Iterator[Any]:
 
 
 def check_contained(path: Path | str) -> None:
-    """Raise ValueError for a file whose numbers are in other files, or that no program can read in bounded time and memory.
+    """Raise ValueError for a file whose numbers are in other files, or that cannot be read in bounded time and memory.
 
     BadInput for a path that the NetCDF library cannot open.
     """
@@ -79,7 +79,7 @@ def check_contained(path: Path | str) -> None:
 
 @lru_cache(maxsize=256)
 def _check_objects(path: str, *_: int) -> None:
-    """The same of an HDF5 file; it is checked once as long as the other arguments show that it has not changed."""
+    """The check of an HDF5 file; the other arguments change with the file, so that an unchanged file is checked once."""
     from h5py import h5d, h5g, h5l, h5o, h5t
 
     with _opened(path) as file:
@@ -116,7 +116,7 @@ def _check_objects(path: str, *_: int) -> None:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file is certainly an atlas of this package: it opens and has OWN, or it is damaged and has its bytes."""
+    """Whether a file is certainly an atlas of this package: it has a name in OWN, or is damaged and contains the bytes of OWN[0]."""
     from h5py import h5a, h5g
 
     try:

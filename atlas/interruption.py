@@ -1,4 +1,4 @@
-"""SIGINT (Ctrl-C), SIGTERM and SIGHUP: the command ends within two seconds, with its files whole. Others end a run between tiles."""
+"""Signals. SIGINT (Ctrl-C), SIGTERM and SIGHUP end the command within two seconds, with whole files; others end a run between tiles."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from typing import NoReturn
 
 from .errors import printable
 
-# Exit codes, 128 and the number of the signal, as shells and batch systems expect them.
+# Exit codes: 128 plus the number of the signal, as shells and batch systems expect.
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
-STOPPED = 75  # of a run whose time is over: "try again later" in sysexits.h
+STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds from a signal to the end of a process that does not react to exceptions; seconds to find, and to print, its message.
+# Seconds from a signal to the end of a process that does not react to exceptions; seconds to find or to print its message.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # by which batch systems announce the end
+STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # signals by which batch systems announce the end
 
 _received = signal.SIGINT  # the last signal of SIGNALS
 stopped_by = ""  # "by SIGUSR1" after a signal of STOPS: no tile begins any more
-_kept: Callable[[], object] = str  # text about the finished work
+_kept: Callable[[], object] = str  # returns the text about finished work
 
 
 class Stopped(Exception):
@@ -37,14 +37,14 @@ class Stopped(Exception):
 
 
 def end_process(number: int | None = None, *_: object) -> None:
-    """End the process at once with the exit code of an interruption. Files appear whole by a move, so none is harmed."""
+    """End the process at once with the exit code of an interruption; no file is harmed, because files appear whole by a move."""
     code, text = outcome(number)
     _in_time(lambda: os.write(2, f"{text}\n".encode()))
     os._exit(code)
 
 
 def outcome(number: int | None = None) -> tuple[int, str]:
-    """Exit code and message of a process that a signal ends; by default the last one that it got."""
+    """Exit code and message of a process that a signal ends, by default the last signal received."""
     code = 128 + (number or _received)
     kept = _in_time(_kept)
     command = f"{called_as()} {shlex.join(sys.argv[1:])}"
@@ -52,7 +52,7 @@ def outcome(number: int | None = None) -> tuple[int, str]:
 
 
 def _in_time(function: Callable[[], object]) -> object:
-    """Result of a function; None if it fails, as for a removed folder, or takes long, as for a silent server."""
+    """Result of a function; None if it fails (such as in a removed folder) or takes long (such as with a silent server)."""
     results: list[object] = [None]
 
     def call() -> None:
@@ -72,7 +72,7 @@ def explain_kept(text: Callable[[], str] | None) -> None:
 
 
 def called_as() -> str:
-    """The name of this program to type again: `atlas`, or its path where no shell finds it."""
+    """How to call this program: `atlas`, or its path if the shell does not find this name."""
     path = Path(sys.argv[0])
     if path.name == "__main__.py":
         return "python -m atlas"
@@ -102,7 +102,7 @@ def start_deadline() -> None:
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     os.register_at_fork(
         after_in_child=lambda: signal.set_wakeup_fd(-1)
-    )  # or the signals of a child would count
+    )  # else signals of a child would count
 
     def wait() -> None:
         while (number := os.read(reading, 1)[0]) not in SIGNALS:
@@ -159,7 +159,7 @@ def signals_as_interrupt() -> Iterator[None]:
 
 @contextmanager
 def signals_as_stop() -> Iterator[None]:
-    """Let the signals of STOPS end a run as `stop_after` does, in the main thread and where nothing else is set for them."""
+    """Let the signals of STOPS end a run as `stop_after` does, in the main thread and if they have no other handler."""
 
     def stop(number: int, frame: FrameType | None) -> None:
         global stopped_by

@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 # A process is named machine-boot-pid-start. On its machine the name decides whether it runs: a later process with the same number
-# has another start, and after a new boot no earlier process runs. A container counts as a machine, because it cannot see the
-# processes of others. Nothing is known about processes of another machine.
+# has another start, and after a new boot no earlier process runs. A container counts as a machine of its own, because it cannot
+# see processes outside. Nothing is known about processes of other machines.
 PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 
 
@@ -23,7 +23,7 @@ def process_name() -> str:
 
 
 def is_running(process: str) -> bool | None:
-    """Whether a process runs, by its `process_name`; None if it is of another machine."""
+    """Whether the process of a `process_name` runs; None if it is on another machine."""
     match = PROCESS_NAME.fullmatch(process)
     machine, boot = _machine_and_boot()
     if match is None or match[1] != machine:
@@ -36,13 +36,13 @@ def is_running(process: str) -> bool | None:
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
-        pass  # it exists and belongs to another user
+        pass  # the process exists and belongs to another user
     start_now = _start(pid)
     return start_now is None or start == 0 or start_now == start
 
 
 def _machine_and_boot() -> tuple[str, str]:
-    """Short hashes of the host, its container included, and of its last boot if Linux shows it."""
+    """Short hashes of the host (with its container) and of its last boot, if Linux shows the boot."""
     machine, boot = [socket.gethostname()], ""
     with suppress(OSError):
         machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))

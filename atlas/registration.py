@@ -1,4 +1,4 @@
-"""The accessor `ds.atlas`, known to xarray as soon as this module is imported."""
+"""Importing this module registers the accessor `ds.atlas` with xarray."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 @xr.register_dataset_accessor("atlas")  # type: ignore[untyped-decorator]
 def questions(ds: xr.Dataset) -> Any:
-    """`ds.atlas`; its class is imported when it is first used."""
+    """`ds.atlas`; its class is imported on first use."""
     from .accessor import Atlas
 
     return Atlas(ds)

@@ -1,4 +1,4 @@
-"""The source files that the numbers of an atlas depend on, as they were when this process imported them."""
+"""The source files on which the numbers of an atlas depend, as they were when this process imported them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-# All modules from the scene to the tile, which decide on its points, variables and numbers; not the readers of finished tiles.
+# All modules from the scene to the tile, which determine points, variables and numbers; not the readers of finished tiles.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "theory/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/memory.py", "runs/folder.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
@@ -15,7 +15,7 @@ NUMERIC_SOURCES = (
 )  # fmt: skip
 EVERY_MODULE = ("**/*.py",)
 
-# Time of the last change, in ns, and hash of files, by their names in a folder.
+# Name in a folder -> time of the last change of the file, in ns, and its hash.
 Files = dict[str, tuple[int, str]]
 
 
@@ -29,21 +29,21 @@ def read(folder: Path | None = None) -> Files:
     return files
 
 
-# The package imports this module before all others, which are at least as new.
+# The package imports this module first: other modules cannot be older than this record.
 AT_IMPORT = read()
-# Folder of an extension, or a room -> its files, as they were when it was first asked for them.
+# Folder of an extension, or a room -> its files when `of_folder` was first called.
 OF_FOLDERS: dict[Path, Files] = {}
 
 
 def of_folder(folder: Path) -> Files:
-    """The files of a folder, as they were when it was first asked for them."""
+    """The files of a folder, as they were at the first call."""
     if folder not in OF_FOLDERS:
         OF_FOLDERS[folder] = read(folder)
     return OF_FOLDERS[folder]
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
-    """Files of this package and of extensions written since the import: modules loaded before and after may not fit together."""
+    """Files of this package and of extensions that were written since the import, so that loaded modules may not fit together."""
     states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name

@@ -16,13 +16,13 @@ from .measure.observables import Observables
 from .measure.rates import Rates
 from .systems.base import NATURAL_RATE, System, derived_variables, time_units
 
-# The instruments of the core, in the order of the variables in a file; the first of a system is its main one.
+# The instruments of the core, in the order of variables in a file; the first that measures a system is its main instrument.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
-# Dimension of points that come from no axes.
+# Dimension of points without axes.
 POINT = "point"
-# From theory alone, also where a point is not integrated.
+# Variables from theory alone, which also exist where a point is not integrated.
 PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}
-# Only in refined atlases, which are not integrated at every point.
+# Variable of refined atlases, which are not integrated at every point.
 COMPUTED = Variable(
     "computed", "int8", "1", "where the labels come from",
     {
@@ -38,19 +38,19 @@ def instruments() -> tuple[Instrument, ...]:
 
 
 def is_theory(system: System, name: str) -> bool:
-    """Whether a variable is from theory alone, also where a point is not integrated."""
+    """Whether a variable is from theory alone, so that it also exists where a point is not integrated."""
     proofs = (each.variables(system) for each in instruments() if each.proofs_of)
     listed = PREDICTED | derived_variables(system).keys() | {v.name for part in proofs for v in part}
     return name in listed or name.startswith("predicted_")
 
 
 def is_measured(system: System, name: str) -> bool:
-    """Whether a variable has numbers at points that are integrated alone."""
+    """Whether a variable has numbers only at points that are integrated."""
     return not is_theory(system, name) and data_variables(system)[name].dtype.startswith("float")
 
 
 def proofs_of_labels(system: System | None = None) -> dict[str, str]:
-    """Label variables, of a system alone if it is given, and the flags that are not 0 where they are proved for every duration."""
+    """Label variable -> variable whose flag is not 0 where the label is proved for every duration; of all systems or of one."""
     proofs = {label: proof for each in instruments() for label, proof in each.proofs_of.items()}
     if system is None:
         return proofs
@@ -65,7 +65,7 @@ def main_instrument(system: System) -> MainInstrument:
 
 
 def data_variables(system: System) -> dict[str, Variable]:
-    """Every data variable that a dataset of the system may have: no coordinate can have such a name."""
+    """Every data variable that a dataset of the system may have; coordinates must not have these names."""
     return {**variables(system), COMPUTED.name: COMPUTED}
 
 
@@ -74,9 +74,9 @@ def variables(system: System) -> Mapping[str, Variable]:
     return _registry(system, instruments())
 
 
-@lru_cache(maxsize=64)  # a run asks for it some thirty times
+@lru_cache(maxsize=64)  # a run calls this some thirty times
 def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[str, Variable]:
-    """The variables of instruments and of theory."""
+    """The variables of instruments and of theory by name; BadInput if names clash."""
     listed = [variable for each in instruments for variable in each.variables(system)] + [
         Variable(
             d.name, "int8" if d.flags else "float64", d.unit, d.long_name, dict(d.flags) if d.flags else None,
@@ -106,7 +106,7 @@ def _registry(system: System, instruments: tuple[Instrument, ...]) -> Mapping[st
 
 
 def listed_variables(system: System, names: Collection[str]) -> list[str]:
-    """These variables of a system and those beside them, in the order of the file."""
+    """The named variables of a system, and the variables always stored beside them, in the order of the file."""
     registry = variables(system)
     beside = {registry[name].beside for name in names if name in registry}
     return [name for name in registry if name in names or name in beside]

@@ -1,4 +1,4 @@
-"""Borders on a plane of an atlas as data: of theory, by the kinds of the core and of extensions, and of measured regions."""
+"""Borders on a plane of an atlas as data: lines that theory (core or extensions) predicts, and borders of measured regions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def boundary(
     select: Mapping[str, float],
     degrees: bool = False,
 ) -> xr.Dataset:
-    """Borders of theory, or of the region where a variable has one flag; see `Atlas.boundary`."""
+    """Borders of theory or, if a label is given, of the region with this flag; see `Atlas.boundary`."""
     system_of(ds)
     plane, dims, panel_dims = plane_of(ds, x, y, select, degrees=degrees)
     if panel_dims or (label is not None and len(dims) != 2):
@@ -106,7 +106,7 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Borders of theory on a plane of an atlas by kind; BadInput if its dimensions are not the scene's."""
+    """Borders of theory on a plane of an atlas by kind; BadInput if `dims` are not axes of the scene."""
     for dim in dims:
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
@@ -122,7 +122,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
 
 def borders(plane: Plane, variable: str = "label") -> Lines:
-    """Lines of KINDS on a plane, in the frame of a variable."""
+    """Lines of KINDS on a plane, in the frame to which a variable belongs."""
     lines = cached_lines(lambda: theory_borders(plane), plane)
     frame = IN_SPACE if variable.endswith("_inertial") else ""
     names = {name: name + frame * kind.of_frame for name, kind in KINDS.items()}
@@ -132,10 +132,10 @@ def borders(plane: Plane, variable: str = "label") -> Lines:
 class Kind(NamedTuple):
     """A kind of border."""
 
-    # Predictions, frame, whether motions are nudged -> classes of points, 1 and 2 on the two sides of a line, 0 where there is no line.
+    # Predictions, frame, whether motions are nudged -> class of each point: 1 and 2 on the two sides of a line, 0 away from lines.
     classes: Callable[[Predictions, str, bool], np.ndarray]
-    of_frame: bool = True
-    rate: str = ""  # which is 0 on the line
+    of_frame: bool = True  # whether the line depends on the frame
+    rate: str = ""  # "n" or "m", the rate that is 0 on the line
 
 
 def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
@@ -144,7 +144,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Signs of a rate of regular precessions; a nudged unstable motion has no label of its own, so that no line divides it."""
+    """Classes by the sign of a rate of regular precessions; 0 for nudged unstable motions, whose label theory does not give."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
@@ -164,16 +164,16 @@ KINDS: Mapping[str, Kind] = {
 def theory_borders(plane: Plane) -> Lines:
     """Polylines, by KINDS, at which theory predicts a change in a plane, in the units of its axes.
 
-    Kinds that depend on the frame appear a second time, in space, with IN_SPACE at the end of the name. Lines separate linearly
-    stable from unstable motions, regular precession from permanent rotation, and points with a motion from points without. On the
-    lines of a zero rate, psi' or phi', a motion that precesses regularly on both sides is a permanent rotation.
+    Lines separate linearly stable from unstable motions, regular precession from permanent rotation, and points with a motion
+    from points without. On lines where psi' or phi' is 0, a motion that is a regular precession on both sides is a permanent
+    rotation. Kinds that depend on the frame have a second entry for inertial space, with IN_SPACE at the end of the name.
     """
     frames, nudged = ("", IN_SPACE), bool(plane.scene.nudge)
     kinds = {
         name + frame: (kind, frame)
         for name, kind in KINDS.items()
         for frame in frames[: 1 + kind.of_frame]
-        if kind.rate not in plane.extent  # an axis needs no line at 0
+        if kind.rate not in plane.extent  # no line at 0 if the rate itself is an axis
     }
 
     def classes(positions: Array) -> Classes:
@@ -193,25 +193,25 @@ def theory_borders(plane: Plane) -> Lines:
 
 RESONANCE_RATIOS = (1, 2, 3)
 RESONANCES = tuple(f"resonance {ratio}:1" for ratio in RESONANCE_RATIOS)
-# Variables of the core on whose maps the lines are drawn.
+# Variables of the core whose maps show resonance lines.
 RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind")
-RESONANCE_SAMPLES = 200  # along each axis
+RESONANCE_SAMPLES = 200  # number of samples along each axis
 
 
 def resonances(plane: Plane) -> Lines:
-    """Lines of RESONANCES of motions that are not unstable."""
+    """Lines of RESONANCES where a motion exists that is not unstable."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     return resonance_lines(plane, axes, coordinates, not_unstable(plane, coordinates))
 
 
 def not_unstable(plane: Plane, coordinates: Mapping[str, Array]) -> Mask:
-    """Where a motion exists that is not unstable."""
+    """Whether each point has a motion that is not unstable."""
     theory = plane.theory(coordinates)
     return theory.exists & (theory.stable != Stability.UNSTABLE)
 
 
 def resonance_lines(plane: Plane, axes: list[Array], coordinates: Mapping[str, Array], shown: Mask) -> Lines:
-    """Lines, by RESONANCES, where two frequencies have the ratio 1, 2 or 3, among the points of a lattice that are shown.
+    """Lines, by RESONANCES, where two frequencies have the ratio 1, 2 or 3; shown: points of the lattice where lines may be.
 
     A resonance 1:1 at which stability ends is a stability limit and is left out.
     """

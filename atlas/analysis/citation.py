@@ -1,4 +1,4 @@
-"""What to cite for a result from an atlas, as text and as BibTeX."""
+"""Citations for results from an atlas, as text and as BibTeX."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ AUTHORS = "The Precession Atlas developers"  # as in CITATION.cff
 
 
 def cite(ds: xr.Dataset, bibtex: bool) -> str:
-    """Text that names the program, the equations and the computation; see `Atlas.cite`."""
+    """Text or BibTeX that names the program, the equations and the computation; see `Atlas.cite`."""
     system, attributes = system_of(ds), ds.attrs
-    scene_of(ds)  # BadInput of joined atlases
+    scene_of(ds)  # BadInput for joined atlases
 
     def text(name: str, default: str = "unknown") -> str:
         return attribute_text(attributes, name, default, MAX_MESSAGE)
@@ -49,6 +49,6 @@ def cite(ds: xr.Dataset, bibtex: bool) -> str:
 
 
 def _entry(key: str, **values: str) -> str:
-    """An entry of BibTeX of what has no journal; double braces keep names and capitals as they are written."""
+    """A BibTeX entry @misc; double braces keep names and capital letters unchanged."""
     lines = [f"  {name} = {{{{{escaped(value)}}}}}," for name, value in values.items() if value]
     return "\n".join([f"@misc{{{key},", *lines, "}", ""])

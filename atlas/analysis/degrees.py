@@ -1,4 +1,4 @@
-"""Angles in degrees, as readers give and see them; all else is in rad. Nothing but this module converts."""
+"""Conversion of angles: degrees may be in arguments and results, all else is in rad; no other module converts."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ RAD, DEGREE = "rad", "degree"  # values of the attribute units
 
 
 def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
-    """What turns a variable with these attributes into what is shown: of an angle in rad 180 / pi, else 1.
+    """Factor from the values of a variable to the values shown: 180 / pi for an angle in rad, else 1.
 
-    `degrees` may be None: where the scene asks for degrees.
+    degrees: None if the attribute display_units decides.
     """
     if degrees is None:
         degrees = attribute_text(attributes, "display_units") == "deg"
@@ -26,27 +26,27 @@ def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
 
 
 def in_degrees(data: Data, degrees: bool | None = True) -> Data:
-    """The same with its angles in degrees; `degrees` as for `factor`."""
+    """The data with angles in degrees; degrees: see `factor`."""
     return _scale(
         data, {n: f for n, v in _variables(data).items() if (f := factor(v.attrs, degrees)) != 1}, DEGREE
     )
 
 
 def in_rad(data: Data) -> Data:
-    """The same with its angles in rad."""
+    """The data with angles in rad."""
     units = {name: attribute_text(variable.attrs, "units") for name, variable in _variables(data).items()}
     return _scale(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
 
 
 def _variables(data: Data) -> Mapping[str, xr.DataArray]:
-    """Coordinates, and the variables or the array itself under the name ""."""
+    """Coordinates, and the variables of a dataset, or an array itself under the name ""."""
     if isinstance(data, xr.DataArray):
         return {**{str(name): each for name, each in data.coords.items()}, "": data}
     return {str(name): data[name] for name in data.variables}
 
 
 def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
-    """Data with some of its variables multiplied, in other units; names of points that contain one become mere coordinates."""
+    """Data with some variables multiplied by factors, in new units; a multi-index of these variables becomes plain coordinates."""
     levels = [str(data[name].dims[0]) for name in factors if name in data.indexes and name not in data.dims]
     data = data.reset_index(list(set(levels))) if levels else data
     variables, new = _variables(data), dict[str, xr.Variable]()
@@ -63,6 +63,6 @@ def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
 def lines_in_degrees(
     lines: Mapping[str, list[np.ndarray]], axes: list[xr.DataArray], degrees: bool | None
 ) -> dict[str, list[np.ndarray]]:
-    """Lines over some axes with their angles in degrees."""
+    """Lines over the given axes, with angles in degrees; degrees: see `factor`."""
     factors = [factor(axis.attrs, degrees) for axis in axes]
     return {kind: [line * factors for line in group] for kind, group in lines.items()}

@@ -1,4 +1,4 @@
-"""Two atlases on the same grid: changes of flags, and differences of numbers against their error estimates."""
+"""Two atlases on the same grid: changes of flags, and differences of numbers, compared with error estimates."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
                 lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
-        # Where only one atlas has a value the difference is infinite; inf - inf is nan, which counts as 0.
+        # If only one atlas has a value, the difference counts as infinite; inf - inf is nan, which counts as 0.
         difference = abs(ours - theirs).where(ours.isnull() == theirs.isnull(), np.inf).fillna(0.0)
         if not difference.any():
             unchanged.append(name)
             continue
         estimate = _estimate(first, second, name)
-        ratio = (difference / (1.0 if estimate is None else estimate)).fillna(0.0)  # nan is 0 over 0
+        ratio = (difference / (1.0 if estimate is None else estimate)).fillna(0.0)  # 0 / 0 is nan
         where = place(shown, {str(dim): int(index) for dim, index in ratio.argmax(ratio.dims).items()})
         over = "-" if estimate is None else f"{float(ratio.max()):.3g}"
         largest = float(difference.max()) * factor(first[name].attrs, degrees)
@@ -71,7 +71,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
 
 
 def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
-    """Changes of flags, and second less first of numbers; see `Atlas.differences`."""
+    """Changes of flags, and second minus first of numbers; see `Atlas.differences`."""
     flags, numbers = _common_variables(first, second)
     result: dict[str, xr.Variable] = {}
     for name in flags:
@@ -87,7 +87,7 @@ def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
 
 
 def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Flags and numbers that both atlases have; BadInput unless these have one system and one grid."""
+    """Names of flags and of numbers that both atlases have; BadInput unless the atlases have one system and one grid."""
     if not isinstance(second, xr.Dataset):
         raise BadInput(f"other = {shown(second)}: must be the dataset of an atlas")
     systems, problems = [system_of(ds).name for ds in (first, second)], []
@@ -113,7 +113,7 @@ def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str],
 
 
 def _estimate(first: xr.Dataset, second: xr.Dataset, name: str) -> Any:
-    """The larger error estimate of a variable in its unit; None without an estimate or the variables that give the unit."""
+    """The larger error estimate of a variable, in its unit; None without an estimate or the variables needed to scale it."""
     system, stem = system_of(first), name.rpartition("_")[0]
     if name not in (*main_instrument(system).statistics(system), *OVER_BOUND, *circle.ANGLES):
         return None

@@ -15,18 +15,18 @@ from .metadata import axes_of
 from .plane import Plane
 from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
-# Samples along each axis, and trisections of the distance between two of them, of curves that are traced.
+# Number of samples along each axis for tracing curves, and of trisections between two samples.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
-# Share of the samples at which a condition holds in a region, where rounding has signs.
+# A condition that holds at a larger fraction of the samples holds in a region, where its sign is only rounding.
 REGION = 0.1
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Curves by family where exact steady motions cross a plane.
 
-    A family has a curve if it can be solved for an axis of the plane: the scene's family, or any if it names
-    none; where ties use the axes, the lines on which its conditions hold. Where a scene solves its points onto a family only an
-    axis offset from it has a curve, at zero.
+    The families are the scene's family or, if it names none, all. If the scene solves its points onto a family, this family has
+    a curve only at zero of an axis that is an offset from it; otherwise the curves are the lines on which the conditions of a
+    family hold.
     """
     scene = plane.scene
     if scene.solve:
@@ -39,7 +39,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
         return {str(scene.family): lines} if lines else {}
     families = families_of(scene.system)
     chosen = families if scene.family is None else [scene.family]
-    traced = [name for name in chosen if not families[name].rate_std]  # motions of the others fill regions
+    traced = [name for name in chosen if not families[name].rate_std]  # others fill regions
 
     def trace() -> dict[str, list[Array]]:
         return {name: _traced_curves(plane, families[name]) for name in traced}
@@ -48,10 +48,10 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
 
 
 def _traced_curves(plane: Plane, family: Family) -> list[Array]:
-    """The lines on which one condition of a family changes its sign, and the others hold.
+    """The lines on which one condition of a family changes its sign and the other conditions hold.
 
-    A condition that is the magnitude of a vector has no sign: a solution for a parameter less its value takes its place,
-    of several the one with the longest lines.
+    A condition that is the magnitude of a vector has no sign. It is replaced by the difference of a parameter from its solved
+    value; of several parameters, the one with the longest lines counts.
     """
     axes, coordinates = plane.lattice(TRACING_SAMPLES)
 
@@ -86,7 +86,7 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
 def _zero_lines(
     plane: Plane, family: Family, axes: list[Array], column: Array, function: Callable[[Any], Array]
 ) -> list[Array]:
-    """The lines on which a function of points, in a column of its values at samples, is 0, as far as a family is on them."""
+    """Zero lines of a function of points, cut to the parts on which a family exists; column: values of the function at samples."""
 
     def base(places: Array) -> Mapping[str, Array]:
         return plane.points(dict(zip(plane.extent, places.T, strict=True))).base
@@ -100,7 +100,7 @@ def _zero_lines(
         return []
     lines = [
         line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines
-    ]  # whichever axis is the first
+    ]  # same direction if the axes are exchanged
     low, high = np.floor(np.concatenate(lines)), np.ceil(np.concatenate(lines))
     at_low = values[tuple(low.astype(int).T)] > 0
     places = values_at(narrow(is_above, at_low, low, high, TRISECTIONS), axes)

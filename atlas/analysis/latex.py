@@ -1,4 +1,4 @@
-"""Formulas of plain text, such as "k1 = 0, or C m = k3 cos(theta0)", and tables, as LaTeX."""
+"""LaTeX for tables, and for plain text with formulas, such as "k1 = 0, or C m = k3 cos(theta0)"."""
 
 from __future__ import annotations
 
@@ -38,18 +38,15 @@ TOKEN = re.compile(
 
 
 def in_latex(text: str) -> str:
-    """A text with formulas, such as "k1 = 0, or C m = k3 cos(theta0)", with the formulas as LaTeX between dollars.
-
-    Names of one letter, Greek letters and functions are formulas, other words are words.
-    """
+    """A text in which formulas become LaTeX between dollars; single letters, Greek letters and functions belong to formulas."""
     text = re.sub(r"sqrt\((\w+)\)", r"√\1", re.sub(r"\b([A-Za-z]+)(\d)-dot", r"\1_dot\2", text))
     text = re.sub(r"sqrt\(([^()]+)\)", r"(\1)^½", text)
-    pieces: list[tuple[bool, str]] = []  # whether in a formula, and the text
+    pieces: list[tuple[bool, str]] = []  # (is part of a formula, text)
     bars = 0
     tokens = TOKEN.findall(text)
 
     def is_word(token: str) -> bool:
-        """Whether a token is a word of the language."""
+        """Whether a token is an English word."""
         name = NAME.fullmatch(token)
         return bool(re.search("[a-z][-'][a-z]", token)) or (
             name is not None and name[1] not in (*NAMES, *FUNCTIONS) and len(name[1]) > 1
@@ -81,18 +78,18 @@ def in_latex(text: str) -> str:
     runs: list[str] = []
     for is_formula, group in groupby(pieces, key=lambda piece: piece[0]):
         joined = re.sub(r" (?=[\^)\]/])|(?<=[(\[/]) ", "", " ".join(piece for _, piece in group))
-        # TeX takes primes and a power together alone.
+        # TeX accepts primes and a power only in one superscript.
         joined = re.sub(r"('+)\^\{", lambda match: "^{" + r"\prime " * len(match[1]), joined)
         runs.append(f"${joined}$" if is_formula else joined)
     return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
 
 
-# Columns of texts with formulas; others are words and numbers.
+# Columns whose texts contain formulas.
 FORMULAS = ("conditions", "printed", "true", "ours")
 
 
 def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> str:
-    """Rows as a longtable of LaTeX, some columns by name under their heads; lists become lines of a cell."""
+    """Rows as a longtable of LaTeX; columns: name -> heading of each column shown; a list becomes several lines in a cell."""
     width = rf"p{{\dimexpr{1 / len(columns):.3f}\linewidth-2\tabcolsep\relax}}"
     heads = " & ".join(columns.values())
     lines = [r"% needs \usepackage{amsmath, longtable}", rf"\begin{{longtable}}{{{width * len(columns)}}}"]
@@ -110,13 +107,13 @@ def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -
 
 
 def _in_table(text: str) -> str:
-    """A text with formulas as LaTeX, and the words between them."""
+    """A text in LaTeX: formulas converted, the words between them escaped."""
     parts = re.split(r"(\$[^$]*\$)", in_latex(text))
     return "".join(part if part[:1] == "$" else escaped(part) for part in parts)
 
 
 def escaped(text: str) -> str:
-    """A text in which signs with a meaning of their own in LaTeX are printed as they are; its braces are in pairs, as BibTeX needs."""
+    """A text with LaTeX's special characters escaped; braces stay in pairs, as BibTeX needs."""
     return re.sub(r"[\\^~<>|_&%#${}]", lambda sign: _SIGNS.get(sign[0], f"\\{sign[0]}"), text)
 
 

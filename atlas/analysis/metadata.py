@@ -26,19 +26,19 @@ from ..store.tiling import Tiling
 from ..systems.base import Array, Mask, System
 from ..variables import POINT, data_variables, proofs_of_labels
 
-MAX_FLAGS = 128  # of a variable, as many as int8 has numbers from 0 on
-TRUE_FALSE = ["false", "true"]  # flags of a variable of Booleans
-# In CF's attribute cell_methods: names of dimensions and a method whose results are other numbers than flags.
+MAX_FLAGS = 128  # largest number of flags of a variable: int8 has the numbers 0 to 127
+TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
+# In CF's attribute cell_methods: names of dimensions, and a method whose results are not flags.
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
 
 
-POSITIONS = "atlas_positions"  # attribute of a variable of positions in a list: words for -1 and for a member
+POSITIONS = "atlas_positions"  # attribute of a variable of positions in a list: names of -1 and of the others
 
 
 def system_of(ds: xr.Dataset) -> System:
-    """The system of an atlas; BadInput if the dataset is none, or has texts where an atlas has numbers."""
+    """The system of an atlas; BadInput if the dataset is no atlas, or has texts where an atlas has numbers."""
     if "atlas_system" not in ds.attrs:
         raise BadInput("not an atlas: the attribute atlas_system is missing")
     name, package = ds.attrs["atlas_system"], ds.attrs.get("atlas_system_package")
@@ -55,7 +55,7 @@ def system_of(ds: xr.Dataset) -> System:
 
 
 def number_attribute(ds: xr.Dataset, name: str) -> float:
-    """A global attribute of an atlas that is a number; BadInput if it is missing or no number."""
+    """A global attribute of an atlas as a number; BadInput if the attribute is missing or no number."""
     try:
         return float(ds.attrs[name])
     except (KeyError, TypeError, ValueError):
@@ -63,7 +63,7 @@ def number_attribute(ds: xr.Dataset, name: str) -> float:
 
 
 def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
-    """The scene of an atlas, None for points that come from no scene; BadInput if it is needed and lost."""
+    """The scene of an atlas, None for points without a scene; BadInput if the scene is needed and lost."""
     if "atlas_parts" in ds.attrs:
         from ..store.joined import part_of
 
@@ -77,7 +77,7 @@ def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
 
 
 def without_run(ds: xr.Dataset) -> xr.DataArray | None:
-    """Where labels are those of proofs, because the scene integrates no such point; None of other scenes."""
+    """Whether a point has a proved label and was not integrated; None if the scene integrates proved points too."""
     proofs = [ds[proof] != 0 for label, proof in proofs_of_labels().items() if {label, proof} <= {*ds}]
     scene = scene_of(ds) if proofs else None
     if scene is None or not scene.settings.prove:
@@ -86,32 +86,32 @@ def without_run(ds: xr.Dataset) -> xr.DataArray | None:
 
 
 def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
-    """The atlas with labels of runs alone: those of proofs are not_computed."""
+    """The atlas with measured labels alone: proved labels become not_computed."""
     if (proved := without_run(ds)) is None:
         return ds
     labels = [label for label in proofs_of_labels() if label in ds]
     return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
-# Coordinates count as equal within this relative difference, or within so many spacings of their type of float.
+# Coordinates count as equal within this relative difference, or within so many machine epsilons of their type.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
-MAX_COMPARED = 400  # points at which coordinates are compared
+MAX_COMPARED = 400  # number of points at which coordinates are compared
 CHANGED = (
     "the datasets of several scenes were joined, or coordinates were changed; use an atlas as its run made it"
 )
 
 
 def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
-    """The scene by which a part of an atlas can be computed again, None for points that come from no scene.
+    """The scene by which a part of an atlas can be computed again, None for points without a scene.
 
-    BadInput unless the coordinates of evenly chosen points, in a lazy part its corners and middles, equal to rounding what the
-    scene gives. An axis has some of the scene's values or, where atlases of scenes that agree otherwise were joined, all and more.
+    BadInput unless the coordinates equal those of the scene to rounding, at evenly chosen points (corners and middles of a lazy
+    part). An axis may have some of the scene's values or, after a join of atlases that differ only in this axis, all and more.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
     units = {name: parameter.unit for name, parameter in system.parameters.items()}
     units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}
-    # Variables of xarray: DataArrays would take longer, with their coordinates, than all that is computed here.
+    # xarray Variables, because making DataArrays with coordinates would take longer than the comparison.
     numbers = {n: v for n in units if n in ds.coords and (v := ds.variables[n]).dtype.kind in "iuf"}
     for name, variable in numbers.items():
         unit = attribute_text(variable.attrs, "units")
@@ -153,20 +153,20 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Values of a coordinate, each replaced by the value of the scene's axis that it equals to rounding, if there is one."""
+    """Values of a coordinate; each that equals a value of the scene's axis to rounding is replaced by that value."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal others to rounding; near 0 to the rounding of differences of numbers of about 1."""
+    """Whether values of a coordinate equal others to rounding: relative, and near 0 absolute, to 1e-15."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
 
 def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
-    """Why an atlas cannot be computed again by the scene that it names; empty if it can or names none."""
+    """Reason why an atlas cannot be computed again by its scene; empty if it can, or has no scene."""
     if not ds.attrs.keys().isdisjoint({"atlas_scene", "atlas_parts"}):
         try:
             resolved_scene(ds, ds if part is None else part)
@@ -176,7 +176,7 @@ def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
 
 
 def settings_of(ds: xr.Dataset) -> Settings:
-    """Settings of points that come from no scene, from the attributes of their dataset."""
+    """Settings of points without a scene, from the attributes of their dataset."""
     method, step = attribute_text(ds.attrs, "atlas_method"), number_attribute(ds, "atlas_step")
     settings = Settings(method=method, rate_tolerance=rate_tolerance_of(ds))
     if math.isfinite(step):
@@ -185,7 +185,7 @@ def settings_of(ds: xr.Dataset) -> Settings:
 
 
 def rate_tolerance_of(ds: xr.Dataset) -> float | str:
-    """The rate tolerance of a dataset: a number, or arithmetic of its points."""
+    """The rate tolerance of a dataset: a number, or arithmetic in the parameters of its points."""
     if isinstance(value := ds.attrs.get("atlas_rate_tolerance"), str):
         return checks.positive_at_points("atlas_rate_tolerance", value)
     return number_attribute(ds, "atlas_rate_tolerance")
@@ -197,19 +197,19 @@ def axes_of(scene: Scene) -> dict[str, Axis]:
 
 
 def common_values(ds: xr.Dataset, scene: Scene) -> dict[str, float | str]:
-    """What a scene gives all points of a part of its atlas: parameters, ties as texts, and axes of one value."""
+    """Values that all points of a part of an atlas share: fixed parameters, ties as text, and axes with one value."""
     single = {dim: float(ds[dim]) for dim in axes_of(scene) if dim in ds.coords and ds[dim].ndim == 0}
     return {**scene.fixed, **{name: tie.text for name, tie in scene.ties.items()}, **single}
 
 
 def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
-    """Whether the scene spaces this axis logarithmically and all values are positive; maps do the same."""
+    """Whether the scene spaces an axis logarithmically and all values are positive, so that maps have a logarithmic axis."""
     axis = None if scene is None else axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Axes along which points have neighbours, as in the scene: not axes of one point, of repeated values or of random draws."""
+    """Axes along which points have neighbours: numbers without repeated values, except lists of points and random draws."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
@@ -218,7 +218,7 @@ def neighbour_axes(ds: xr.Dataset) -> list[str]:
 
 
 def in_order(ds: xr.Dataset, stride: Mapping[str, int]) -> xr.Dataset:
-    """An atlas sorted along some axes, with every k-th value of each, from the lowest."""
+    """An atlas sorted along axes; stride: axis -> k keeps every k-th value, from the lowest."""
     order = {dim: np.argsort(ds[dim].values, kind="stable")[::step] for dim, step in stride.items()}
     return ds.isel({dim: i for dim, i in order.items() if not np.array_equal(i, range(ds.sizes[dim]))})
 
@@ -231,25 +231,25 @@ def check_not_empty(ds: xr.Dataset) -> None:
 
 
 def is_numeric_axis(ds: xr.Dataset, dim: object) -> bool:
-    """Whether a name is a dimension with a coordinate of numbers."""
+    """Whether `dim` is a dimension with a numeric coordinate."""
     return dim in ds.dims and dim in ds.coords and ds[dim].dtype.kind in "iuf"
 
 
 def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
-    """Names of the coordinates of numbers along a dimension alone."""
+    """Names of the numeric coordinates whose only dimension is `dim`."""
     return [str(name) for name, c in ds.coords.items() if c.dims == (dim,) and c.dtype.kind in "iuf"]
 
 
 @lru_cache
 def _registry(system: System) -> Mapping[str, Variable]:
-    """Variables of the atlases of a system; none of a system that can have no atlas."""
+    """Variables of the atlases of a system, empty if the system can have no atlas."""
     with suppress(BadInput):
         return data_variables(system)
     return {}
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """`Variable.positions` of the variable of this name, or what its attribute POSITIONS says."""
+    """Names of -1 and of the others of a variable of positions, by its attribute POSITIONS or `Variable.positions`, else None."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -257,10 +257,10 @@ def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
 
 
 def has_flags(array: xr.DataArray) -> bool:
-    """Whether a variable is one of flags: Booleans, or flags by their name or by a long_name of their own.
+    """Whether a variable has flags: Booleans, or flag_meanings with the name of a flag variable or a long_name of its own.
 
-    Differences of flags inherit their attributes: a flag's long_name under another name means numbers. Averages of flags
-    may have lost theirs.
+    Differences of flags inherit attributes: the long_name of a flag variable under another name means numbers. Floats under
+    the name of a flag variable are averages of flags, even without attributes.
     """
     if array.dtype.kind == "b":
         return True
@@ -273,7 +273,7 @@ def has_flags(array: xr.DataArray) -> bool:
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
-    """Names of the values 0, 1, 2, ... of a flag variable, else empty; BadInput for averages of flags."""
+    """Names of the values 0, 1, 2, ... of a flag variable, empty for other variables; BadInput for averages of flags."""
     if array.dtype.kind == "b":
         return TRUE_FALSE
     if not has_flags(array):
@@ -305,18 +305,18 @@ def flag_names(array: xr.DataArray) -> list[str]:
 
 
 def is_averaged(array: xr.DataArray) -> bool:
-    """Whether a variable has the names of flags but other values, such as averages, of other types or along fewer dimensions."""
+    """Whether a flag variable holds averages or the like: its type is no integer, or its cell_methods say so."""
     if not has_flags(array):
         return False
     texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
     names = re.findall(r"[\w.+-]+", " ".join(texts))
-    # NCO writes a method on data that it only joined, whose dimensions are still there.
+    # NCO also writes a method on data that it only joined; their dimensions still exist.
     gone = any(n not in {*array.dims, *array.coords} or array[n].size < 2 for n in names)
     return gone or array.dtype.kind not in "biu"
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """The dataset with a variable of positions in a list, if this is one, as flags: none, then every position."""
+    """The dataset; if `variable` has positions in a list, they become flags: none, then one flag for each position."""
     names = _positions(ds, variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
@@ -328,7 +328,7 @@ def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """The flag variable of this name, positions as flags; BadInput if the dataset has none."""
+    """The flag variable of this name, with positions in a list as flags; BadInput if there is no such flag variable."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:
@@ -337,12 +337,12 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
                 f"{variable}: no variable here has flag_meanings: the dataset is no atlas, or has lost its attributes"
             )
         raise BadInput(f"{variable}: not a flag variable of this atlas; {allowed_text(variable, flags)}")
-    flag_names(ds[variable])  # raises BadInput for averages
+    flag_names(ds[variable])  # BadInput for averages
     return ds[variable]
 
 
 def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> np.ndarray:
-    """Values of a variable of flags from 0 to count - 1; for others BadInput, whose message begins with `words`."""
+    """Values of a flag variable; BadInput, with `words` in the message, unless all are integers from 0 to count - 1."""
     values = ds[name].values
     if values.dtype.kind not in "iu" or is_averaged(ds[name]) or not ((values >= 0) & (values < count)).all():
         raise BadInput(f"{name}: {words}: not the flags of an atlas, 0 to {count - 1}")
@@ -350,7 +350,7 @@ def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> n
 
 
 def map_variable(ds: xr.Dataset) -> str:
-    """Variable of a map by default: the scene's choice, else the label, else the first flags that differ between points."""
+    """Default variable of a map: the scene's choice, else the label, else the first flag variable that is not constant."""
     scene = scene_of(ds)
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
@@ -359,7 +359,7 @@ def map_variable(ds: xr.Dataset) -> str:
     rank = max((array.ndim for array in ds.data_vars.values()), default=0)
     for name, array in ds.data_vars.items():
         if array.ndim == rank and has_flags(array) and not is_averaged(array):
-            # Read in chunks, to the first difference.
+            # Chunks are read only up to the first difference.
             values = (array.isel(box).values.ravel() for box in chunks(array.sizes, array.dims))
             first = next(values)
             if (first != first[:1]).any() or any((each != first[:1]).any() for each in values):
@@ -368,7 +368,7 @@ def map_variable(ds: xr.Dataset) -> str:
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
-    """Values of one or several flags of a variable by their names or numbers; BadInput for unknown ones."""
+    """Values of one or several flags of a variable, given by names or numbers; BadInput for unknown flags."""
     allowed = flag_names(flag_variable(ds, variable))
     first = -1 if _positions(ds, variable) else 0
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
@@ -384,7 +384,7 @@ def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str |
     return numbers
 
 
-# Points read at a time.
+# Largest number of points read at a time.
 MAX_POINTS = 4_000_000
 
 
@@ -393,8 +393,8 @@ def chunks(
 ) -> Iterator[dict[Hashable, slice]]:
     """Slices that cut `dims` into boxes of about MAX_POINTS points, in C order.
 
-    With a cell_side boxes consist of whole cells and share the points on their borders; points at the end of
-    an axis that do not fill a cell are in no box.
+    With a cell_side (in points) boxes consist of whole cells and share the points on their borders; points at the end of an
+    axis that do not fill a cell are in no box.
     """
     step = max(cell_side, 1)
     counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]

@@ -19,37 +19,36 @@ from ..systems.base import Array, Mask, derived_values
 from .metadata import axes_of, is_logarithmic
 from .select import cell_edges
 
-# Even, so that no sample falls on the middle of an extent, where special values such as 0 often are.
+# Number of samples along an axis; even, so that none is in the middle of an extent, where special values such as 0 often are.
 SAMPLES = 300
-# Rates of at most this, in rad per time unit, are zero but for rounding.
+# Rates up to this, in rad per time unit, count as zero: they are rounding.
 ZERO_RATE = 1e-9
 IN_SPACE = " in space"
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of theory at some points of a plane; arrays of shape (points,)."""
+    """Predictions of theory at points of a plane; arrays of shape (points,)."""
 
     exists: Mask  # whether the scene has a motion there
     stable: np.ndarray  # linear stability, values of Stability
-    # By frame, "" or IN_SPACE: label of the exact motion, values of Label, and psi' and phi' by the names "n" and "m", rad per
-    # time unit
+    # Frame ("" or IN_SPACE) -> label of the exact motion (values of Label), and psi' ("n") and phi' ("m") in rad per time unit
     frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Part of a scene's parameter space that a map shows: one or two axes, the others with one value."""
+    """Part of a scene's parameter space that a map shows: one or two axes; every other axis has one value."""
 
     scene: Scene  # the scene of the atlas
     extent: Mapping[str, tuple[float, float]]  # dimension of the atlas -> lowest and highest value, x first
-    fixed: Mapping[str, float]  # dimension -> value, for all others
+    fixed: Mapping[str, float]  # other dimension -> value
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
-        """The plane of some dimensions of an atlas; BadInput if another axis has several values.
+        """The plane of the given dimensions of an atlas; BadInput if another axis has several values.
 
-        It reaches half a cell beyond the outermost points, except on sides where the scene has no points.
+        The plane reaches half a cell beyond the outermost points, except on sides where the scene has no points.
         """
         # An xarray scalar would import dask.
         extent = {dim: (float(ds[dim].values.min()), float(ds[dim].values.max())) for dim in dims}
@@ -67,7 +66,7 @@ class Plane:
         return plane
 
     def _extend(self, dim: str, low: float, high: float) -> Plane:
-        """The plane with wider limits along an axis, each only if the scene has points at it."""
+        """The plane with wider limits along an axis; a limit is used only if the scene has points there."""
         parameter = self.scene.system.parameters.get(dim)
         plane = self
         for side, value in enumerate((low, high)):
@@ -85,7 +84,7 @@ class Plane:
         return plane
 
     def samples(self, dim: str, count: int = SAMPLES) -> Array:
-        """Values evenly spaced along an axis, on a logarithmic axis in their logarithm, (count,)."""
+        """Evenly spaced values along an axis, (count,); on a logarithmic axis their logarithms are evenly spaced."""
         spaced = np.geomspace if is_logarithmic(self.scene, dim, self.extent[dim]) else np.linspace
         return spaced(*self.extent[dim], count)
 
@@ -100,7 +99,7 @@ class Plane:
         return values
 
     def lattice(self, count: int) -> tuple[list[Array], dict[str, Array]]:
-        """Evenly spaced values along each axis, and the coordinates of all points of them, (points,)."""
+        """`samples` along each axis, and the coordinates of all points of the lattice by dimension, (points,)."""
         axes = [self.samples(dim, count) for dim in self.extent]
         grids = np.meshgrid(*axes, indexing="ij")
         return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))
@@ -112,16 +111,16 @@ class Plane:
         return (scale(values) - low) / (high - low)
 
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:
-        """The points of the scene at some coordinates in the plane: dimension -> values of one shape (points,)."""
+        """The points of the scene at coordinates in the plane, dimension -> (points,)."""
         shape = next(iter(coordinates.values())).shape
         values = {dim: np.full(shape, value) for dim, value in self.fixed.items()} | dict(coordinates)
         axes = axes_of(self.scene)
-        # A duration in turns is undefined where nothing turns, and theory does not need one.
+        # A fixed duration, because theory needs none and a duration in turns is undefined where nothing turns.
         scene = replace(self.scene, duration=Duration(1.0))
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
     def theory(self, coordinates: Mapping[str, Array]) -> Predictions:
-        """Predictions for exact motions in the plane; without a motion only `exists` has a meaning."""
+        """Predictions for exact motions in the plane; where no motion exists, only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
             predicted = predict(system, points.base, Tolerances(ZERO_RATE, ZERO_RATE), rough=True)

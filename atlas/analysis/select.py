@@ -1,4 +1,4 @@
-"""Selected points of an atlas: by flags, nearest to given values, on the plane of a map."""
+"""Selection of points of an atlas: by flags, nearest to given values, or on the plane of a map."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_PANELS = 12
-# Most values of an axis on a map, as many as a printer has dots; of a longer axis every k-th value is taken.
+# Largest number of values of an axis on a map, about the dots of a printer; from a longer axis every k-th value is taken.
 MAX_CELLS = 2000
 
 
 def select(
     ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]], degrees: bool = False
 ) -> xr.Dataset:
-    """The points with the flags named, in memory, along the dimension "point"; see `Atlas.select`."""
+    """The points with given flags, in memory, along the dimension "point"; see `Atlas.select`."""
     flag_numbers = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
     if not flag_numbers:
         raise BadInput("select: name at least one flag, such as label='drifting'")
@@ -66,7 +66,7 @@ def select(
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(in_degrees(chunk.isel(pointwise).load(), degrees))
-    if not selected:  # names and types of a point: old versions of xarray cannot read no points from a file
+    if not selected:  # read one point and drop it: old versions of xarray cannot read no points from a file
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
         return in_degrees(ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing), degrees)
     if len(selected) == 1:
@@ -77,7 +77,7 @@ def select(
 
 
 def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
-    """The points as a table of pandas with flags as categories; see `Atlas.to_dataframe`."""
+    """The points as a pandas DataFrame with flags as categories; see `Atlas.to_dataframe`."""
     from pandas import Categorical
 
     ds = in_degrees(ds if ds.dims else ds.expand_dims("point"), degrees)
@@ -91,7 +91,7 @@ def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """The part of an atlas nearest to values of axes, or of parameters of points; see `Atlas.nearest`; it stays in rad."""
+    """The part of an atlas nearest to values of axes, or of parameters of points, in rad; see `Atlas.nearest`."""
     if "point" not in ds.dims or not values:
         return nearest_on_axes(ds, values, degrees)
     check_not_empty(ds)
@@ -99,13 +99,13 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
-            scene_of(ds, needed=True)  # BadInput of joined atlases
+            scene_of(ds, needed=True)  # BadInput for joined atlases
             raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values * factor(ds[name].attrs, degrees), _number(name, value)
         finite = column[np.isfinite(column)]
         if not finite.size:
             raise BadInput(f"{name}: is not given at any of these points")
-        # Each parameter is scaled by its range over the points.
+        # The distance in each parameter is divided by its range over the points.
         distance += ((column - value) / (np.ptp(finite) or 1.0)) ** 2
     if np.isnan(distance).all():
         raise BadInput(f"{', '.join(values)}: no point has values of all of them")
@@ -122,11 +122,11 @@ def _number(name: str, value: object) -> float:
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """The part nearest to values of axes, angles maybe in degrees; BadInput for other names and values outside the cells of maps."""
+    """The part of an atlas nearest to values of axes; BadInput for other names and for values outside the cells of maps."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
-    # NCO writes methods on data that it only joined; they would read as averages where a value is chosen.
+    # NCO writes cell_methods even on data that it only joined; without the dimension these would look like averages.
     sound = {n for n, a in ds.data_vars.items() if "cell_methods" in a.attrs and not is_averaged(a)}
     for name, value in values.items():
         if name not in axes:
@@ -150,7 +150,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Edges midway between increasing values, (n + 1,); the outer cells are as wide outwards as inwards."""
+    """Edges midway between n increasing values, (n + 1,); each outer cell is symmetric about its value."""
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
         edges = np.array([v[0] - 0.5, v[0] + 0.5])
@@ -161,7 +161,7 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
 
 
 def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
-    """Raise BadInput unless the chosen axes of a map are different and allowed; what: description of an allowed axis."""
+    """Raise BadInput unless the chosen axes of a map are distinct and allowed; what: describes an allowed axis."""
     roles: dict[str, str] = {}
     for role, name in chosen.items():
         if name is not None and name not in allowed:
@@ -188,9 +188,9 @@ def plane_of(
     *,
     degrees: bool = False,
 ) -> tuple[xr.Dataset, list[str], list[str]]:
-    """The plane that a map shows, not loaded: the sorted plane, its axes (x first), and the axes of panels; see `Atlas.map`.
+    """The sorted plane that a map shows (in rad, not loaded), its axes (x first), and the axes of panels; see `Atlas.map`.
 
-    With `degrees` angles of `select` are in degrees; the plane is in rad.
+    degrees: whether angles in `select` are in degrees.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select, degrees).squeeze()
@@ -198,7 +198,7 @@ def plane_of(
     check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
     unnumbered = [str(dim) for dim in plane.dims if dim not in axes]
     if not axes or unnumbered:
-        scene_of(ds)  # BadInput of joined atlases
+        scene_of(ds)  # BadInput for joined atlases
         raise BadInput(
             f"{unnumbered[0]}: has no numbers as coordinate; choose one by isel, or draw names by col={unnumbered[0]!r}"
             if axes
@@ -226,7 +226,7 @@ def plane_of(
 def nearest_trajectory(
     ds: xr.Dataset, coordinates: Mapping[str, float], samples: int, degrees: bool = False
 ) -> xr.Dataset:
-    """Motion, in rad, of the point of an atlas nearest to some values, integrated as the atlas was."""
+    """Motion, in rad, of the point of an atlas nearest to given values, integrated as in the atlas."""
     from ..label.plan import Plan
     from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 
@@ -248,7 +248,7 @@ def nearest_trajectory(
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     given = {name: value for name, value in start.items() if not math.isnan(value)}
-    # The kernel of `label_points` for the parameters that were given, as far as values tell.
+    # The kernel of `label_points` depends on the parameters that were given: those that vary or differ from their defaults.
     varied = [name for name in given if ds[name].ndim or given[name] != system.parameters[name].default]
     plan = Plan.of_points(system, settings_of(ds), None, varied)
     return trajectory_of_point(plan, given, Duration(float(point["end_time"])), samples)

@@ -1,4 +1,4 @@
-"""The summary of an atlas in plain text, at the end of its run."""
+"""Summary of an atlas in plain text, printed at the end of its run."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ..store.tally import BINS, BINS_PER_DECADE, COUNTED, GROUPS, LOWEST_DECADE,
 from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
-MAX_NEAREST = 10_000  # drifting points that are compared with families
-# What an error estimate above 1 means, by the largest values of `Tally`.
+MAX_NEAREST = 10_000  # largest number of drifting points that are compared with families
+# Name among the largest values of `Tally` -> meaning of an error estimate above 1.
 _UNKNOWN = {
     "unstable": "an instability has amplified errors until the final state is unknown",
     "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",
@@ -24,7 +24,7 @@ _UNKNOWN = {
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
-    """Summary of an atlas at the end of its run, as text; without a tally all points are read."""
+    """Summary of an atlas as text; without a tally all points are read."""
     names = [name for name in (*COUNTED, "error_estimate", "integral_drift", "stable") if name in ds]
     if tally is None:
         tally = Tally()
@@ -75,7 +75,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """Of single points: a line that names the family of steady motions nearest to the drifting ones, if some drift."""
+    """For a list of points: a line that names the family of steady motions nearest to the drifting points, if there are any."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)
@@ -91,13 +91,13 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
 
 
 def _error_lines(tally: Tally) -> list[str]:
-    """The median and the largest expected error, of steady and of drifting points, and the largest drift."""
+    """Lines with median and largest expected error, for steady and for drifting points, and the largest integral_drift."""
     lines, parts = [], []
     for name in (name for name in GROUPS if name in tally.largest):
         largest = tally.largest[name]
         cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
         median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-        # Known to a quarter of a decade.
+        # The histogram gives the median to a quarter of a decade.
         median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
         parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
     if parts:

@@ -1,4 +1,4 @@
-"""Lines between classes of points on a plane: samples refined where a class changes, vertices narrowed, lines kept in the cache."""
+"""Lines between classes of points on a plane: samples are refined where a class changes, vertices narrowed, lines cached."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from ..kernel import compiling
 from ..systems.base import Array, Flags, Mask
 from .plane import SAMPLES, Plane
 
-Lines = dict[str, list[np.ndarray]]  # by kind, each (vertices, axes)
+Lines = dict[str, list[np.ndarray]]  # kind -> lines, each (vertices, axes)
 
-LINES_FOLDER, KEPT_PLANES = "lines", 200  # in the cache
-WORTH_KEEPING = 0.1  # seconds of tracing
-TRACING_ANEW = "tracing lines of theory anew"  # in place of using the cache
+LINES_FOLDER, KEPT_PLANES = "lines", 200  # folder in the cache, and number of planes kept there
+WORTH_KEEPING = 0.1  # lines are kept if tracing takes more seconds
+TRACING_ANEW = "tracing lines of theory anew"  # for messages, if the cache is not used
 
 
 def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
-    """Lines of a plane, kept in the cache: tracing takes seconds, and maps and pages show the same planes."""
+    """Lines of a plane from the cache, or traced and stored there: tracing takes seconds, and planes are shown repeatedly."""
     extensions = extension.extensions().values()
     theory = [each.code for each in extensions if each.families or each.variables or each.lines]
     code = sources.code(), sources.code(sources.of_folder(Path(__file__).parent)), theory
@@ -61,35 +61,36 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
     return lines
 
 
-# Samples along each axis before refinement: even, as SAMPLES.
+# Number of samples along each axis before refinement: even, for the reason given at SAMPLES.
 COARSE_SAMPLES = 150
-# Cells that a line crosses are divided into DIVISION x DIVISION, LEVELS times. An odd number leaves the middle of an extent,
-# where special values such as 0 often are, between two samples.
+# Cells that a line crosses are divided into DIVISION x DIVISION, LEVELS times. With an odd DIVISION the middle of an extent, where
+# special values such as 0 often are, stays between two samples.
 DIVISION, LEVELS = 3, 2
-# Seconds: if the first samples take longer, the whole takes more than two, and is announced.
+# If the first samples take more seconds than this, tracing takes more than two seconds and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# Trisections of a vertex: on two axes to about 1e-5 of each, on one axis to less.
+# Number of trisections of a vertex on two axes (to about 1e-5 of each) and on one axis (finer).
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# Vertices in each of the first stretches of a line; largest distance, in cells, of a straight stretch from its chord.
+# Number of vertices in each first stretch of a line; largest distance, in cells, of a straight stretch from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
 # Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
 Classes = Mapping[str, Flags]
-Codes = NDArray[np.int64]  # one number for the classes of all kinds
+Codes = NDArray[np.int64]  # the classes of all kinds at a point as one number
 
 
 def class_borders(
     plane: Plane, classes: Callable[[Array], Classes], zeros: Mapping[str, Callable[[Array], Array]]
 ) -> Lines:
-    """Polylines by kind between the points of classes 1 and 2, in the units of the axes.
+    """Polylines by kind between points of class 1 and 2, in the units of the axes.
 
-    `classes` is a function of positions (points, axes), fractions of the extent of each axis. For kinds on whose lines a quantity
-    changes its sign, `zeros` has its magnitude as a function of positions: lines are cut where it passes through a pole.
+    `classes` is a function of positions (points, axes), which are fractions of the extent of each axis. If a quantity changes its
+    sign on the lines of a kind, `zeros` has the magnitude of this quantity as a function of positions: parts of lines on which it
+    has a pole instead of a zero are removed.
 
-    On two axes samples on COARSE_SAMPLES values along each are refined where a line crosses a cell, and around it as far as the line
-    continues, so that a region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is followed to its ends if one sample
-    is inside it. Vertices are then trisected.
+    On two axes, COARSE_SAMPLES samples along each are refined in cells that a line crosses, and in neighbouring cells as far as the
+    line continues. A region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is thus followed to its ends if it
+    contains one sample. Vertices are then trisected.
     """
     if len(plane.extent) == 1:
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
@@ -116,9 +117,10 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, by trisection, and the samples next to them; all as indices (vertices, axes).
+    """Lines between samples on both sides of a level, and the samples below and above each vertex; all as indices (vertices, axes).
 
-    Only the ends of straight stretches are vertices: a stretch that is not straight within FLATNESS is halved.
+    Vertices are found by trisection. A stretch that is not straight within FLATNESS is halved; only the ends of stretches are
+    vertices.
     """
     lines = lines_at(values, level)
     if not lines:
@@ -127,7 +129,7 @@ def narrowed_lines(
     low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
     at_low = values[tuple(low.astype(int).T)] > level
     vertices = np.full(halfway.shape, np.nan)
-    # At least two stretches, since a ring ends where it begins.
+    # At least two stretches, because both ends of a closed line are the same vertex.
     knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
@@ -152,7 +154,7 @@ def narrowed_lines(
 
 
 def narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
-    """Positions (vertices, axes) between low and high at which `is_above` first differs from its value at low, by trisection."""
+    """Positions (vertices, axes) between low and high where `is_above` first differs from its value at low, by trisection."""
     for _ in range(count):
         third = (high - low) / 3
         inner = np.concatenate([low + third, low + 2 * third])
@@ -184,9 +186,9 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 
 
 def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
-    """Samples of the cells divided into DIVISION x DIVISION, and whether each was evaluated or copied from the nearest.
+    """Samples of cells divided into DIVISION x DIVISION, and whether each sample was evaluated or copied from the nearest.
 
-    Evaluated are all samples of cells with a change, and of the cells beside them as far as a line continues.
+    All samples are evaluated in cells with a change, and in neighbouring cells as far as a line continues.
     """
     count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
     nearest = np.rint(np.arange(count) / DIVISION).astype(int)
@@ -215,7 +217,7 @@ def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) ->
 def without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
-    """The parts of lines on which a quantity of this magnitude passes through zero rather than a pole."""
+    """The parts of lines on which a quantity passes through zero, not through a pole; size: its magnitude at positions."""
     return [
         part
         for (low, high), line in zip(edges, lines, strict=True)
@@ -224,13 +226,13 @@ def without_poles(
 
 
 def shown_parts(line: Array, shown: Mask) -> list[Array]:
-    """The parts of a line of which every vertex is shown."""
+    """The parts of a line whose vertices are all shown."""
     parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(shown)) + 1)
     return [line[part] for part in parts if shown[part[0]]]
 
 
 def within(line: Array, low: Array, high: Array) -> list[Array]:
-    """The parts of a line in a box, which end on its sides."""
+    """The parts of a line inside a box; they end on its sides."""
     for axis, side in product(range(line.shape[1]), (low, high)):
         beyond = line[:, axis] - side[axis]
         i = np.flatnonzero(beyond[:-1] * beyond[1:] < 0)
@@ -240,19 +242,19 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a ring that begins inside
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that begins inside
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 
 
 def values_at(positions: Array, axes: list[Array]) -> Array:
-    """Axis values at positions (vertices, axes) that are indices of values, or fractions between them."""
+    """Axis values at positions (vertices, axes), which are fractional indices of the values."""
     columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
     return np.stack(columns, -1)
 
 
 def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
-    """Values at the points of a lattice over its axes, nan where they are not shown."""
+    """Values at the points of a lattice, reshaped to its axes; nan at points that are not shown."""
     return np.where(shown, column, np.nan).reshape([axis.size for axis in axes])
 
 
@@ -263,26 +265,26 @@ def lines_at(values: Array, level: float) -> list[Array]:
         return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
-    # A ring of up to six vertices contains one or two points, as many of a region narrower than the cells do.
+    # Drop closed lines of up to six vertices: they enclose one or two points, as in regions narrower than the cells.
     return [line for line in contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
 
 
 def contours(values: Array, level: float) -> list[Array]:
-    """Contour lines of values on two axes, as indices (vertices, 2); nan where there are none."""
+    """Contour lines of values on two axes, as fractional indices (vertices, 2); cells with nan have none."""
     generator = contourpy.contour_generator(
         z=np.ma.masked_invalid(values.T), corner_mask=False, line_type="Separate"
     )
     return cast("list[Array]", generator.lines(level))
 
 
-# Relative error allowed in the linear extrapolation that recognises a crossing.
+# Largest relative error of the linear extrapolation that recognises a crossing.
 _CURVATURE = 0.5
 
 
 def crossings(difference: Array) -> list[Array]:
-    """Segments on which two frequencies cross: their difference, larger less smaller, has a kink at 0.
+    """Segments on which two frequencies cross: the difference (larger minus smaller) has a kink at 0.
 
-    There its continuation from one side is the negative of its value on the other.
+    At a kink the difference extrapolated from one side is the negative of its value on the other side.
     """
     along_x = _crossed_edges(difference)
     along_y = _crossed_edges(difference.T).T
@@ -300,7 +302,7 @@ def crossings(difference: Array) -> list[Array]:
 
 
 def _crossed_edges(difference: Array) -> Array:
-    """Fraction at which the difference vanishes between samples i and i + 1 of the first axis; nan where it does not."""
+    """Fraction of the way from sample i to i + 1 of the first axis at which the difference vanishes; nan if it does not."""
     fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
     before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
     with np.errstate(invalid="ignore", divide="ignore"):

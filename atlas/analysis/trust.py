@@ -23,9 +23,9 @@ from .metadata import (
     without_run,
 )
 
-# Values of an axis with cells; shorter axes count as separate maps, since they contain no information about resolution.
+# Fewest values of an axis that is divided into cells; each value of a shorter axis is a map of its own.
 MIN_VALUES = 5
-BOX = 4  # points along each axis of a box of which the entropy is taken
+BOX = 4  # number of points along each side of a box whose entropy is taken
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -127,12 +127,12 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
 
 
 def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.Dataset:
-    """Fraction of the draws with each flag of a variable, with its interval; see `Atlas.probability`."""
+    """Fraction of random draws with each flag of a variable, with its confidence interval; see `Atlas.probability`."""
     draw_axes = [_axis(ds, variable, "over", name) for name in ([over] if isinstance(over, str) else over)]
     counts = flag_counts(ds, variable, [str(dim) for dim in ds[variable].dims if dim not in draw_axes])
     draws = math.prod(ds.sizes[dim] for dim in draw_axes)
     coords = {name: c for name, c in ds.coords.items() if set(c.dims) <= {*counts.dims} and name != variable}
-    with np.errstate(invalid="ignore"):  # without draws
+    with np.errstate(invalid="ignore"):  # 0 / 0 if there are no draws
         columns = counts.values / draws, *wilson_interval(counts.values, draws)
     what = f"probability of each {variable} over {' and '.join(draw_axes)}"
     texts = {"probability": "", "lower": "lower 95 % limit of the ", "upper": "upper 95 % limit of the "}
@@ -144,11 +144,11 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
 
 
 def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
-    """Lower and upper 95 % limit of a probability of which `events` of `draws` independent trials are an estimate.
+    """Lower and upper 95 % limit of a probability that is estimated by `events` in `draws` independent trials.
 
     E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212; nan without trials.
     """
-    from scipy.special import ndtri  # slow to import, and most questions do not need it
+    from scipy.special import ndtri  # slow to import, and rarely needed
 
     z = float(ndtri(0.975))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -159,7 +159,7 @@ def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
-    """The name of an axis of a flag variable; BadInput for another name."""
+    """The name, if it is an axis of a flag variable, else BadInput."""
     if name not in (dims := [str(dim) for dim in flag_variable(ds, variable).dims]):
         raise BadInput(
             f"{option} = {shown(name)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"
@@ -168,7 +168,7 @@ def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
 
 
 def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataArray:
-    """Number of points with each flag: dimensions are the axes `along`, in the order of the atlas, then one named like the variable."""
+    """Number of points with each flag; dimensions: the axes `along`, in the order of the atlas, then one named like the variable."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
     dims_along = [dim for dim in dims if dim in along]
@@ -179,7 +179,7 @@ def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataA
         for flag in range(len(names)):
             counts[..., flag][tuple(box[dim] for dim in dims_along)] += (values == flag).sum(others)
     coords = {dim: ds[dim] for dim in dims_along if dim in ds.coords}
-    # The number 2 of labels is no motion of a system with observables.
+    # Label 2 is not used by systems with observables.
     listed = [
         i for i, name in enumerate(names) if name != Steadiness.UNUSED.name.lower() or counts[..., i].any()
     ]

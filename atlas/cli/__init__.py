@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"atlas: {error}", file=sys.stderr)
         return BAD_INPUT
     except ValueError as error:
-        if not str(error).startswith("Key backend:"):  # of Matplotlib, when it is imported
+        if not str(error).startswith("Key backend:"):  # Matplotlib raises this on import
             raise
         say(f"atlas: MPLBACKEND: {printable(str(error), MAX_MESSAGE)}", file=sys.stderr)
         return BAD_INPUT
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def command() -> NoReturn:
     """Run the command of this process, or complete it for the shell."""
     if "_ARGCOMPLETE" in os.environ:
-        import argcomplete  # the shell asks only where it is installed
+        import argcomplete  # it is installed where the shell asks for completions
 
         argcomplete.autocomplete(parser())
     start_deadline()

@@ -1,4 +1,4 @@
-"""Commands that make motions and atlases of points, and that read atlases: points, trajectory, compare, map, page."""
+"""Commands that compute points or motions, and that read atlases: points, trajectory, compare, map."""
 
 from __future__ import annotations
 
@@ -136,14 +136,14 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 
 
 def file_of_scene(options: argparse.Namespace, what: str) -> Path:
-    """The file for a dataset computed from a scene, or for its figure; BadInput if it must not be written."""
+    """Path for a dataset computed from a scene, or for its figure; BadInput if it must not be written."""
 
     name = options.out or f"{default_name(options.scene)}_{what}.png"
     return writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
 
 
 def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **options: Any) -> None:
-    """Write a dataset, or its figure by a method of the accessor."""
+    """Write a dataset to a .nc file, or the figure that a method of `ds.atlas` draws of it; figure: name of the method."""
     from .. import registration  # noqa: F401  (registers ds.atlas with xarray)
 
     if out.suffix.lower() == ".nc":
@@ -157,7 +157,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **option
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
-    """The motion at values of the axes of a scene or of the scene of an atlas; without a scene, of the nearest point of the atlas."""
+    """The motion at values of the axes of a scene, or of an atlas' scene; of an atlas without a scene, of the nearest point."""
     from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
@@ -200,7 +200,7 @@ def print_comparison(options: argparse.Namespace) -> None:
 
 
 def map_option(option: Field[Any]) -> Argument:
-    """The option of the command for an option of maps: a switch for a Boolean, NAME=VALUE for a mapping."""
+    """The option of the command `map` for a field of `MapOptions`: a switch for a Boolean, NAME=VALUE for a mapping."""
     name, settings = f"--{option.name}", dict[str, Any]({"default": option.default} | option.metadata)
     if option.default is True:
         return argument(f"--no-{option.name}", dest=option.name, action="store_false", help=settings["help"])

@@ -1,4 +1,4 @@
-"""Options and output of several commands."""
+"""Options that several commands share, and their parser."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FILES = (*FIGURES, FILE, ".csv")
 
-Text: TypeAlias = str | Callable[[], str]  # of a help; a function where extensions add to it
-Handler = Callable[[argparse.Namespace], int | None]  # runs a command; its exit code unless it is DONE
+Text: TypeAlias = str | Callable[[], str]  # text of a help, or a function if extensions add to it
+Handler = Callable[[argparse.Namespace], int | None]  # returns an exit code, or None for DONE
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
@@ -38,7 +38,7 @@ class Parser(argparse.ArgumentParser):
         self._several: dict[str, Callable[[str], bool]] = {}
 
     def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **settings: Any) -> Any:
-        """As argparse; an option with `belongs` takes all following words that it accepts: --at a=1 b=2."""
+        """As argparse, but an option with `belongs` takes all following words for which `belongs` is true: --at a=1 b=2."""
         if belongs is not None:
             settings["action"] = "append"
             self._several |= dict.fromkeys(names, belongs)
@@ -49,7 +49,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Words of the command line, in which each value of an option with `belongs` follows the name of the option."""
+        """Words of the command line with the name of an option with `belongs` repeated before each of its values."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):
@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            # A command may be of an extension that cannot be loaded; no other choice is.
+            # Only commands may be missing because an extension cannot be loaded.
             is_command = isinstance(action, argparse._SubParsersAction)
             allowed = (available_text if is_command else allowed_text)(value, list(action.choices))
             raise argparse.ArgumentError(action, f"{shown(value)}: {allowed}")
@@ -84,7 +84,7 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Names and settings of an argument for `Parser.add_argument`; the setting `lowest` is the least number allowed, `help` a Text."""
+    """Names and settings of an argument for `Parser.add_argument`, with `help` a Text, and `lowest` the least allowed number."""
     return names, settings
 
 
@@ -93,7 +93,7 @@ class Command:
     """A command; the docstring of its handler is its description."""
 
     name: str
-    arguments: tuple[Argument | list[Argument], ...]  # a list: of arguments that exclude each other
+    arguments: tuple[Argument | list[Argument], ...]  # a list holds arguments that exclude each other
     handler: Handler
 
     def add(self, commands: Commands) -> None:
@@ -110,7 +110,7 @@ class Command:
                 group.add_argument(*names, help=about() if callable(about) else about, **usual)
 
     def run(self, options: argparse.Namespace) -> int:
-        """Run the handler, for its exit code; BadInput for an empty text or a number that is too small."""
+        """Run the handler and return its exit code; BadInput for an empty text or a number that is too small."""
         for each in self.arguments:
             for (*_, name), settings in each if isinstance(each, list) else [each]:
                 value = getattr(options, settings.get("dest", name.lstrip("-").replace("-", "_")))
@@ -129,7 +129,7 @@ def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handl
 def out_options(
     metavar: str, text: Text, *, replaces: str = "an existing file", **settings: Any
 ) -> tuple[Argument, Argument]:
-    """The option for the output, and the option that allows to replace it."""
+    """The option for the output file, and the option that allows replacing a file."""
     return (
         argument("-o", "--out", metavar=metavar, help=text, **settings),
         argument("--force", action="store_true", help=f"replace {replaces}"),
@@ -139,7 +139,7 @@ def out_options(
 def option_with_default(
     name: str, metavar: str, default: float | str, text: str, **settings: Any
 ) -> Argument:
-    """An option whose default its help shows."""
+    """An option whose help shows its default."""
     text = f"{text} (default: {default})"
     return argument(name, type=type(default), default=default, metavar=metavar, help=text, **settings)
 
@@ -171,14 +171,14 @@ def default_name(scene: str) -> str:
 
 
 def input_files(scene: str) -> list[Path]:
-    """The files of a scene: its own, and its file of points."""
+    """The input files of a scene: the scene file, and its file of points."""
     from ..scene.points import file_of
 
     return [] if scene == STANDARD_INPUT else [Path(scene), *file_of(Path(scene))]
 
 
 def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
-    """Create the folder of some files, and check each of them as `writable`."""
+    """Create the folder for output files; BadInput if one of the files must not be written."""
     folder = Path(name)
     check_name(folder)
     if folder.exists() and not folder.is_dir():

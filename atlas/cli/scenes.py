@@ -1,4 +1,4 @@
-"""Commands about scenes: check, run, status, join, cache, schema, new."""
+"""Commands about scenes and their runs: run, extend, status, join, check, cache, schema, new."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from .options import (
 
 
 def out_text() -> str:
-    """Help on the output of a run."""
+    """Help text for the output of a run."""
     text = f"NAME{FILE}; or NAME/ for a run folder or NAME{STORE} for a store (also s3://...), which the same command continues"
     others = [
         f"; or NAME{suffix} {atlases}" for suffix, atlases in suffixes().items() if suffix not in FORMATS
@@ -303,6 +303,6 @@ def copy_example(options: argparse.Namespace) -> None:
 
 
 def figure_options(scene: str) -> str:
-    """Options of `atlas map` in the comment "Figure: --option" of an example, after a blank."""
+    """Options of `atlas map` in the comment "Figure: --option" of an example, with a leading blank."""
     match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
     return match[1] if match else ""

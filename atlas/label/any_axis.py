@@ -33,7 +33,7 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
         membership = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
         return {name: np.where(membership, theory[own], 0).astype(np.int8) for own, name in names.items()}
     tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
-    # The equations hold to rounding; divided by the rate across the spin axis, this is an error of the spin rate.
+    # Rounding in the equations, divided by the rate across the spin axis, is an error of the spin rate.
     s, m, fixed, n = prediction.motion
     across, error = np.abs(n) * length(cross(s, fixed)), TERM_ROUNDING * (np.abs(n) + np.abs(m)) ** 2
     rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
@@ -55,7 +55,7 @@ def _circle(
 ) -> dict[str, Array]:
     """Statistics of the angular velocity of exact motions in a frame that turns about the vertical at frame_rate.
 
-    nan if the frame turns and the axis fixed in space is not the vertical: the motion is then composed of three rotations.
+    nan if the frame turns and the motion precesses about another axis than the vertical: there are then three rotations.
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]

@@ -138,7 +138,7 @@ class _Runs:
     threads: Threads  # progress counts points
 
     def check(self) -> None:
-        """Report no progress; the call ends an interrupted run."""
+        """Report progress of 0 points, which ends an interrupted run."""
         self.threads.progress(0.0)
 
     def integrate(self) -> Run:
@@ -184,7 +184,7 @@ class _Runs:
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
         if self.growth is None or not needed:
             return run
-        # In plans with chaos, progress counts the tangent runs of chaos instead.
+        # Progress counts these runs, unless there are tangent runs for chaos, which it counts instead.
         threads = self.threads.scaled(0.0) if self.tangent else self.threads
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 

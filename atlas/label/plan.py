@@ -58,7 +58,7 @@ class Plan:
         return cls(system, settings, outputs, terms, in_machine_code=size > FEW_POINTS)
 
     def without_derived(self) -> Plan:
-        """The plan without variables that need no run, which may take long."""
+        """The plan without derived variables, which need no run but may take long."""
         if self.outputs is None:
             return self
         derived = derived_variables(self.system)

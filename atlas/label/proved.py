@@ -28,10 +28,7 @@ def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]
 def by_proof(
     plan: Plan, tile: Grid, progress: Callable[[float], None]
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """Whether labels are proved, (points,), and labels, status and variables from theory of the proved points.
-
-    progress: called with the number of proved points.
-    """
+    """Whether labels are proved, (points,), and variables of the proved points; progress: called with the number of these points."""
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}

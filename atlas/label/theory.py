@@ -42,8 +42,7 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# Largest relative change of theta' at half the step for which a start near an unstable motion departs by its nudge, not by
-# integration errors.
+# A start near an unstable motion departs by its nudge, not by errors, if half the step changes theta' by a smaller fraction.
 HALF_STEP_RTOL = 0.05
 # Number of samples of an exact motion about other axes, and error of their statistics over the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
@@ -161,7 +160,7 @@ class Theory:
 
     prediction: Prediction
     rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
-    growth_about_vertical: Array  # its logarithm, for runs whose third axis stays exactly on the vertical
+    growth_about_vertical: Array  # the logarithm if the third axis stays exactly on the vertical
     unstable: Mask  # whether the start is, to rounding, on an unstable steady motion or motion in the plane
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     unknown_growth: Mask  # whether only a missing extension could give the growth
@@ -236,7 +235,7 @@ def predict(
     duration: Array | float = np.inf,
     rough: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Labels of starts from their families alone, without a nudge, and family, stable and growth_rate.
+    """Labels, family, stable and growth_rate of starts, from their families alone and without a nudge.
 
     rough: whether growth_rate may have fewer digits.
     """
@@ -262,7 +261,7 @@ def exact_labels(
     """Labels of exact motions from their statistics.
 
     elsewhere: whether a motion is about other axes. Its statistics are sampled; if their error could change the label, the label
-    is not_computed. Without `motion` it drifts.
+    is not_computed. If `motion` is None, these motions drift.
     """
     others = np.flatnonzero(elsewhere)
     sine, n, m = system.steady_rates(points)

@@ -319,7 +319,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors for angular velocities as large as the bound; a small circle about no body axis amplifies them."""
+        """Rounding errors for angular velocities as large as the bound; a small circle amplifies them, unless about a body axis."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)

@@ -40,7 +40,7 @@ class Variable:
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
     missing: int = 0  # value of an integer variable where a point is not computed
-    # names of the flags of positions in a list: of -1, which is none and the missing value, and of the members 0, 1, ...
+    # of a variable of positions in a list: names of -1 (none, the missing value) and of 0, 1, ...
     positions: tuple[str, str] | None = None
     beside: str = ""  # name of a variable that every atlas with this one holds
 
@@ -66,8 +66,7 @@ class Variable:
 class Tolerances:
     """Largest variations of a motion that counts as steady."""
 
-    # Of the root mean square of theta', of the standard deviations of psi' and phi', and of a mean rate that counts as zero, in
-    # rad per time unit
+    # Limit of the rms of theta', of the standard deviations of psi' and phi', and of mean rates that count as zero, rad per time unit
     rate: Array | float  # (points,), or one number for all points
     angle: float  # radius of the cylinder: the third axis counts as vertical where sin(theta) is smaller
 
@@ -120,7 +119,7 @@ class Rule:
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """The measurements, with the value of no motion where they may be rounding alone; the same object if none is changed."""
+        """The measurements, with the value at rest where rounding alone may explain them; the same object if none is changed."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)

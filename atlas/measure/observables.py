@@ -99,7 +99,7 @@ class Observables(MainInstrument):
         for _ in range(MAX_HALVINGS):
             radians = bound * step_sizes.sample_spacing
             far = radians > MAX_NODE_RADIANS
-            # Several steps between two nodes are halved until the interpolation error is within the phase error.
+            # The number of steps between two nodes is halved until the interpolation error is within the phase error.
             several = (radians > np.minimum(finest, MAX_NODE_RADIANS)) & (step_sizes.steps_per_sample > 1)
             per_node = np.where(several, step_sizes.steps_per_sample // 2, step_sizes.steps_per_sample)
             halve = far & ~several & may_halve & step_sizes.resolved
@@ -212,7 +212,7 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Whole periods in each run, at least one if it has a duration, and their time; None if no observable is measured once a period."""
+    """Number of whole periods in each run, at least 1 if duration > 0, and their total time; without strobes None and duration."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration

@@ -157,7 +157,7 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes may lie on the wrong side of the rim, or one in each oscillation if the nodes meet all in the same phase.
+        # Two nodes may lie on the wrong side of the rim, or one in each oscillation if nodes meet all oscillations in one phase.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
@@ -225,7 +225,7 @@ def geometry(
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """Those of the variables of bodies that this system has."""
+    """The variables of bodies that this system has."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}

@@ -30,8 +30,8 @@ MAX_STEPS_PER_NODE = 1000
 MAX_RADIANS_PER_STEP = 0.3
 # Largest relative loss of amplitude by numerical dissipation during a run; the loss lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# A tangent run for the growth alone need follow the main run only until the error of the latter has grown to some per cent. Its
-# step is GROWTH_STEP times that which gives rk8 this error at the frequency bound; step times bound is at most the second, rad.
+# A tangent run for the growth alone must follow the main run only until the error of the main run has grown to some per cent. Its
+# step over the step with which rk8 has the main run's error at the frequency bound; largest product of step and bound, rad.
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
 # Run time of a step with a tangent vector over that of a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
@@ -127,10 +127,10 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            # Factors of the components of a tangent vector, which are in the kernel's units, in its norm.
+            # Factors, in the norm of a tangent vector, of its components in the kernel's units.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # The result for a state of ones is the factors by which its units change.
+            # A state of ones becomes the factors by which the units of the components change.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]
@@ -165,7 +165,7 @@ class Separation:
         *,
         threads: blocks.Threads = blocks.ALL_THREADS,
     ) -> None:
-        """Integrate points that have equal numbers of durations behind them for one more duration."""
+        """Integrate points, all after the same number of durations, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -256,7 +256,7 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Once a vector has grown, errors may decide how a motion leaves an unstable one; not while all neighbours approach.
+        # Errors can decide how a motion leaves an unstable one only after a tangent vector has grown.
         highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
         # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
@@ -275,8 +275,7 @@ class TangentRuns:
 
 
 def regularity(label: Flags, megno: Array, unstable: Mask) -> Flags:
-    """Values of flags.Regularity; label: unresolved if the status is not ok; megno: nan if not computed; unstable: whether the
-    start is on an unstable motion."""
+    """Values of flags.Regularity; label: unresolved unless the status is ok; unstable: whether the start is on an unstable motion."""
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
     conditions = {

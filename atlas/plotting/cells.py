@@ -1,4 +1,4 @@
-"""Values of an atlas along its axes: cells over two, a curve or levels of flags over one."""
+"""Values of an atlas over its axes: cells over two axes, a curve or levels of flags over one."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from .style import COLOURS
 def draw_values(
     ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
 ) -> ScalarMappable | None:
-    """Draw the cells of an array over two axes, or its curve over one; returns the cells."""
+    """Draw an array as cells over two axes, which are returned, or as a curve over one."""
     ax.set_xlim(edges[0][0], edges[0][-1])
     if array.ndim == 1:
         values = array.values
@@ -63,7 +63,7 @@ def draw_values(
 def draw_levels(
     ax: Axes, array: xr.DataArray, texts: Sequence[str], colours: Sequence[str], levels: Sequence[int]
 ) -> None:
-    """Draw flags over one axis as a curve whose levels are these flags, with a dot in its colour at each point."""
+    """Draw flags over one axis as a step curve, a level for each flag, with a dot in the flag's colour at each point."""
     x, heights = array[array.dims[0]].values, np.searchsorted(levels, array.values)
     ax.step(x, heights, where="mid", color="0.35", linewidth=0.6)
     ax.scatter(x, heights, c=np.array(colours)[array.values.astype(int)], s=9, marker="s", zorder=2.2)
@@ -72,7 +72,7 @@ def draw_levels(
     ax.tick_params(axis="y", length=0)
 
 
-# Area of a dot in square points, within limits: all dots of a panel cover it about once.
+# Area of all dots of a panel together, which covers it about once; limits of the area of one dot; in square points.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
@@ -94,7 +94,7 @@ def draw_dots(
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
-    """Scale and ticks of an axis, "x" or "y"; inner: no label near the ends, where a neighbour has its own."""
+    """Scale and ticks of an axis, "x" or "y"; inner: no tick labels near the ends, where a neighbouring panel has labels."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     if log:
         ax.set(**{f"{which}scale": "log"})
@@ -107,8 +107,8 @@ def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
     axis.set_tick_params(direction="out", length=2.5)
 
 
-MAX_DECADES = 10  # of a logarithmic colour scale
-MIN_LOG_RATIO = 100  # positive numbers that span more get a logarithmic colour scale
+MAX_DECADES = 10  # largest number of decades of a logarithmic colour scale
+MIN_LOG_RATIO = 100  # positive numbers with a larger ratio of extremes get a logarithmic colour scale
 MAX_INTEGERS = 40  # integers in a range up to this get one colour each
 
 
@@ -116,21 +116,21 @@ MAX_INTEGERS = 40  # integers in a range up to this get one colour each
 class ColorScale:
     """Colours of a variable."""
 
-    colormap: Colormap  # as Matplotlib uses them
-    norm: Normalize  # as Matplotlib uses them
+    colormap: Colormap
+    norm: Normalize
     extend: str = "neither"  # ends of the colour bar beyond which there are values: "min", "max" or "both"
     log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
     integers: bool = False  # whether each integer has a colour of its own
 
     def as_drawn(self, values: np.ndarray) -> np.ndarray:
-        """Values as they are drawn: zero, which has no logarithm, has the colour below a logarithmic scale."""
+        """Values to draw: on a logarithmic scale, zero and negative values get the colour below the scale."""
         if self.log_range is None:
             return values
         return np.where(values <= 0, 0.5 * self.log_range[0], values)
 
 
 def is_angle(array: xr.DataArray) -> bool:
-    """Whether a variable is an angle: linear on any scale, other than its errors and variations."""
+    """Whether a variable is an angle, whose scale is always linear; errors and variations of angles do not count."""
     is_small = re.search("error|drift|std|rms|roughness", str(array.name))
     return attribute_text(array.attrs, "units") in (RAD, DEGREE) and not is_small
 
@@ -143,7 +143,7 @@ def color_scale(
     name: str = "",
     angle: bool = False,
 ) -> ColorScale:
-    """Colour scale of a variable by its values, of flags by their colours; BadInput for options that its values do not have."""
+    """Colour scale of numbers, or of flags by their colours; BadInput for options that do not suit the values."""
     if flags:
         return ColorScale(ListedColormap(flags), BoundaryNorm(np.arange(len(flags) + 1) - 0.5, len(flags)))
     options = MapOptions() if options is None else options
@@ -192,13 +192,13 @@ def color_scale(
 
 
 def _extend(values: np.ndarray, norm: Normalize) -> str:
-    """The ends of a colour bar beyond which there are values."""
+    """The ends of a colour bar beyond which there are values, see `ColorScale.extend`."""
     below, above = values.min() < norm.vmin, values.max() > norm.vmax
     return {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above), "neither")
 
 
 def _log_scale(colormap: Colormap, values: np.ndarray, low: float, high: float) -> ColorScale:
-    """Logarithmic scale of numbers between two positive ones."""
+    """Logarithmic scale between two positive numbers."""
     norm = LogNorm(low, high)
     return ColorScale(colormap, norm, _extend(values, norm), (low, high))
 
@@ -220,11 +220,11 @@ def add_color_bar(
 
 # From a weak orange to black: darker where neighbouring motions separate faster.
 _COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205", "#160300"])
-MAX_EXPONENT_DECADES = 3  # of the colour scale
+MAX_EXPONENT_DECADES = 3  # largest number of decades of the colour scale
 
 
 def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
-    """Exponents of the chaotic points of a map of regularity, else nan, in the order of its flags; None of another map."""
+    """Lyapunov exponents at the chaotic points of a map of regularity, else nan, in the shape of flags; None for other maps."""
     if flags.name != "regularity" or "lyapunov" not in ds or {*ds["lyapunov"].dims} != {*flags.dims}:
         return None
     exponents = ds["lyapunov"].transpose(*flags.dims).values
@@ -232,7 +232,7 @@ def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
 
 
 def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
-    """Colours of the exponents of chaotic points; None where there are none to draw."""
+    """Colours of the exponents of chaotic points; None if there are no exponents."""
     values = np.concatenate([np.empty(0), *(each.ravel() for each in exponents if each is not None)])
     values = values[values > 0]
     if not values.size or values.max() == values.min():
@@ -252,7 +252,7 @@ def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:
 
 
 _RESONANCE_COLOURS = dict(zip(RESONANCES, ("#d62728", "#2ca02c", "#9467bd"), strict=True))
-# Lines of the kinds of borders.
+# Kind of border -> line style.
 BORDERS: dict[str, dict[str, Any]] = {
     STABILITY: {"linestyle": "-", "linewidth": 1.0},
     LABEL: {"linestyle": (0, (5, 1.5)), "linewidth": 1.0},
@@ -265,13 +265,13 @@ BORDERS: dict[str, dict[str, Any]] = {
     },
 }
 PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
-# Dashes of families, in the order of their names.
+# Dashes of families, by their numbers in the system.
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
-# Lines are this much thinner on panels narrower than so many mm, of all figures alike.
+# On panels narrower than NARROW (mm) lines are thinner by the factor THINNER, in all figures.
 NARROW, THINNER = 90.0, 0.5
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
-HALO = 0.35  # points on each side
-# One of KINDS with more than MAX_HALOED lines, or crowded ones, has no halo: else it would cover the cells between them.
+HALO = 0.35  # width in points on each side
+# A kind of KINDS with more lines, or with crowded lines, has no halo, because it would cover the cells between the lines.
 MAX_HALOED = 40
 
 
@@ -294,26 +294,26 @@ HATCHES = {
 
 
 def border_style(kind: str, width: float = math.inf) -> dict[str, Any]:
-    """Line of a kind of border of the core or of an extension, on a panel of a width in mm."""
+    """Line style of a kind of border of the core or of an extension; width: of the panel, mm."""
     return at_width(
         {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE)), width
     )
 
 
 def family_style(number: int, width: float = math.inf) -> dict[str, Any]:
-    """Line of the family with this number in the system, on a panel of a width in mm."""
+    """Line style of the family with this number in the system; width: of the panel, mm."""
     return at_width({"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}, width)
 
 
 def at_width(style: dict[str, Any], width: float) -> dict[str, Any]:
-    """Line on a panel of a width in mm."""
+    """Line style with the linewidth for a panel; width: of the panel, mm."""
     return style | {"linewidth": style["linewidth"] * (THINNER if width < NARROW else 1.0)}
 
 
 def draw_overlay(
     ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str], width: float
 ) -> None:
-    """Draw hatching and theory over the cells of a panel of a width in mm, whose axes have their limits and scales."""
+    """Draw hatching and theory over the cells of a panel that has its limits and scales; width: of the panel, mm."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
@@ -328,7 +328,7 @@ def draw_overlay(
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
     """Hatch the marked cells; over one axis from bottom to top.
 
-    One path of a rectangle for each run of cells along x: Matplotlib takes seconds to hatch as many paths.
+    All are one path, with a rectangle for each run of cells along x, because Matplotlib takes seconds to hatch many paths.
     """
     x, y = edges[0], edges[1] if mask.ndim == 2 else ax.get_ylim()
     mask = np.atleast_2d(mask)
@@ -348,9 +348,9 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], style: dict[str, Any], *, halo: float) -> None:
-    """Draw lines with a white halo, in points on each side, below all of them, also in the gaps of dashes.
+    """Draw lines over a white halo, which is below all of them and has no dashes; halo: its width in points on each side.
 
-    Lines over two axes are one path with gaps: Matplotlib takes milliseconds for each path.
+    Lines over two axes are one path with gaps, because Matplotlib takes milliseconds for each path.
     """
     if not lines:
         return

@@ -1,4 +1,4 @@
-"""Content of maps: values, the reasons why some are missing, and lines of theory."""
+"""Content of maps: values, reasons for missing values, and lines of theory."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from ..scene.model import Scene
 from ..systems.base import Mask
 from ..variables import is_theory, proofs_of_labels
 
-# Why a cell of a map is white.
+# Reasons why a cell of a map is white.
 NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not computed yet", "no value"
 NO_THEORY = "theory says nothing"
 BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every duration"
 SLOW = "too slow to show"
-# A region with a smaller share of the points is not visible.
+# A region with a smaller fraction of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching narrower than this share of the frame's side is not visible, nor are lines nearer to the frame.
+# Hatching narrower than this fraction of the frame's side is not visible, nor are lines nearer to the frame.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# A border with a larger share of `crowding` is drawn without a halo. Sides of cells between samples of a line, and until it counts as returned.
+# A border with a larger `crowding` has no halo. Distance of samples on a line, and least length of a return, in sides of a cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
-# Flags of motions, on whose maps theory draws the borders of labels.
+# Flag variables on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
 Lines = Mapping[str, list[np.ndarray]]
@@ -49,21 +49,21 @@ class Panel:
     """Content of one panel."""
 
     array: xr.DataArray  # values over one axis, or over two with x last
-    white: Mapping[str, Mask]  # why there is no value -> the cells, bool of the shape of the array
+    white: Mapping[str, Mask]  # reason why there is no value -> cells, bool of the shape of the array
     slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
     crowded: Collection[str] = ()  # kinds of borders whose lines are often less than a cell apart
 
     def in_degrees(self, degrees: bool | None) -> Panel:
-        """The panel as it is shown, see `analysis.degrees`."""
+        """The panel with angles in the unit to be shown; degrees: see `analysis.degrees.factor`."""
         axes = [self.array[dim] for dim in self.array.dims[::-1]]
         borders, families = (lines_in_degrees(each, axes, degrees) for each in (self.borders, self.families))
         return replace(self, array=in_degrees(self.array, degrees), borders=borders, families=families)
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """A panel without the hatching and the lines of theory that nobody could see within its cells, and where these crowd."""
+    """The panel without hatching and lines of theory too small to be seen, and with the kinds of lines that crowd."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -72,7 +72,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
         is_visible = binary_erosion(slow, np.ones(box)).any()
 
     def is_inside(line: np.ndarray) -> bool:
-        """Whether a line runs inside; on one axis it is a value."""
+        """Whether a line enters INSIDE; on one axis a line is a value."""
         places = [np.interp(v, e, np.linspace(0, 1, e.size)) for v, e in zip(line.T, edges, strict=True)]
         path = Path(np.transpose(places if len(places) == 2 else [places[0].repeat(2), [0, 1]]))
         return path.intersects_bbox(INSIDE, filled=False)
@@ -86,7 +86,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
 
 
 def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
-    """Share of the cells with a line to which another line comes, or the same line again: so often are tongues narrower than a cell."""
+    """Fraction of the crossed cells that lines cross twice: in these cells a tongue is narrower than a cell."""
     if len(edges) == 1:
         return 0.0
     samples, start = [], 0.0
@@ -100,7 +100,7 @@ def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
     order = np.lexsort([along, *cell])
     same = (np.diff(np.array(cell)[:, order]) == 0).all(0)
     returns = np.r_[False, same & (np.diff(along[order]) > RETURN)]
-    first = np.cumsum(~np.r_[False, same])[returns]  # number of the cell
+    first = np.cumsum(~np.r_[False, same])[returns]  # numbers of the cells
     return float(np.unique(first).size / (1 + (~same).sum()))
 
 
@@ -140,13 +140,13 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or an average over some
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or averaged axes
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
         families = family_curves(Plane.of(scene, ds, dims))
     except BadInput as error:
-        # Between the points of an atlas there may be bodies that cannot exist; the map itself needs none of them.
+        # Between the points of an atlas there may be impossible bodies, which the map itself does not need.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
     if borders and borders.keys().isdisjoint(
@@ -174,7 +174,7 @@ def _outline(ds: xr.Dataset, name: str, dims: list[str]) -> Lines:
 
 
 def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
-    """Cells without a value, by the reason."""
+    """Reason -> cells without a value."""
     array = ds[name]
     flags = flag_names(array)
     if flags:
@@ -221,7 +221,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
 
 
 def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
-    """Tiles written and tiles of the whole run of an unfinished atlas; None for a finished one."""
+    """Numbers of finished and of all tiles of an unfinished atlas; None for a finished atlas."""
     match = re.match(r"(\d+) of (\d+) tiles", attribute_text(ds.attrs, "atlas_run"))
     if match is None or int(match[1]) >= int(match[2]):
         return None
@@ -229,7 +229,7 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
 
 
 def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
-    """Sentences under a map: on gaps that are filled with the nearest values, and on an unfinished run."""
+    """Sentences under a map: about gaps filled with the nearest values, and about an unfinished run."""
     tiles = tiles_done(ds)
     sentences = []
     if filled and "computed" in ds:

@@ -68,7 +68,7 @@ def figure(
 ) -> Figure:
     """Figure of several atlases, or of several variables, with one legend for all panels.
 
-    Panels of one variable have one colour scale, and panels over the same axes share them.
+    Panels of the same variable share a colour scale, panels over the same axes share these axes.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def figure(
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of one variable of an atlas with theory drawn over it, as `Atlas.map`; a scatter map of single points."""
+    """Map of a variable of an atlas with theory drawn over it, or a scatter map of single points, see `Atlas.map`."""
     chosen = MapOptions(**options)
     return draw(views_of(ds, variable, chosen), chosen)
 
@@ -110,24 +110,24 @@ def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Fi
 class View:
     """What one panel shows: a variable over one or two axes, or at single points."""
 
-    name: str  # of the variable
+    name: str  # name of the variable
     flags: Mapping[str, str]  # name of each flag -> its colour, in the order of the values; empty for numbers
     flag_texts: Mapping[str, str]
     axes: list[str]  # x first
-    labels: list[str]  # of the axes, x first; the second one of a curve describes the variable
+    labels: list[str]  # labels of the axes, x first; for a curve the second label is that of the variable
     bar_label: str
     log: list[bool]  # whether each axis is logarithmic
-    edges: list[np.ndarray]  # of the cells along each axis, x first; of single points their places
-    panel: Panel  # as it is shown
+    edges: list[np.ndarray]  # edges of the cells along each axis, x first, or coordinates of single points
+    panel: Panel  # with angles in the unit shown
     notes: list[str]  # sentences below the figure
-    families: list[str] = field(default_factory=list)  # of the system, in the order of their flags
-    texts: list[str] = field(default_factory=list)  # to tell panels apart: one, or of its row and its column
-    exponents: np.ndarray | None = None  # of chaotic cells, else nan
-    heading: str = ""  # text for a variable of flags that no axis names
-    from_theory: bool = False  # the variable, so that its lines need not say so
+    families: list[str] = field(default_factory=list)  # families of the system, in the order of flags
+    texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
+    exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, else nan
+    heading: str = ""  # name of a flag variable that no axis names
+    from_theory: bool = False  # whether the variable is theory; its lines are then not marked as theory
 
     def named(self) -> View:
-        """The panel with its heading above it."""
+        """The view with its heading added to its texts."""
         return replace(
             self, texts=[*self.texts[:-1], ": ".join(filter(None, [*self.texts[-1:], self.heading]))]
         )
@@ -143,7 +143,7 @@ class View:
         return len(self.edges) == 1
 
     def extent(self, axis: int) -> str:
-        """What panels have in common that share the axis x (0) or y (1)."""
+        """A text that is equal for panels that can share the axis x (0) or y (1)."""
         edges = [] if self.is_points else [edge[[0, -1]].tolist() for edge in self.edges[axis : axis + 1]]
         return f"{self.labels[axis]} {edges} {self.log[axis : axis + 1] or self.name}"
 
@@ -157,7 +157,7 @@ class View:
         *,
         inner: bool,
     ) -> ScalarMappable | None:
-        """Draw the panel of a width in mm, inner if it has neighbours in its row; returns what the colour bar explains."""
+        """Draw the panel, of a width in mm, and return the image for the colour bar; inner: whether its row has other panels."""
         array, image = self.panel.array, None
         if self.is_points:
             image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
@@ -210,9 +210,9 @@ def views_of(ds: xr.Dataset, variable: str | None, options: MapOptions) -> list[
 
 
 def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
-    """The panels of a variable over its axes, of which `view` has the name and the flags."""
+    """The panels of a variable over its axes; view: holds the name and the flags of the variable."""
     name, flags = view.args[:2]
-    ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # over which the variable was averaged
+    ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # axes over which the variable was averaged
     select, degrees = options.select or {}, options.degrees
     in_input = degrees is True  # a scene asks for degrees in figures only
     plane, dims, panel_dims = plane_of(
@@ -272,7 +272,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
 
 
 def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
-    """The panel of a variable of single points, of which `view` has the name and the flags."""
+    """The panel of a variable of single points; view: holds the name and the flags of the variable."""
     for option in ("select", "row", "col"):
         if getattr(options, option):
             raise BadInput(
@@ -300,7 +300,7 @@ def text_of(options: MapOptions, name: str, default: str) -> str:
 
 
 def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
-    """Text for the variable of a map of an atlas, which says so where it is theory."""
+    """Text for the variable of a map, with the word theory if the variable is theory."""
     name = str(array.name)
     return text_of(options, name, variable_label(array, theory=is_theory(system_of(ds), name)))
 
@@ -327,13 +327,13 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels, row by row, with one legend."""
     check_options(views, options)
-    # Bars and axes name what they show; flags are named above the legend, or where that has a title or several names above each panel.
+    # Colour bars and axes name numbers; flags are named above the legend or, with a title or several names, above each panel.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
         views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
-    # Flags stand beside their curves.
+    # Curves of flags have the names of the flags at their side, and need the width.
     most = 4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
     columns = options.columns or (1 if options.row else min(len(views), most))
     if len(views[0].texts) == 2:
@@ -400,8 +400,8 @@ def check_options(views: list[View], options: MapOptions) -> None:
                 raise BadInput(f"{name}: {shown(each)}: {allowed_text(each, allowed)}")
 
 
-TEXT_ROW = 2.8  # height in mm
-LEGEND_SHARE = 0.97  # of the width that a legend may take; screens of few dots draw letters wider than print
+TEXT_ROW = 2.8  # height of a line of text, mm
+LEGEND_SHARE = 0.97  # largest width of a legend, as a fraction: low resolutions draw letters wider than print
 
 
 @dataclass(frozen=True)
@@ -409,12 +409,12 @@ class Sheet:
     """A figure with panels in rows, or the Axes of the caller."""
 
     options: MapOptions  # choices of the caller
-    panels: int = 1  # how many panels
-    columns: int = 1  # panels in a row
-    panel_height: float | None = None  # mm; default: that of a map over two axes
+    panels: int = 1  # number of panels
+    columns: int = 1  # number of panels in a row
+    panel_height: float | None = None  # mm; default: height of a map over two axes
     share_x: bool = True
     share_y: bool = True
-    heading: str = ""  # of the legend, if the caller chose no title
+    heading: str = ""  # heading of the legend, if the caller chose no title
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
         """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
@@ -468,7 +468,7 @@ class Sheet:
         letters = 6.5 if width < cells.NARROW else 7
         entries = list(zip(legend.values(), texts, strict=True))
         by_length = sorted(entries, key=lambda entry: len(entry[1]))
-        # Columns are as wide as their longest text, and the last ones may have a text less.
+        # Columns are as wide as their longest text; short texts may stand first or last.
         for columns, listed in product(range(len(legend), 0, -1), (entries, by_length, by_length[::-1])):
             drawn = figure.legend(
                 *zip(*listed, strict=True), loc="outside upper center",
@@ -485,7 +485,7 @@ class Sheet:
         return 1.0 + 4.0 * (title.count("\n") + 1)
 
     def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:
-        """Label the axes, once for all panels where their labels agree; entries: the legend, which the caller may draw again."""
+        """Label the axes, once if all panels agree; entries: added to the first Axes, so that the caller can draw the legend again."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)
@@ -498,7 +498,7 @@ class Sheet:
             else:
                 for ax, text in zip(axes, own, strict=True):
                     ax.set(**{f"{which}label": wrapped(text, share * width / self.columns, 8, figure.dpi)})
-        for ax in axes[-self.columns :]:  # nothing is below them
+        for ax in axes[-self.columns :]:  # no panel is below these
             ax.tick_params(labelbottom=True)
 
 
@@ -553,7 +553,7 @@ def as_math(kind: str) -> str:
     return kind
 
 
-# Samples are part of the Axes, where they draw nothing.
+# Position of samples of the legend: they belong to the Axes, but draw nothing there.
 _NOWHERE = np.full((1, 2), np.nan)
 
 

@@ -1,4 +1,4 @@
-"""The options of maps, for `ds.atlas.map`, the command `map` and pages; methods alone import Matplotlib."""
+"""The options of maps, for `ds.atlas.map`, the command `map` and pages; only methods import Matplotlib."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NORMS = ("linear", "log", "symlog", "asinh")
 
 
 def option(default: Any, text: str, /, **settings: Any) -> Any:
-    """Field of `MapOptions` that the command has too, with its help and what else `argparse` takes."""
+    """Field of `MapOptions` that is also an option of the command `map`; text: its help; settings: for `argparse`."""
     return field(default=default, metadata={"help": text} | settings)
 
 
@@ -36,39 +36,38 @@ class MapOptions:
     Parameters
     ----------
     x, y : str, optional
-        Axes of the map; default the two longest, x the one that comes first in the atlas. For single points,
-        parameters or other coordinates along them; default the two with the most values.
+        Axes of the map; default: the two longest, of which x comes first in the atlas. For single points, parameters or
+        other coordinates of the points; default: the two with the most values.
     row, col : str, optional
-        Axes, or dimensions of names such as that of `atlas.concat`, whose values become panels, at most
-        `atlas.analysis.select.MAX_PANELS` in all: from top to bottom, and from left to right. Default: one more axis than x
-        and y becomes panels row by row.
+        Axes, or dimensions of names as from `atlas.concat`, whose values become panels from top to bottom (row) and from left
+        to right (col), at most `atlas.analysis.select.MAX_PANELS`. Default: one axis besides x and y becomes panels row by row.
     select : mapping of str to float, optional
-        Axis -> value for other axes; the nearest value is taken.
+        Axis -> value, for axes that the map does not show; the nearest value of the axis is taken.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw into, with the fonts and the size that they have; default a figure of its own. Its
-        `get_legend_handles_labels` returns the entries of the legend, also of one that is not drawn.
+        Axes to draw into, with their own fonts and size; default: a new figure. ``ax.get_legend_handles_labels()`` returns
+        the entries of the legend, even if it is not drawn.
     title : str, optional
         Title of the figure.
     cmap : str or Colormap, optional
         Colour map of a variable of numbers.
     vmin, vmax : float, optional
-        Ends of the colours of a variable of numbers in the unit shown, over a single axis of the vertical one. Both together give a
-        scale that is not centred on zero.
+        Ends of the colour scale of numbers, in the unit shown; over a single axis, ends of the vertical axis. If both are given,
+        the scale is not centred on zero.
     norm : str or matplotlib.colors.Normalize, optional
         "linear", "log", "symlog", "asinh", or a norm of Matplotlib, for a variable of numbers.
     colors : mapping of str to str, optional
         Name of a flag -> colour, for a variable of flags.
     labels : mapping of str to str, optional
-        Text instead of the names of flags, of x and y, and of the variable at its colour bar.
+        Name of a flag, of an axis or of the variable -> text shown instead.
     boundary : bool, optional
         Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
         atlas, and hatch unstable motions that had no time to drift.
     legend : bool, optional
         Draw the legend.
     columns : int, optional
-        Panels in a row; default 2, on wide figures 4, of `row` alone 1.
+        Panels in a row; default: 2, on wide figures 4, with `row` alone 1.
     width : {"column", "page"} or float, optional
-        88 mm or 180 mm, or mm.
+        "column" is 88 mm, "page" 180 mm; or a number of mm.
     size : (float, float), optional
         Width and height in mm, instead of `width`.
     dpi : float, optional
@@ -76,8 +75,8 @@ class MapOptions:
     caption : bool, optional
         Print under the map what it shows and how it was computed.
     degrees : bool, optional
-        Show angles, and take those of `select`, in degrees. Default: show those axes in degrees for which the scene has
-        display_units = "deg".
+        Show angles, and take angles in `select`, in degrees. Default: show an axis in degrees if the scene has
+        display_units = "deg" for it.
     """
 
     x: str | None = option(None, "horizontal axis (default: the first)", metavar="AXIS")
@@ -164,7 +163,7 @@ class MapOptions:
 
 
 def width_mm(width: Width) -> float:
-    """Width of a figure in mm; BadInput for none."""
+    """Width of a figure in mm; BadInput if it is none."""
     if isinstance(width, str) and width in WIDTHS:
         return WIDTHS[width]
     if not _is_number(width, MIN_SIZE, MAX_SIZE):

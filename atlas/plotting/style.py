@@ -85,7 +85,7 @@ COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag i
 QUALITATIVE = (
     "#ffffff", "#88ccee", "#cc6677", "#117733", "#ddcc77", "#332288", "#aa4499", "#44aa99", "#882255", "#999933",
 )  # fmt: skip
-# Flags for which one colour map from blue to yellow has enough shades.
+# Largest number of flags for which a colour map from blue to yellow has enough shades.
 MAX_EVEN_SHADES = 11
 SYMBOLS = {
     "theta": r"$\theta$",
@@ -99,17 +99,17 @@ SYMBOLS = {
 
 
 def style(width: Width = "column") -> AbstractContextManager[None]:
-    """Fonts, lines and size of the figures of this package, for figures of one's own made and saved in this context.
+    """Context in which Matplotlib makes and saves figures with the fonts, lines and sizes of this package.
 
     Parameters
     ----------
     width : {"column", "page"} or float, optional
-        Width of new figures: 88 mm or 180 mm, one or two columns of a journal, or mm.
+        Width of new figures: "column" is 88 mm, "page" 180 mm (one or two columns of a journal); or a number of mm.
 
     Returns
     -------
     contextlib.AbstractContextManager
-        It changes the settings of Matplotlib, and sets them back at its end.
+        Changes the settings of Matplotlib, and restores them at its end.
 
     Examples
     --------
@@ -123,11 +123,11 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Colours of flags, in order of value: COLOURS, then even steps of luminance from white, of few positions QUALITATIVE."""
+    """Colours of flags, in the order of their values: COLOURS, else even steps of luminance from white; QUALITATIVE for few positions."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
-    # Both maps begin with white, beyond their light end; the second has more distinct colours.
+    # The first flag is white, so both maps begin beyond their light end; the second map has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
@@ -146,7 +146,7 @@ class PrintFigure(Figure):
     def savefig(self, fname: Any, **options: Any) -> None:
         """Write the figure as Matplotlib does; letters that FONT does not have are drawn as boxes."""
         options = {"dpi": self.dpi} | options
-        # Letters fitted to few dots would be wider than in the legend as it was measured.
+        # At low resolutions hinted letters would be wider than in the measured legend.
         hinting = (
             {} if options["dpi"] in (None, "figure") or options["dpi"] >= 300 else {"text.hinting": "none"}
         )
@@ -156,7 +156,7 @@ class PrintFigure(Figure):
 
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
-    """Write a figure as PNG, PDF or SVG (else BadInput), with reproducible bytes, all of it or nothing."""
+    """Write a figure as PNG, PDF or SVG (else BadInput), with reproducible bytes, whole or not at all."""
     path = writable(path, FIGURES, force=True)
     kind = path.suffix.lower()[1:]
     # No date in the file, so that the same atlas gives the same bytes.
@@ -195,9 +195,9 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 
 
 def drawable(text: str) -> str:
-    """A text as a figure draws it; every text that is not the program's own passes this function.
+    """A text that is safe to draw: `printable` lines of limited length, dollar signs escaped where Matplotlib finds no formula.
 
-    Lines are `printable` and of limited length, with dollar signs escaped where Matplotlib finds no formula.
+    Every text that is not the program's own passes this function.
     """
     lines = [printable(line, MAX_MESSAGE) for line in text.split("\n")]
     for i, line in enumerate(lines):  # Matplotlib sets each line of a text by itself
@@ -213,7 +213,7 @@ def drawable(text: str) -> str:
 
 
 def wrapped(text: str, width: float, size: float, dpi: float) -> str:
-    """A drawable text in lines of at most some mm in letters of this size in pt, without breaks in formulas.
+    """A drawable text in lines of at most `width` mm, in letters of `size` pt, without breaks in formulas.
 
     Hinting changes the widths of letters with the resolution: lines fit at `dpi`, in print, and without hinting.
     """
@@ -230,10 +230,10 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
         )
 
     def fits(line: str) -> bool:
-        """Whether no measure finds a line too long; a word outside of formulas is as wide alone as in its line."""
+        """Whether every measure finds that a line fits; outside of formulas the widths of words add up."""
         is_math = is_math_text(line)
         if is_math and 25.4 * len(line) * size / 72 <= width:
-            return True  # a formula is slow to measure, and has more letters than are drawn, each narrower than its size
+            return True  # spares a slow measure: a formula draws fewer letters than its text has
         parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
         return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
 
@@ -255,13 +255,13 @@ def math_text(text: str, symbols: Mapping[str, str]) -> str:
     """A text with its formulas and symbols in Matplotlib's mathematical notation.
 
     The whole text is one formula if all its words are names or symbols. In other texts formulas are names with a digit, Greek
-    letters, and a parameter at the end. A text that has mathematics of its own is returned as it is.
+    letters, and a parameter at the end. A text with dollar signs is returned unchanged.
     """
     if "$" in text:
         return text
 
     def in_words(word: re.Match[str]) -> str:
-        """A word of a text: a formula if it has a digit or is a Greek letter, else as it is."""
+        """A word of a text: a formula if it has a digit or is a Greek letter, else unchanged."""
         formula = _formula(word[0], symbols)
         is_name = word[0] in _LETTERS or any(c.isdigit() for c in word[0])
         return f"${formula}$" if formula and is_name else word[0]
@@ -283,7 +283,7 @@ _LETTERS = {name: rf"\{name}" for name in GREEK} | {"eps": r"\epsilon", "phi": r
 
 
 def _formula(word: str, symbols: Mapping[str, str]) -> str:
-    """A name in mathematical notation, empty for a word that is none."""
+    """A name in mathematical notation, empty for other words."""
     if symbols.get(word):
         return symbols[word].strip("$")
     match = re.fullmatch(r"([A-Za-z]+?)_?(\d*)(_dot)?(\d*)", word)
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Short name and unit of a variable: a statistic of a symbol, or the words of its name; what it is of, and if it is theory."""
+    """Label of a variable: a statistic of a symbol, or the words of its name; its unit, whether it is theory, and selected names."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = (
@@ -325,7 +325,7 @@ def unit_text(unit: str) -> str:
 
 
 def caption(ds: xr.Dataset) -> str:
-    """What a figure of an atlas shows and how it was computed, in one line."""
+    """Caption in one line: what a figure of an atlas shows and how the atlas was computed."""
     system, attributes = system_of(ds), ds.attrs
     scene = None if scene_problem(ds) else scene_of(ds)
     sentences = [

@@ -26,9 +26,9 @@ from .options import WIDTHS, Width, width_mm
 from .style import COLOURS, STYLE, SYMBOLS, unit_text
 
 View: TypeAlias = tuple[float, float]
-VIEW: View = (40.0, 25.0)  # azimuth and elevation of whoever looks at the sphere, degrees
-MIN_BESIDE = 140.0  # width in mm from which the sphere is beside the panels over time, not below
-FAR_OPACITY = 0.35  # of paths on the far side of the sphere
+VIEW: View = (40.0, 25.0)  # azimuth and elevation of the viewer of the sphere, degrees
+MIN_BESIDE = 140.0  # width in mm from which on the sphere is beside the panels over time, not below
+FAR_OPACITY = 0.35  # opacity of paths on the far side of the sphere
 START_MARKER: dict[str, Any] = {
     "marker": "o",
     "color": COLOURS["drifting"],
@@ -42,12 +42,10 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "black", "linestyle": ":"},
     {"color": "#7fb9d8", "linestyle": "-."},
 )
-MAX_PANELS = 8  # of a system with observables
-# Rates larger than this many times their quantile 0.9 do not set the range of the panel, which then ends
-# at a smaller multiple of it.
+MAX_PANELS = 8  # largest number of panels for a system with observables
+# If a rate exceeds CLIP_ABOVE times the quantile 0.9 of all rates, the panel ends at CLIP_AT times the quantile.
 CLIP_ABOVE, CLIP_AT = 10, 3
-# Paths within the first angle (rad) of their mean direction are also drawn enlarged; within the second angle the axis
-# is at rest but for rounding.
+# A path within SMALL (rad) of its mean direction is also drawn enlarged; a path within AT_REST (rad) is rounding.
 SMALL, AT_REST = 0.1, 1e-12
 ANIMATIONS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 FRAMES_PER_SECOND, FILM_DPI = 25, 150
@@ -57,7 +55,7 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 def trajectory_figure(
     tr: xr.Dataset, *, ax: Axes | None = None, view: View = VIEW, degrees: bool = False, width: Width = "page"
 ) -> Figure:
-    """Angles and rates over time and the path of the third body axis, or observables, or on `ax` the path; see `Atlas.plot`."""
+    """Figure of angles, rates and the path of the third body axis, or of observables; on `ax` the path alone; see `Atlas.plot`."""
     boolean("degrees", degrees)
     size = width_mm(width) / 25.4
     if ax is not None:
@@ -117,7 +115,7 @@ class Film(FuncAnimation):
 
 
 def animate(tr: xr.Dataset, path: str | Path | None, seconds: float, view: View = VIEW) -> Film | None:
-    """The third body axis on the sphere, with its trace, or the file of it, whole or not at all; see `Atlas.animate`."""
+    """Animation of the third body axis with its trace; with a path, it is written to this file; see `Atlas.animate`."""
     axis, names, time = _path(tr), system_of(tr).frame_axes, tr["time"].values
     unit, side = unit_text(attribute_text(tr["time"].attrs, "units", "s")), WIDTHS["column"] / 25.4
     count = int(max(2, min(positive("seconds", seconds) * FRAMES_PER_SECOND, len(axis))))
@@ -138,7 +136,7 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float, view: View 
         if path is None:
             return film
         with TemporaryDirectory() as folder, atomic_write(Path(path)) as temporary:
-            whole = Path(folder) / f"film{suffix}"  # Matplotlib goes by the end of the name
+            whole = Path(folder) / f"film{suffix}"  # Matplotlib needs the suffix
             film.save(whole, ANIMATIONS[suffix](fps=count / seconds), dpi=FILM_DPI)
             temporary.write_bytes(whole.read_bytes())
     return None
@@ -161,7 +159,7 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], wi
 def _draw_over_time(
     figure: Figure | SubFigure, tr: xr.Dataset, panels: Mapping[str, Mapping[str, np.ndarray]]
 ) -> list[Axes]:
-    """Draw panels one below the other: label -> name -> values over time."""
+    """Draw panels one below the other; panels: label -> name of a curve -> values over time."""
     axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
     time = tr["time"]
     for ax, (label, curves) in zip(axes, panels.items(), strict=True):
@@ -205,13 +203,13 @@ class _Formatter(ScalarFormatter):
     """Tick labels with powers of ten, and offsets such as 0.9 instead of 9 x 10^-1."""
 
     def format_data(self, value: float) -> str:
-        """The offset of an axis without a power of ten, where it is of moderate size."""
+        """Text of the offset of an axis, without a power of ten if the offset is of moderate size."""
         plain = 1e-3 <= abs(value) < 1e5
         return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
 
 
 def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: Sequence[str]) -> None:
-    """Draw the offset of a path from a direction, in the plane perpendicular to it."""
+    """Draw the offset of a path from a direction, in the plane perpendicular to this direction."""
     sine = np.hypot(direction[0], direction[1])
     if sine < SMALL:
         first, second, labels = np.eye(3)[0], np.eye(3)[1], [f"along {name}" for name in names[:2]]
@@ -236,7 +234,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 class Sphere:
-    """Orthographic picture of the unit sphere with named axes, of which a third one that points down does so on the page."""
+    """Orthographic picture of the unit sphere with named axes; a third axis that points down points down on the page."""
 
     def __init__(self, ax: Axes, names: Sequence[str], view: View = VIEW):
         try:
@@ -245,7 +243,7 @@ class Sphere:
             azimuth = elevation = np.nan
         if not (np.isfinite(azimuth) and abs(elevation) <= np.pi / 2):
             raise BadInput(f"view = {shown(view)}: must be azimuth and elevation in degrees, from -90 to 90")
-        # By half a turn about the first axis.
+        # Signs of components after half a turn about the first axis, if the third axis points down.
         self.upright = np.array([1.0, -1.0, -1.0] if names[2].startswith("down") else [1.0, 1.0, 1.0])
         horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         self.ax, self.toward_viewer = ax, np.cos(elevation) * horizontal + [0.0, 0.0, np.sin(elevation)]
@@ -273,7 +271,7 @@ class Sphere:
         return np.stack([points @ self.right, points @ np.cross(self.toward_viewer, self.right)], -1)
 
     def draw(self, points: np.ndarray, zorder: int, **style: Any) -> None:
-        """Draw the far part of a line pale and its near part over it."""
+        """Draw the far part of a line on the sphere pale, and its near part over it."""
         near = points * self.upright @ self.toward_viewer >= 0
         for visible, alpha, level in ((~near, FAR_OPACITY, zorder), (near, 1.0, zorder + 1)):
             line = self.project(points)

@@ -23,8 +23,7 @@ CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
 NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
 TASKS_PER_THREAD = 2  # number of submitted tasks for each thread, so that no thread waits for its next task
-# Bytes of freed memory that a worker of `connect` keeps: with dask's default, 65536, each large temporary array is mapped page by
-# page again.
+# Bytes of freed memory that a worker of `connect` keeps; with dask's default, 65536, every large temporary array is mapped anew.
 ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
 MAX_ATTEMPTS = 3  # how often a task is submitted if dask gives it up because several workers died
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"

@@ -202,7 +202,7 @@ def check_memory(scene: Scene) -> None:
     """Raise BadInput for an atlas that is larger than the memory of this machine."""
     needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
     present = math.inf
-    with suppress(AttributeError, ValueError, OSError):  # not every system tells
+    with suppress(AttributeError, ValueError, OSError):  # not on every operating system
         present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > present:
         raise BadInput(
@@ -213,8 +213,7 @@ def check_memory(scene: Scene) -> None:
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
     """Compressed bytes of a number of integrated points on the disk."""
-    # The measurement does not contain derived variables.
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # derived: not measured
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 

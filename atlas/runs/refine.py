@@ -31,7 +31,7 @@ from .plan import ScenePlan
 # A function that integrates points, flat indices in the finest grid, and yields their variables part by part.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Number of points integrated on either side of a boundary at each level: 2 cover the cell that it crosses and the cells around.
+# Number of points integrated on either side of a boundary at each level: 2 cover the crossed cell and the cells around it.
 BOUNDARY_WIDTH = 2
 # Accepted number of points, not integrated, whose nudged unstable motion would not drift in the run.
 EXPECTED_MISSES = 0.05
@@ -146,8 +146,7 @@ class FineGrid:
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random fraction of the remaining points, trace new boundaries, and return the numbers of these points and of
-        wrong flags among them."""
+        """Integrate a random fraction of the remaining points, then trace boundaries; numbers of these points and of wrong flags."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -180,7 +179,7 @@ class FineGrid:
             yield np.ravel_multi_index(indices, self.scene.shape)
 
     def _integrate(self, parts: Iterable[np.ndarray]) -> int:
-        """Integrate points given by parts of flat indices, and return their number."""
+        """Integrate points, given by several arrays of flat indices, and return their number."""
         indices = np.concatenate([*parts])
         if not indices.size:
             return 0

@@ -51,7 +51,7 @@ FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
 CREATION, JOINING = "manifest.claim", "joining.claim"  # claims to create the manifest, and to join
-# A name of the length of the longest in a run folder: a path that is too long is refused before the run.
+# As long as the longest name in a run folder, so that a path that is too long is refused before the run.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
 # Names that may remain after the removal of a run, or exist before its creation.

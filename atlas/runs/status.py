@@ -15,7 +15,7 @@ from .run import RunFolder
 
 
 def status(path: str | Path, *, verify: bool = False) -> str:
-    """State of a run or finished atlas as text; with `verify`, all of it is read, and BadInput if a finished atlas was changed."""
+    """State of a run or finished atlas as text; verify: read all of it, with BadInput if a finished atlas was changed."""
     place = located(path)
     if isinstance(place, Path):
         check_name(place)

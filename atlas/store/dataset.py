@@ -26,7 +26,7 @@ from ..variables import COMPUTED, data_variables, is_measured
 HISTORY = "atlas_history"  # numbers of points that earlier atlases gave
 HASH = "atlas_sha256"  # hash of the content of a finished atlas, written last
 VERSION = "atlas_version"
-TRANSIENT = "atlas_transient"  # absent without a transient
+TRANSIENT = "atlas_transient"  # the transient, absent if there is none
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
 # A parameter with more values is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000

@@ -95,7 +95,7 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
 
 
 def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
-    """A part of joined atlases with its own attributes, any other dataset unchanged; BadInput for all parts if one is needed."""
+    """A part of joined atlases with its own attributes, any other dataset unchanged; BadInput for joined atlases if a part is needed."""
     if PARTS not in ds.attrs:
         return ds
     try:

@@ -57,7 +57,7 @@ class Progress:
         with self._lock:
             self._done = min(
                 self._done + float(points), self.points
-            )  # of NumPy, from the reference of a study
+            )  # float, because studies give numbers of NumPy
             now = time.perf_counter()
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now

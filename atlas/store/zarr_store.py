@@ -1,9 +1,8 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
-Each object has a CRC-32C, which any program that reads the object compares. The attribute HASH is written last, so that an
-unfinished store is never taken for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a
-hash of all other objects and their names, compared by `verify`, because a reader takes a lost object for fill values and a misplaced
-one for data.
+Each object has a CRC-32C, which any reader compares. The attribute HASH is written last, so that an unfinished store is never taken
+for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other objects and
+their names, compared by `verify`, because a reader takes a lost object for fill values and a misplaced object for data.
 """
 
 from __future__ import annotations
@@ -76,7 +75,7 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        self.is_whole, self.has_checksums = is_whole, has_checksums  # of every object
+        self.is_whole, self.has_checksums = is_whole, has_checksums  # objects are complete, have checksums
         self.stamp = stamp  # stamp of the metadata of a whole store
         # Array -> codec that compresses its objects, and the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed

@@ -47,8 +47,8 @@ def principal(tensor: ArrayLike, order: str = "nearest") -> tuple[dict[str, Any]
         the integrals of x y, y z and z x over the mass. If your products of inertia are these integrals themselves, change their
         signs: a wrong sign cannot be detected.
     order : str, optional
-        "nearest": A, B and C belong to the principal axes that the smallest rotation takes the given axes to, also if moments
-        are equal. "ascending": A <= B <= C.
+        "nearest": the smallest rotation takes the given axes to the principal axes of A, B and C, also if moments are equal.
+        "ascending": A <= B <= C.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # of all axes of a symmetric body, those of the smallest rotation to its axis of symmetry
+    if k.size:  # symmetric bodies: the smallest rotation that reaches the axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -222,21 +222,21 @@ def attitude(
     frame : str, optional
         As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
     euler : str, optional
-        SciPy's letters of three turns: "ZYX" in the frame "lvlh" gives yaw, pitch and roll, about the third axis, the second
-        one as turned and the first one as turned twice; "xyz" gives the same three, roll first. They are those of a body whose
-        axes are forward, right and down.
+        Three axes of rotation, in SciPy's letters. In the frame "lvlh", "ZYX" gives yaw, pitch and roll of a body whose axes
+        are forward, right and down: rotations about its third, then its second, then its first axis; "xyz" gives the same
+        angles, roll first.
     axes : array_like, optional
-        As in `atlas.start`. ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` where A, B and C are about up, forward and left, as the
-        axes of a body with theta = psi = phi = 0 are: without it "lvlh" gives other angles than yaw, pitch and roll.
+        As in `atlas.start`. Use ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` if A, B and C are about up, forward and left, the
+        axes of a body at theta = psi = phi = 0; otherwise the angles in "lvlh" are not yaw, pitch and roll.
     degrees : bool, optional
         Angles in degrees.
 
     Returns
     -------
     Dataset
-        `quaternion` (time, component), which turns components in the body into those in the frame, scalar last; `rates`
-        (time, axis) along body axes, of a satellite relative to the orbital frame; with `euler` also `angles` (time, angle),
-        the third 0 where the first and the third turn are about one axis.
+        `quaternion` (time, component), scalar last, the rotation from components along body axes to components in the
+        frame; `rates` (time, axis) along body axes, for a satellite relative to the orbital frame; with `euler` also
+        `angles` (time, angle), the third angle 0 if the first and the third rotation have the same axis.
     """
     system, motion = system_of(ds), in_rad(ds)
     (frame, to_own), body = _frame(system, frame), _rotation("axes", np.eye(3) if axes is None else axes)

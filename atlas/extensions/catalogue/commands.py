@@ -1,4 +1,4 @@
-"""The command about families and published equations: conditions."""
+"""The command `conditions`: families of steady motions and published equations."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ...errors import BadInput, say, text_table
 from ...files import atomic_write, writable
 
 OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
-# Columns of the table for a paper by the first column of all.
+# First column of the rows -> columns of the table for a paper and their headings.
 PAPER = {
     "family": {"family": "family", "motion": "motion", "conditions": "conditions", "errata": "errata"},
     "equation": {"equation": "equation", "family": "family", "printed": "as printed", "true": "as true"},
     "source": {"source": "source", "quantity": "number", "printed": "printed", "ours": "ours"},
 }
-RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> its head
+RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> heading
 
 
 @command(
@@ -134,13 +134,13 @@ def _write_csv(rows: Sequence[Mapping[str, Any]], file: TextIO) -> None:
 
 
 def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row with residuals of two digits, or a dash where there is nothing to measure."""
+    """A row with residuals as texts of two digits, or a dash if no residual is measured."""
     texts = {name: "-" if row[name] is None else f"{row[name]:.1e}" for name in RESIDUALS if name in row}
     return {**row, **texts}
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
-    """Print some columns of rows under their heads."""
+    """Print the given columns (name -> heading) of rows."""
     cells = [[row[name] or "-" for name in columns] for row in map(_with_residuals, rows)]
     lines = [[" ".join(each) if isinstance(each, list) else each for each in row] for row in cells]
     say(*text_table([[*columns.values()], *lines]).split("\n"))

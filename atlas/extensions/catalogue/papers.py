@@ -1,7 +1,7 @@
-"""Papers held against the equations of motion: equations as printed and as true, with residuals.
+"""Equations of papers, as printed and as true, with their residuals in the equations of motion.
 
-An extension is a paper. Its `equations.toml` contains the texts and, where it can, both readings as expressions. Its
-`MEASURES` are functions by the number of an equation, or by a key that the equations measured by it have.
+Each paper is an extension. Its `equations.toml` contains the texts and, where possible, both readings as expressions. Its
+`MEASURES` map the number of an equation, or a key in its entry, to the function that measures the residual.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ Entry = Mapping[str, Any]
 EntryMeasure = Callable[[Entry, str, np.random.Generator], float]
 
 TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")
-expression = cache(Expression)  # the same few are evaluated at many random points
+expression = cache(Expression)  # a few expressions are evaluated at many random points
 
 
 def published_equations(system: System) -> Sequence[PublishedEquation]:
-    """Equations of papers on a system, of all extensions."""
+    """Equations about a system from the papers of all extensions."""
     return [row for rows in extension.of_each("published", system.name) for row in rows]
 
 
 def published_numbers(system: System) -> list[dict[str, str]]:
-    """Rows on numbers that others have printed, beside ours, of all extensions."""
+    """Rows of published numbers beside ours, from all extensions."""
     functions = extension.of_each("published_numbers", system.name)
     return [row for function in functions for row in function(system.name)]
 
 
 def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
-    """The content of the equations.toml in the package of a paper, and its equations by number."""
+    """Content of the equations.toml in the package of a paper, and its equations by number."""
     content = tomllib.loads(resources.files(package).joinpath("equations.toml").read_text("utf-8"))
     return content, {entry["number"]: entry for entry in content["equation"]}
 
 
 def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
-    """Sum of the terms of an equation in a reading, each by `value`; a number in their place: the true terms of that equation."""
+    """Sum of `value` over the terms of an equation in a reading; terms given as a number are the true terms of that equation."""
     terms = entry.get(f"terms_{reading}") or entry["terms_true"]
     return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
 
@@ -53,7 +53,7 @@ def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callab
 def rows(
     content: Mapping[str, Any], measures: Mapping[str, EntryMeasure | None]
 ) -> tuple[PublishedEquation, ...]:
-    """The rows of the catalogue of a paper; a measure None: by an extension of this name, which is missing."""
+    """Rows of the catalogue of a paper; measures: number or key -> function, None if the extension of this name is missing."""
     made = []
     for entry in content["equation"]:
         key = next((key for key in measures if key == entry["number"] or key in entry), "")

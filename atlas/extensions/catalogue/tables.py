@@ -21,33 +21,34 @@ if TYPE_CHECKING:
     import pandas as pd
 
 TRUE = "true"  # verdict on an equation without erratum
-N_SAMPLES = 5  # random parameters behind each residual, from the seeds 0, 1, ...
+N_SAMPLES = 5  # number of random parameter sets (seeds 0, 1, ...) for each largest residual
 
 
 @typed
 def conditions(system: str, family: str | None = None, errata: bool = False) -> pd.DataFrame:
-    """Families of exact steady motions with their conditions, or errata of the papers on them, as a table.
+    """Families of exact steady motions with their conditions, or errata of papers, as a table.
 
     Parameters
     ----------
     system : str
         Name of the system.
     family : str, optional
-        One family alone.
+        Name of the only family in the table.
     errata : bool, optional
-        The equations that papers have printed wrong, instead of the families.
+        Table of the equations that are misprinted in papers, instead of families.
 
     Returns
     -------
     pandas.DataFrame
-        By `family`: the columns of ``atlas conditions SYSTEM --csv``; cells of several texts are lists. `errata` lists the
-        numbers of its equations that are wrong, by which the table of errata is indexed. `residual_printed` and `residual_true`
-        are the largest residuals of equations as printed and as true in the equations of motion, at random parameters.
+        Indexed by `family`, with the columns of ``atlas conditions SYSTEM --csv``; a cell with several texts is a list. The column
+        `errata` lists the numbers of misprinted equations; the table of errata is indexed by these numbers. `residual_printed`
+        and `residual_true` are the largest residuals of the printed and the corrected equations in the equations of motion, at
+        random parameters.
 
     Raises
     ------
     BadInput
-        For a system or a family that is not known.
+        For an unknown system or family.
     """
     import pandas as pd  # slow to import
 
@@ -57,7 +58,7 @@ def conditions(system: str, family: str | None = None, errata: bool = False) -> 
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
-    """Rows on the families of exact steady motions, with the largest residuals of published equations."""
+    """Rows about families of exact steady motions, with the largest residuals of published equations."""
     every = families_of(system)
     if name is not None and name not in every:
         raise BadInput(f"family {name}: unknown; {unknown_family(name, every)}")
@@ -94,7 +95,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 def published(
     system: System, family: str | None = None, errata: bool = False, number: str | None = None
 ) -> list[dict[str, Any]]:
-    """Rows on the published equations of the system's paper, as printed and as true; errata: only on these, number: on that equation."""
+    """Rows about published equations of a system, printed and true; errata: only wrong ones; number: only this equation."""
     every = equations = published_equations(system)
     if number is not None:
         every = [row for row in equations if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]
@@ -118,7 +119,7 @@ def published(
 
 
 def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]:
-    """Largest residuals of some equations as printed and as true, None where nothing is measured."""
+    """Largest residuals of the printed and the true equations, None if no residual is measured."""
     maxima = {}
     for key in ("residual_printed", "residual_true"):
         residuals = [measure for row in rows if (measure := getattr(row, key)) is not None]
@@ -127,7 +128,7 @@ def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]
     return maxima
 
 
-@cache  # tables of families, of all equations and of the wrong ones share rows
+@cache  # several tables contain the same residual
 def residual(measure: Measure, seed: int) -> float:
-    """The residual of an equation at the random parameters of a seed."""
+    """The residual of an equation at random parameters from a seed."""
     return measure(np.random.default_rng(seed))

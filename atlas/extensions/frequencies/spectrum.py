@@ -1,9 +1,8 @@
 """Frequencies of one motion: the strongest lines in the spectra of its angles.
 
-The numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum
-of the windowed Fourier integral is refined to far below the distance of two lines of a discrete transform,
-all lines so far are fitted together, and the next one is sought in the residual. Packages for this method
-have licences that a user of this one may not be able to accept, so that it is written here on top of SciPy.
+Numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
+Fourier integral is refined to far below the line distance of a discrete transform, all lines so far are fitted together, and
+the next line is found in the residual. It is written here, on top of SciPy, because packages for it have restrictive licences.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ from ...systems.base import Array
 
 Signal = NDArray[np.complex128]
 
-MAX_LINES = 1000  # of the spectrum of a signal
+MAX_LINES = 1000  # largest number of spectral lines of a signal
 
-# A line above this share of the Nyquist frequency of the samples may be the alias of a faster one.
+# A line above this fraction of the Nyquist frequency of the samples may be the alias of a faster line.
 MAX_SHARE_OF_NYQUIST = 0.8
-# A line is compared with the derivative of the signal if its amplitude is above this share of the signal's largest value.
+# A line is compared with the derivative of the signal if its amplitude is above this fraction of the signal's largest value.
 MIN_AMPLITUDE = 1e-5
-# How often all lines are refined after each new one.
+# Number of refinements of all lines after each new line.
 PASSES = 2
 
 
@@ -52,10 +51,9 @@ def frequencies(
     lines : int
         Number of lines of each signal.
     samples : int
-        Instants of the motion; where a line is too fast for them, more are taken.
+        Number of instants of the motion; more are taken if a line is too fast for them.
     trajectory : Dataset, optional
-        A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines. Such a motion answers
-        by itself, too: ``motion.atlas.frequencies()``.
+        A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines.
     degrees : bool, optional
         Take the angles of the point in degrees; the result is in rad.
     **coords : float
@@ -65,14 +63,13 @@ def frequencies(
     -------
     Dataset
         Over "signal" and "line", the strongest line first: frequency (rad per time unit, signed for psi and phi),
-        amplitude, and share of the variance. Signal "theta" is cos theta, "psi" and "phi" are
-        sin(theta) e^(i psi) and sin(theta) e^(i phi), in the frame, all less their means; of a system with
-        observables the signals are these, with amplitudes in their units. Where there are fewer
-        lines than asked for, the others are nan.
+        amplitude, and share of the variance. Signal "theta" is cos(theta), "psi" and "phi" are
+        sin(theta) e^(i psi) and sin(theta) e^(i phi) in the frame, each minus its mean. For a system with observables the
+        signals are the observables, with amplitudes in their units. Lines that are not found are nan.
 
     Notes
     -----
-    A regular motion has lines that stay the same in both halves of a run; the lines of a chaotic one change.
+    The lines of a regular motion are the same in both halves of a run; the lines of a chaotic motion change.
     """
     whole_number("lines", lines, 1, MAX_LINES)
     if trajectory is None and not coords and "time" in ds.dims:
@@ -99,7 +96,7 @@ def frequencies_of_motion(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
 
 
 def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
-    """Strongest lines of a motion that a function samples again until the samples resolve its lines."""
+    """Strongest lines of a motion; trajectory(samples) is called with more samples until they resolve the lines."""
     while True:
         motion = trajectory(samples)
         ds, (_, fastest) = _lines(motion, lines)
@@ -110,13 +107,13 @@ def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, sa
 
 
 def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
-    """Samples of a motion for which a frequency lies well below the largest that they resolve."""
+    """Number of samples of a motion for which a frequency is well below the Nyquist frequency."""
     duration = float(trajectory["time"][-1] - trajectory["time"][0])
     return 1 + math.ceil(1.25 * frequency * duration / (MAX_SHARE_OF_NYQUIST * np.pi))
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Strongest spectral lines of a motion, and the signal and frequency of the fastest line beyond its sampling rate (0: none)."""
+    """Strongest spectral lines of a motion, and signal and frequency of the fastest line that is too fast for the samples (0: none)."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     dims, shape = ("signal", "line"), (len(columns), lines)
@@ -131,8 +128,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line that is too fast for the samples appears at another frequency, or as a constant; the ratio of its
-        # amplitudes in the derivative and in the signal is i times the true frequency. Weak lines are taken as they are.
+        # A line too fast for the samples appears at another frequency, or as a constant; the ratio of its amplitudes in
+        # derivative and signal is i times the true frequency. The frequency of a weak line is not checked.
         candidates = [*line_frequencies, 0.0]
         fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
@@ -153,7 +150,7 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
-    """The signals of a motion (of theta, psi and phi, or the observables) by name, with their derivatives."""
+    """Signals of a motion (from theta, psi and phi, or the observables) and their time derivatives, by name."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
         # Derivatives by central differences: a short step forward and back along the right-hand side.
@@ -176,7 +173,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
     theta, theta_dot = trajectory["theta"].values, np.nan_to_num(trajectory["theta_dot"].values)
     signals = {"theta": (np.cos(theta) + 0j, -np.sin(theta) * theta_dot + 0j)}
     for name in ("psi", "phi"):
-        # On the vertical, where there is no angle, sin theta is 0.
+        # On the vertical the angle is nan, and sin(theta) is 0.
         angle, rate = (np.nan_to_num(trajectory[key].values) for key in (name, f"{name}_dot"))
         turn = np.exp(1j * angle)
         signals[name] = np.sin(theta) * turn, (np.cos(theta) * theta_dot + 1j * np.sin(theta) * rate) * turn
@@ -184,9 +181,9 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
 
 
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
-    """Frequencies (rad per unit of time) and amplitudes of a sum c exp(i w t), in the order of extraction.
+    """Frequencies w (rad per unit of time) and amplitudes c of a sum of c exp(i w t), in the order of extraction.
 
-    Fewer than `count` where the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
+    There are fewer than `count` lines if the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
     """
     weight = hann(time.size)
     weight /= weight.sum()
@@ -203,7 +200,7 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
             break
         frequencies.append(_refine(time, residual * weight, grid[highest], grid[1]))
         coefficients, residual = _fit(time, signal, frequencies, weight, real)
-        # Lines shift the maxima of each other: each is refined again without the others.
+        # Lines shift each other's maxima, so each is refined again after the others are subtracted.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
                 half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
@@ -217,7 +214,7 @@ def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
     """Frequency of the maximum of the Fourier integral within `width` of a guess."""
 
     def negative(frequency: float) -> float:
-        """Magnitude of the Fourier integral, with the sign for a minimiser."""
+        """Negative magnitude of the Fourier integral, to be minimised."""
         return -abs(complex(np.exp(-1j * frequency * time) @ weighted))
 
     result = minimize_scalar(
@@ -229,7 +226,7 @@ def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
 def _fit(
     time: Array, signal: Signal, frequencies: list[float], weight: Array, real: bool
 ) -> tuple[Signal, Signal]:
-    """Coefficients of all lines, fitted with a constant by weighted least squares, and the residual of the signal."""
+    """Coefficients of all lines, fitted together with a constant by weighted least squares, and the residual of the signal."""
     waves, count = np.exp(1j * np.outer(time, frequencies)), len(frequencies)
     basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
     weighted = basis.conj().T * weight

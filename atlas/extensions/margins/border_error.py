@@ -1,4 +1,4 @@
-"""How sure the borders of a map are: cells across them, curves of theory beside them, and what half the step changed."""
+"""Errors of the borders of a map: cells across them, curves of theory beside them, and changes at half the step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ...flags import Status
 from ...systems.base import Array, families_of
 
 BORDER = ["first", "second", "curve"]  # the flags on both sides, and the kind of the nearest curve of theory
-# Variables along each axis: column of the pairs of neighbours, and a statistic of it.
+# Variable along each axis -> column of the table of pairs of neighbours, and the statistic of this column.
 OF_AXES = {
     "pairs": ("half", "count"),
     "half_cell": ("half", "max"),
@@ -37,7 +37,7 @@ OF_AXES = {
 
 
 class BorderError(xr.Dataset):
-    """Borders of a map, whose `str` is a sentence about them."""
+    """Borders of a map; `str` gives a sentence about them."""
 
     __slots__ = ()
 
@@ -53,7 +53,7 @@ class BorderError(xr.Dataset):
 
 
 def _about(border: xr.Dataset) -> str:
-    """Words about one border."""
+    """Text about one border."""
 
     def lengths(name: str) -> str:
         of_axes = zip(border[name].values, border["unit"].values, border["axis"].values, strict=True)
@@ -98,11 +98,12 @@ def border_error(
     Returns
     -------
     Dataset
-        Its `str` is a sentence to cite; so is that of a part, such as ``.isel(border=0)``. Over "border", the longest first:
-        `first` and `second`, the flags on its sides, and `curve`, the kind of the nearest line of `boundary()` on the row or
-        column of a pair of neighbours; of each axis `pairs`, `half_cell`, and `distance_median` and `distance_largest`
-        between the middle of a pair and this curve. `points_changed` of `points_checked` are those of the whole run; with
-        check_half_step = "all" also the `checked` points of these pairs, and those `sensitive` to the step.
+        `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. Over "border", the longest
+        first: `first` and `second`, the flags on both sides, and `curve`, the kind of the line of `boundary()` nearest to
+        pairs of neighbours, along a row or column. Also over "axis": `pairs`, their number, `half_cell`, and
+        `distance_median` and `distance_largest` between the middle of a pair and the curve. In the whole run the labels of
+        `points_changed` among `points_checked` points changed at half the step; with check_half_step = "all", `sensitive`
+        among the `checked` points of the pairs are sensitive to the step.
     """
     plane, dims, panels = plane_of(ds, x, y, select or {}, degrees=degrees)
     for dim in panels:
@@ -165,7 +166,7 @@ def border_error(
 def _crossings(
     lines: xr.Dataset | None, dim: str, across: Sequence[tuple[str, float]], logs: Collection[str]
 ) -> tuple[Array, np.ndarray]:
-    """Places along an axis where lines cross a row of points, at a value of the other axis, and the kinds of the lines."""
+    """Values of axis `dim` where lines cross a row of points, and the kinds of the lines; across: other axis and its value."""
     if lines is None:
         return np.zeros(0), np.zeros(0, str)
     place, kinds = lines[dim].values, lines["kind"].values

@@ -1,4 +1,4 @@
-"""How far points are, along one axis, from the place where a flag changes."""
+"""Distance of points, along one axis, from the place where a flag changes."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from ...measure.instrument import Variable
 from ...scene.model import Scene
 from ...systems.base import Array, families_of
 
-CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # of theory, which divide regions
-# Frame of the curves by the variable that changes at them.
+CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # curves of theory
+# Variable that changes at the curves -> their frame.
 FRAMES = dict.fromkeys(("label", "predicted", "stable", "stability_kind"), "")
 FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
 
 
 class Source(Flag):
-    """What the place of a change is known from."""
+    """How the place of a change is found."""
 
     NOTHING = 0, "nothing changes within the atlas"
     CELLS = 1, "halfway between two neighbouring points"
@@ -59,19 +59,19 @@ def margin(
     degrees : bool, optional
         Take and return angles in degrees.
     **coords : float
-        Axis -> value, as in `nearest`; the distance is that from the value of `axis` itself.
+        Axis -> value, as in `nearest`, but distances are measured from the value of `axis`, not from the nearest point.
 
     Returns
     -------
     Dataset
-        `margin`, the lesser of `down` and `up`, inf where nothing changes within the atlas, nan where there is no label; and
-        flags `source_margin`, `source_down` and `source_up`. Places are known from cells, halfway between neighbours (on a
-        logarithmic axis in the logarithm), or, where a limit of stability or precession or an edge of existence of theory runs
-        between them, from this curve. ``ds.atlas.margin("k3").atlas.map("margin")`` draws it.
+        `margin`, the lesser of `down` and `up`: inf if nothing changes within the atlas, nan without a label. The flags
+        `source_margin`, `source_down` and `source_up` tell how the place of the change is known: halfway between neighbouring
+        points (on a logarithmic axis in the logarithm), or from a limit of stability or precession or an edge of existence
+        that theory predicts between these points. ``ds.atlas.margin("k3").atlas.map("margin")`` draws a map.
 
     Notes
     -----
-    A margin of one known point; the probability of a label under uncertainty is that of random draws, see `probability`.
+    A margin concerns one known point; for uncertain parameters use random draws, see `probability`.
     """
     flag_variable(ds, variable)  # BadInput if there is none
     if axis not in (axes := neighbour_axes(ds)):
@@ -120,7 +120,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """The nearest of the increasing places below (-1) or above (1) a value, or without one each sample between them; else nan."""
+    """The nearest of increasing places below (side -1) or above (side 1) a value, or each sample if value is None; else nan."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:
@@ -129,7 +129,7 @@ def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
 
 
 def _curves(scene: Scene, line: xr.DataArray, axis: str, frame: str, index: tuple[np.ndarray, ...]) -> Array:
-    """Places along an axis where a border of theory runs between neighbours, the second of each pair by its index; else nan."""
+    """Value of the axis at which a border of theory runs between neighbours, else nan; index: indices of the second neighbours."""
     whole = {
         dim: line[dim].values[index[line.dims.index(dim)]]
         if dim in line.dims

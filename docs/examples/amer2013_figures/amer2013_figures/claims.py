@@ -186,7 +186,7 @@ Judgement = tuple[str, dict[str, Any]]  # verdict, and the values in the templat
 
 
 def claims(rows: Sequence[Row]) -> list[Claim]:
-    """The paper's statements about figures 1-20 and its solution, by the rows of `figure_table` and the motion."""
+    """Verdicts on the paper's statements about figures 1-20 and its solution, measured from the rows of `figure_table`."""
     judged = []
     for name, entry in tomllib.loads(files(__package__).joinpath("claims.toml").read_text("utf-8")).items():
         verdict, values = MEASURES[name](rows)

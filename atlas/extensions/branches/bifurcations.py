@@ -9,7 +9,7 @@ no match, or changes its index, is divided until each of its bifurcations follow
 An interval is also divided where two complex solutions at an end may become real: there Newton's method starts from their real part.
 
 Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
-the body) are left out: the projector onto them is added to the Hessian, and distances are of what such a turn leaves unchanged.
+the body) are removed: the projector onto them is added to the Hessian, and distances are of coordinates that no such turn changes.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _MAX_TURN = 0.5  # of a prediction and of a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that meet no special value
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
-_EXACT = 1e-13  # step of Newton's method that no other follows
-_CONVERGED = 1e-9  # last step of Newton's method, in units of the range
-_SETTLED = 1e-6  # last step with the rotation: beside a pitchfork each step only halves the error
+_EXACT = 1e-13  # step at which Newton's method stops
+_CONVERGED = 1e-9  # largest last step of a converged value, in units of the range
+_SETTLED = 1e-6  # the same with the rotation, for which near a pitchfork each step only halves the error
 _BLOCK = 512  # intervals whose solutions are matched at once
 _SAME = 1e-3  # largest distance of coincident points
-# Relative sizes: of an eigenvalue at a solution that is degenerate, of the derivative along the null vector at a fold.
+# Relative sizes: of the eigenvalue of a degenerate solution, at most; of the derivative along the null vector at a fold, at least.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 
 
@@ -51,7 +51,7 @@ class Singular(NamedTuple):
     frames: Array
     null: Array  # eigenvector, (N, 3)
     slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
-    step: Array  # the last one, (N, 3 + parameters)
+    step: Array  # last step, (N, 3 + parameters)
 
     @property
     def error(self) -> Array:
@@ -75,7 +75,7 @@ class BodyFamily(NamedTuple):
     points: Callable[[Array], Points]  # every parameter of bodies from the values (bodies, parameters)
     limits: Array  # lowest and highest values of the parameters, (2, parameters)
     upright: bool  # every solution may be turned about the vertical
-    axis: int  # and about this axis of the body; -1: none
+    axis: int  # axis of the body about which every solution may be turned; -1: none
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
@@ -88,7 +88,7 @@ class BodyFamily(NamedTuple):
 
     @property
     def span(self) -> Array:
-        """Ranges of the parameters, their units."""
+        """Ranges of the parameters, used as their units."""
         return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
@@ -99,7 +99,7 @@ class BodyFamily(NamedTuple):
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Gradient and Hessian of W over their size, the latter plus the projector onto the cyclic directions, and that."""
+        """Gradient of W, Hessian plus the projector onto the cyclic directions, both over their size, and the projector."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
@@ -114,9 +114,9 @@ class BodyFamily(NamedTuple):
         return gradient / unit, hessian + projector, projector
 
     def singular(self, values: Array, frames: Array) -> Singular:
-        """Where the eigenvalue vanishes that is nearest to 0 at the start.
+        """Points at which the eigenvalue vanishes that is nearest to 0 at the start.
 
-        Steps are damped least squares: at a pitchfork the derivatives along the null vector vanish, as the equations do.
+        Steps are damped least squares, because at a pitchfork the matrix is singular: derivatives along the null vector vanish.
         """
         count, size = len(values), 3 + values.shape[1]
         steps = _DIFFERENCE * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
@@ -138,7 +138,7 @@ class BodyFamily(NamedTuple):
             step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
-            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # beyond may be no body
+            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # bodies may not exist beyond
             if (length(step) < _EXACT).all():
                 break
         return Singular(values, frames, vectors[np.arange(count), :, number], slopes, step)
@@ -166,13 +166,13 @@ class Bifurcation(NamedTuple):
     direction: Array  # rotation vector in body axes along which the solutions separate
     kind: BifurcationKind
     error: float  # of the value: last step of Newton's method, or half of an interval
-    solutions: list[Solution]  # one of each branch
+    solutions: list[Solution]  # one of each branch that meets here
 
 
 def solutions_at(
     family: BodyFamily, values: Array, stability: bool = False
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """All solutions at some values, (nodes,), and what `equilibria_of_bodies` says of them, maybe with their stability."""
+    """All solutions at some values, (nodes,), and the variables of `equilibria_of_bodies`; stability: also its STABILITY."""
     points = family.points(values[:, None])
     listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
@@ -189,7 +189,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # Where the eigenvalue nearest to 0 vanishes at solutions, and where two complex ones are one.
+    # Change of the parameter to where an eigenvalue of a solution vanishes, or two complex solutions become one.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -201,7 +201,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # Otherwise circles of solutions contribute 0 to the sum, and a list has only the isolated poles.
+    # With both symmetries the sum tests nothing: circles of solutions contribute 0, and each isolated pole 1.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -220,7 +220,7 @@ def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Plac
 
 
 def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places) -> Places:
-    """Which solution at the upper ends of intervals follows each one at the lower ends, -1: none, (intervals, places)."""
+    """Place at the upper end of an interval of the solution that continues each one at the lower end, -1: none."""
     followers = []
     for first in range(0, low.size, _BLOCK):
         a, b = low[first : first + _BLOCK], high[first : first + _BLOCK]
@@ -245,9 +245,9 @@ def bifurcations_between(
     singular: Singular,
     limits: Array,
 ) -> tuple[list[Bifurcation], bool]:
-    """The bifurcations between two nodes, and whether these explain which solutions end there or change their index.
+    """The bifurcations between two nodes, and whether they explain all solutions that end or change their index there.
 
-    kinds: which of the starts of Newton's method, whose ends are singular, are solutions that end, and that change their index.
+    singular: results of Newton's method from the starts; kinds: masks of the starts that end, and that change their index.
     """
     points: list[Bifurcation] = []
     values, places, (ends, changes) = singular.values[:, 0], family.place(singular.frames), kinds
@@ -274,7 +274,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # only singular points of other solutions count
+        else:  # accepted only as a singular point of other solutions
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -285,15 +285,15 @@ def bifurcations_between(
 class Branches(NamedTuple):
     """All branches over some values."""
 
-    listed: dict[str, NDArray[Any]]  # at each value, as `equilibria_of_bodies`
+    listed: dict[str, NDArray[Any]]  # variables of `equilibria_of_bodies` at each value
     branch: Places  # number of the branch of each solution, -1: none, (values, places)
     points: list[Bifurcation]  # in the order of their values
-    meeting: list[list[int]]  # branches that meet at each
-    total: int  # number of the branches, with branches that exist only between two values
+    meeting: list[list[int]]  # branches that meet at each point
+    total: int  # number of all branches, including those that exist only between two values
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
-    """Branches of all solutions over increasing values, (values,); none goes on from one part of them to another."""
+    """Branches of all solutions over increasing values, (values,); no branch continues between values with different `part`."""
     nodes, listed = solutions_at(family, values, stability)
     usable = np.flatnonzero(nodes.usable)
     pending = np.stack([usable[:-1], usable[1:]], 1)
@@ -338,7 +338,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
             halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
             pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
-    # Given values at bifurcations have no node of their own: the nodes on both sides predict their solutions.
+    # Given values at bifurcations are not usable as nodes: the nodes on both sides predict their solutions.
     every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
     low, high = nodes.values[every].T
     which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))
@@ -358,7 +358,7 @@ def links_of(pairs: Places, follower: Places) -> Places:
 
 def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
     """Number of the branch of each solution, -1: none, in the order of the lowest values; links: (links, 2, node and place)."""
-    from scipy.sparse import coo_array  # here, because every command imports the systems
+    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     shape = nodes.morse.shape

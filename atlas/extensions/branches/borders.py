@@ -30,7 +30,7 @@ from .continuation import Curve, Segments, lengths, with_zeros, without_repeats
 from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
-_MEETS_AT_0 = 1e-6  # largest square of exponents at an end of a limit of stability
+_MEETS_AT_0 = 1e-6  # largest squared exponent at an end of a limit of stability that counts as 0
 # Largest rates of the parameters at cusps; folds go straight on through bodies with circles of equilibria.
 _TURNS = 1e-6
 
@@ -81,13 +81,13 @@ class Borders(NamedTuple):
     potential: Potential
     lines: list[Curve]
     morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
-    changes: Array  # and the numbers of all and of stable solutions to the left of it less those to the right, (2, vertices)
+    changes: Array  # of the numbers of all and of stable solutions there, left of the curve minus right, (2, vertices)
     axis: Array  # of the grid on which equilibria are counted, along both sides
     cells: NDArray[np.int8]
 
     @classmethod
     def of(cls, plane: Plane, stability: bool = False) -> Borders:
-        """The borders of the bodies on a plane, maybe with limits of stability; BadInput where it has none."""
+        """The borders of the bodies on a plane; stability: also limits of stability. BadInput if the plane has no borders."""
         system = plane.scene.system
         if not isinstance(system, Gyrostat):
             raise BadInput(f"borders: of the {system.name} no relative equilibria are known")
@@ -130,7 +130,7 @@ class Borders(NamedTuple):
         return np.stack(list(self.plane.coordinates(positions).values()), -1)
 
     def slopes(self, positions: Array, rates: Array) -> Array:
-        """Changes of the parameters at changes of positions, (N, 2)."""
+        """Rates of the parameters from rates of the positions, (N, 2)."""
         values = self.values(positions)
         for i, (dim, (low, high)) in enumerate(self.plane.extent.items()):
             is_log = is_logarithmic(self.plane.scene, dim, (low, high))
@@ -138,7 +138,7 @@ class Borders(NamedTuple):
         return values
 
     def polylines(self, divisions: int, chosen: Mask) -> list[Array]:
-        """Lines through the borders from chosen vertices to the next ones, with so many parts for each cubic, in the units of the axes."""
+        """Polylines of the borders from chosen vertices to the next ones, in the units of the axes; divisions: parts of a cubic."""
         lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
         for line, own in zip(self.lines, np.split(chosen, ends), strict=False):
             parts = Segments.of([line])
@@ -151,7 +151,7 @@ class Borders(NamedTuple):
 
 
 def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) -> list[Curve]:
-    """The parts of curves on which bodies are possible, to their ends."""
+    """The parts of curves on which bodies are possible, cut where this ends."""
     inside = [possible(line.points) for line in lines]
     changes = [np.r_[each[1:] != each[:-1], False] for each in inside]
     parts = Segments.of(lines, changes)
@@ -175,10 +175,10 @@ def borders(
     ties: Mapping[str, str] | None = None,
     stability: bool = False,
 ) -> xr.Dataset:
-    """Borders between regions with other relative equilibria, or permanent rotations, over two parameters, as curves.
+    """Borders between regions of different relative equilibria, or permanent rotations, over two parameters, as curves.
 
-    On them equilibria merge or change their stability by the energy. They are continued by their arc length in attitude and
-    both parameters, in which cusps are regular points.
+    At a border equilibria merge or change their stability by the energy. Borders are continued by arc length in attitude and
+    both parameters, so that cusps are regular points.
 
     Parameters
     ----------
@@ -192,19 +192,19 @@ def borders(
     ties : mapping of str to str, optional
         Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
     stability : bool, optional
-        Also follow the limits at which two pairs of imaginary exponents meet and leave the axis, or one of permanent rotations and of
-        bodies with an axis of symmetry vanishes. It takes up to ten times as long.
+        Also follow limits of linear stability: two pairs of imaginary exponents meet and leave the axis or, for permanent rotations
+        and bodies with an axis of symmetry, one pair vanishes. Takes up to ten times as long.
 
     Returns
     -------
     Dataset
-        Over the dimension "vertex", curve by curve: both parameters by their names, curve, kind (flags), arc, the length of the
-        curve in attitude (rad) and parameters (over their ranges), on limits of stability also in the square of the double exponent over that of
-        a rate, ``tangent_<parameter>``, derivatives by it, theta0, psi0, phi0,
-        alpha and gamma of the solution, index_below and index_above, its Morse index on both sides, of which 0 is a minimum,
-        count_change, stable_change, residual and condition; indices and changes hold from the vertex to the next one. Over the dimension "special" the parameters and angles of cusps and meetings as ``special_<name>``, special_curve
-        and special_kind (flags). cells (flags) is over a coarse grid, of which the coordinates ``cell_<parameter>`` are the middles: it
-        states where the curves explain the numbers of equilibria.
+        Over the dimension "vertex", curve by curve: both parameters by their names; curve; kind (flags); arc, the length of the
+        curve in attitude (rad), parameters (over their ranges) and, on limits of stability, the squared double exponent (over a
+        squared rate); ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
+        index_below and index_above, the Morse indices on both sides (0: minimum); count_change, stable_change, residual and
+        condition. Indices and changes hold from the vertex to the next one. Over the dimension "special": parameters and angles
+        of cusps and meetings as ``special_<name>``, special_curve and special_kind (flags). cells (flags), over a coarse grid
+        with the middles ``cell_<parameter>``, states where the curves explain the numbers of equilibria.
 
     Raises
     ------
@@ -214,10 +214,10 @@ def borders(
 
     Notes
     -----
-    Between two vertices a curve is the cubic through both with the tangents there times the difference of arc. Of equilibria
-    alpha and -alpha, where nothing acts along alpha, a curve is given once; other symmetries give a curve several times. A closed curve of
-    a satellite may be missed inside a cell that counts as explained. Where curves are nearer to one another than 1e-6 of the ranges, or
-    1e-5 beside bodies whose equilibria are not isolated, their order is not certain, and with it the changes between them.
+    Between two vertices a curve is the cubic with both ends and, times the difference of arc, both tangents. Equilibria with
+    alpha and -alpha, if nothing acts along alpha, share one curve; other symmetries give a curve several times. A closed curve
+    of a satellite may be missed inside a cell that counts as explained. Where curves are nearer to one another than 1e-6 of the
+    ranges, or 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
     """
     if len(ranges) != 2:
         raise BadInput(
@@ -273,7 +273,7 @@ def borders_of_atlas(
     Returns
     -------
     Dataset
-        As `atlas.borders` returns it. The plane reaches half a cell beyond the outermost points, as a map does.
+        The dataset of `atlas.borders`. The plane reaches half a cell beyond the outermost points, as a map does.
     """
     part, dims, panels = plane_of(ds, x, y, select or {})
     scene = resolved_scene(ds, part)
@@ -346,6 +346,6 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
     """Parameters and attitudes of points."""
     low, high = np.transpose(list(curves.plane.extent.values()))
-    values = np.clip(curves.values(points.parts[4]), low, high)  # beyond by rounding errors
+    values = np.clip(curves.values(points.parts[4]), low, high)  # rounding errors may lead outside
     frames = frames_of(*curves.potential.attitudes(points.parts[0]))
     return dict(zip(curves.plane.extent, values.T, strict=True)) | attitudes(frames)

@@ -42,8 +42,8 @@ def branches(
 ) -> xr.Dataset:
     """Branches of relative equilibria, or of permanent rotations about the vertical, against one parameter.
 
-    All solutions are computed at every value, and solutions of neighbouring values joined; an interval in which one begins, ends or
-    changes its stability is divided until each bifurcation in it follows from Newton's method.
+    All solutions are computed at every value, and solutions of neighbouring values joined; an interval in which a solution
+    begins, ends or changes its stability is divided until each bifurcation in it follows from Newton's method.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def branches(
         index is the number of directions in which the amended potential falls at a constant rate. Over the parameter
         completeness (flags), equilibrium_count and index_sum, the sum of (-1)^index: 0 for a satellite without symmetry, 2 for
         one with an axis of symmetry and for permanent rotations; both are nan where they are not certain. Over the
-        dimension "fold", in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags), the angles,
-        vectors and the potential there as fold_theta0, ..., fold_direction, in which the solutions separate, and fold_branch, the
+        dimension "fold", the bifurcations in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags),
+        angles, vectors and potential as fold_theta0, ..., fold_direction, in which the solutions separate, and fold_branch, the
         branches that meet.
 
     Raises
@@ -76,9 +76,9 @@ def branches(
 
     Notes
     -----
-    No branch is lost at a value that is looked at. One with two folds between two values is found where the tangents at both do
-    not predict one another, a closed line of equilibria between two values where complex solutions at one of them, by their
-    linear equations, become real before the other.
+    No branch is missed at a given value. A branch with two folds between two values is found if the tangents at these values do
+    not predict one another; a closed branch between two values is found if complex solutions at one of them become real, to
+    first order, before the other.
     """
     return branches_of_scene(scene_of("branches", system, body, along, ties))
 
@@ -102,7 +102,7 @@ def scene_of(
 
 
 def empty_dataset(scene: Scene) -> xr.Dataset:
-    """The parameters of a scene, of which a start that it does not fix is none, without motions."""
+    """A dataset with the parameters of a scene, without motions and without start values that the scene does not set."""
     ds = dataset.dataset(replace(scene, outputs=()), {})
     starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
     ds = ds.drop_vars(starts - {*scene.axes, *scene.fixed, *scene.ties}, errors="ignore")
@@ -156,7 +156,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
 def _variables(
     along: str, size: int, possible: np.ndarray, family: BodyFamily, result: Branches
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Variables of the branches and of their points; the branches are over the values at which a body is possible."""
+    """Variables of the branches and of their bifurcations; possible: indices of the values with a possible body."""
     node, place = np.nonzero(result.branch >= 0)
     variables = {}
     for name, column in result.listed.items():

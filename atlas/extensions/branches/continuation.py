@@ -1,7 +1,7 @@
 """Curves of degenerate critical points by pseudo-arclength continuation from many points on them at once.
 
-From each point the curve is followed to the next one of these points, so that no part of it is followed twice however many there
-are; the parts are then joined. Lengths are of x, position and s.
+From each point the curve is followed to the next of the points, so that no part of a curve is followed twice; the parts are then
+joined. Lengths are measured in x, position and s.
 """
 
 from __future__ import annotations
@@ -16,42 +16,42 @@ from ...systems.base import Array, Mask
 from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
-_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps, and their number
+_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps; most steps
 # Length of a step across a point at which another curve crosses; limits of stability are more singular there.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain: another curve crosses
 _NONE = 1e-10  # share of the largest value that counts as 0
-_ILLINOIS, _NO_SHARE = 14, 1e-15  # iterations, the secant method with brackets, and its last change
+_ILLINOIS, _NO_SHARE = 14, 1e-15  # of the bracketed secant method: iterations, last change
 _ITERATIONS = 10  # of least squares, where the equations are singular
-_MISSED = 3e-5  # distance of a predicted vertex, with which the cubic between two is wrong by less than 1e-6
+_MISSED = 3e-5  # distance of a vertex from its prediction for which the cubic errs by less than 1e-6
 _ON_CURVE = 1e-6  # distance from a vertex within which a point is the same
-_SETTLED = 1e-6  # step of Newton's method that no other follows: the equations are quadratic
-# Points near a vertex among which the next one is looked for, and the length after which these are others.
+_SETTLED = 1e-6  # largest last step of Newton's method; its square is the error left
+# Number of points near a vertex among which the next one is sought, and the length after which they are chosen anew.
 _NEIGHBOURS, _LOOK = 32, 0.2
-_ASTRAY = 0.1  # distance of a point from the cubic between two vertices, over that of these, on no curve
-# Product of unit null vectors along one curve; where moments are nearly equal another one is beside it.
+_ASTRAY = 0.1  # least distance from the cubic, over the distance of its vertices, of a point that is on another curve
+# Least product of successive unit null vectors of one curve: with nearly equal moments another curve is close.
 _SAME_VECTOR = 0.3
-_BACK = 1e-6  # product of rates of the parameters with opposite signs, over their squares
-# Of limits of stability, of the ranges and of the length of one: where their equations are nearly singular several vertices, and
-# curves, are at the same end.
+_BACK = 1e-6  # least -product of the parameters' rates at both vertices of a turn, over their squares
+# Distance, in ranges and in length, below which vertices of limits of stability, and limits, are the same: near ends their equations
+# are nearly singular.
 _SAME_END = 2e-5
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
 
 
 class Piece(NamedTuple):
-    """A part of a curve between two ends, numbers 2 i and 2 i + 1 of the point i; -1: the box ends there, -2: it is lost."""
+    """Part of a curve between two points; point i has the ends 2 i ahead and 2 i + 1 behind; -1: side of the box, -2: lost."""
 
     length: float
     first: int
     last: int
-    mirrored: bool  # it leads to the mirror image of the last point
-    unknowns: Array  # of its vertices, (vertices, unknowns)
+    mirrored: bool  # whether it leads to the mirror image of the last point
+    unknowns: Array  # of the vertices, (vertices, unknowns)
     tangents: Array
 
 
 class Curve(NamedTuple):
-    """Vertices of a curve and its unit tangents by its length; a closed one ends where it begins."""
+    """Vertices of a curve and its unit tangents; a closed curve ends where it begins."""
 
     points: Degenerate
     tangents: Array
@@ -64,7 +64,7 @@ class Curve(NamedTuple):
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
     def runs(self, kept: Mask) -> list[Curve]:
-        """The parts of two vertices or more that are all kept."""
+        """The parts of two or more successive vertices that are kept."""
         if kept.all():
             return [self]
         cuts = np.flatnonzero(np.diff(kept)) + 1
@@ -72,7 +72,7 @@ class Curve(NamedTuple):
         return [Curve(self.points.take(own), self.tangents[own], False, self.lost) for own in groups]
 
     def inserted(self, after: NDArray[np.int64], points: Degenerate, tangents: Array) -> Curve:
-        """The curve with more vertices, one after each of these."""
+        """The curve with one more vertex after each of the vertices `after`."""
         unknowns = np.insert(self.points.unknowns, after + 1, points.unknowns, 0)
         kind = np.full(len(unknowns), self.points.kind[0])
         every = np.insert(self.tangents, after + 1, tangents, 0)
@@ -99,7 +99,7 @@ def curves(points: Degenerate, tangents: Array) -> list[Curve]:
 
 
 def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
-    """Points without those that are a short way ahead of or behind another one on the same curve."""
+    """Indices of the points, without those a short way ahead of or behind another one on the same curve."""
     count, place, along = len(tangents), points.place, _of_place(points, tangents)
     targets, _ = _with_images(points, tangents)
     near = _nearest(place, targets)
@@ -115,7 +115,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether seeds, and then their mirror images, of these numbers are of the kind of points and have the same null vector."""
+    """Whether the seeds `near` each point (numbers beyond their count: mirror images) have its kind and its null vector."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -156,7 +156,7 @@ def _in_unknowns(points: Degenerate, rows: Array) -> Array:
 
 
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
-    """The parts of curves that leave points by some of their ends."""
+    """The parts of curves that begin at some ends of points."""
     targets, target_along = _with_images(seeds, seed_tangents)
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
@@ -239,7 +239,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
 
 
 def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
-    """Curves from pieces, each of which is kept under both of its ends."""
+    """Curves from pieces, which `of_end` has under both of their ends."""
     flip, left = seeds.potential.mirror(), set(of_end)
     for seed in sorted({end // 2 for end in of_end}):
         if not left & {2 * seed, 2 * seed + 1}:
@@ -294,7 +294,7 @@ class Segments(NamedTuple):
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
-        """The segments that begin at chosen vertices of each curve but its last, or at all."""
+        """The segments that begin at chosen vertices of each curve, by default at all but its last."""
         chosen = chosen or [np.ones(len(line.tangents) - 1, bool) for line in lines]
         where = [np.flatnonzero(mask) for mask in chosen]
         number = np.repeat(np.arange(len(lines)), [k.size for k in where])
@@ -316,11 +316,11 @@ class Segments(NamedTuple):
         )
 
     def at(self, share: Array) -> tuple[Degenerate, Array]:
-        """Points of the curves at these shares of the way, of the cubics where none is near, and their tangents."""
+        """Points of the curves at these shares of the way (of the cubics, if no curve is near), and their unit tangents."""
         guess, chord = self.cubic(share), self.end.place - self.start.place
         reach, directions = _ASTRAY * length(chord), self._directions(share)
         points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
-        with np.errstate(all="ignore"):  # they may be anywhere, and tangents too where another curve crosses
+        with np.errstate(all="ignore"):  # Newton's method may diverge, and tangents fail at crossings
             near = (step < _SETTLED) & (length(points.place - guess.place) < reach)
             turn = _of_place(guess, tangents - directions)
         astray = np.flatnonzero(~(near & (length(turn) < _BEND)))
@@ -389,12 +389,12 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves with vertices also where limits of stability turn back between two: at a pitchfork those of mirror images are the same one."""
+    """Curves with vertices also where limits of stability turn back: at a pitchfork limits of mirror images are one curve."""
     if not lines:
         return []
     every = Segments.of(lines)
     first, last = (each[:, -3:-1] for each in every.slopes)
-    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # no cusps that are vertices
+    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # not at cusps that are vertices
     turns &= every.start.limit
     chosen = np.split(turns, np.cumsum([len(line.tangents) - 1 for line in lines])[:-1])
     back = (first - last)[turns]
@@ -407,7 +407,7 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
 
 
 def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves without limits of stability that are all but one point, and without vertices of others as near to the one before or to an end."""
+    """Curves without limits of stability shorter than _SAME_END, and without their vertices within _SAME_END of others or of ends."""
     result = []
     for line in lines:
         if line.points.limit[0]:
@@ -415,7 +415,7 @@ def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
                 continue
             arc, tangents = lengths(line), line.tangents.copy()
             after, before = np.searchsorted(arc, [_SAME_END, arc[-1] - _SAME_END])
-            tangents[[0, -1]] = tangents[[after - 1, before]]  # at ends themselves the most singular ones
+            tangents[[0, -1]] = tangents[[after - 1, before]]  # those at the ends are least certain
             kept = np.r_[True, np.diff(arc) > _SAME_END]
             kept[:after] = kept[before:] = False
             kept[[0, -1]] = True

@@ -27,7 +27,7 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
         from ..equilibria.bodies import bodies_of
 
         bodies, row = bodies_of(system, points)
-        # About an axis of symmetry every equilibrium can be turned: there is no need to search.
+        # With an axis of symmetry no equilibrium is isolated, and no count exists.
         symmetric = np.any([system.body(bodies).symmetric_about(i) for i in range(3)], axis=0)
         countable, counts = np.flatnonzero(~symmetric), np.full((len(COUNTS), symmetric.size), np.nan)
         if countable.size:

@@ -25,7 +25,7 @@ from ...plotting.style import COLOURS, STYLE, SYMBOLS, axis_label, variable_labe
 from ...plotting.trajectory import Sphere
 
 Style = dict[str, Any]
-# Lines in the order in which they are drawn: colour, width, and whether they are dashed.
+# Lines in the order of drawing: colour, width, and whether they are dashed.
 _LINES = {
     StabilityKind.UNSTABLE: (COLOURS["unstable"], 0.9, True),
     StabilityKind.UNKNOWN: ("0.6", 0.9, True),
@@ -64,7 +64,7 @@ SPECIAL: dict[int, tuple[str, Style]] = {
     )
 }  # fmt: skip
 
-# Bifurcations at which a branch that ends there has a vertical tangent, and steps between neighbouring points of a branch.
+# Bifurcations at which a branch ends with a vertical tangent, and steps between neighbouring points of a branch.
 TURNS, SUBDIVISION = (BifurcationKind.FOLD, BifurcationKind.PITCHFORK), 12
 
 
@@ -84,7 +84,7 @@ def diagram(
     ----------
     variable : str, optional
         A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
-        the body: for permanent rotations over their rate gamma gives Staude's arcs. Of borders it has no effect.
+        the body: for permanent rotations over their rate gamma gives Staude's arcs. No effect for borders.
     ax : matplotlib.axes.Axes, optional
         Axes to draw into; default a figure of its own.
     title : str, optional
@@ -159,7 +159,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
     lines: dict[int, list[Path]] = {}
     for start, end in pairwise(
         cuts.tolist()
-    ):  # vertices of one curve in one style, and the next one of the curve
+    ):  # vertices of one curve in one style, and the next vertex of the curve
         end -= end == len(style) or not same[end - 1]
         if end > start:
             points = np.concatenate([at[start : start + 1], knots[start:end].reshape(-1, 2)])
@@ -213,7 +213,7 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
 def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_last: bool) -> np.ndarray:
     """Parameter and values, or unit vectors, of a branch with SUBDIVISION steps between its points and no corners.
 
-    At an end where the branch turns back, values change as the square root of the distance: there they are interpolated over this.
+    At an end where the branch turns back, values change as the square root of the distance, over which they are interpolated.
     """
     nodes = np.arange(len(position))
     steps = np.linspace(0, nodes[-1], nodes[-1] * SUBDIVISION + 1)

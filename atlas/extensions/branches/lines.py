@@ -22,17 +22,17 @@ from .borders import Borders
 from .starts import Cell
 
 CHANGE = "change of the number"
-COUNT_TRISECTIONS = 4  # share of the distance between two neighbouring points of the atlas
-# The count of minima changes only where these merge with others, that of stable equilibria at limits of stability too.
+COUNT_TRISECTIONS = 4  # of the distance between two neighbouring points of the atlas
+# The number of minima changes only where minima merge with others; that of stable equilibria also at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
-MANY_COUNTS = 300  # vertices, which take more than a second
+MANY_COUNTS = 300  # vertices whose tracing takes more than a second
 BETWEEN = (
     6  # straight lines for the cubic between two vertices of a border, at most 1e-5 of the plane from it
 )
 
 
 def count_lines(count: str, plane: Plane, ds: xr.Dataset) -> Lines:
-    """Lines between the numbers of equilibria of an atlas that has this count, which no start changes; else borders of motions."""
+    """Lines at which this count of equilibria changes, if the atlas has the count; else borders of motions."""
     if count not in ds:
         return borders(plane)
     counts = ds[count].transpose(*plane.extent)
@@ -48,9 +48,9 @@ of_all, of_stable, of_minima = (
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    They are the borders of the bodies, where the plane has smooth ones; those of stable equilibria on two axes alone, and
-    where the borders explain their numbers. Else regions narrower than a cell are missed, and each change of a count that skips
-    values gives its own line.
+    The lines are the borders of `Borders` if the bodies depend smoothly on the plane; for stable equilibria only on two axes,
+    and if the borders explain all counts. Otherwise they are traced between the points of the atlas: regions narrower than a
+    cell are missed, and a count that jumps over values gives several lines.
     """
     name = str(counts.name)
     with suppress(BadInput):
@@ -73,7 +73,7 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
 
 
 def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] | None:
-    """Lines, or points on a single axis, at which the number of equilibria changes; None where not all are known."""
+    """Lines, or points on a single axis, at which the number of equilibria changes; None if some are not known."""
     system, minima = plane.scene.system, name == MINIMA_COUNT
     if not isinstance(system, Gyrostat):
         return None

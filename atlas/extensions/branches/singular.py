@@ -1,17 +1,17 @@
 """Degenerate critical points of quadratic functions on quadrics, over two parameters.
 
 Relative equilibria are critical points of the amended potential, x.Qx / 2 + c.x with Q diagonal, on the x with
-x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, (alpha, beta, gamma) for one
-with drag, and the axis of symmetry of one that has such an axis. With multipliers l and m they are degenerate, with the null vector v, where
+x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, (alpha, beta, gamma) with drag,
+and the axis of symmetry of a symmetric satellite. A critical point with multipliers l is degenerate, with null vector v and m, where
 
     (Q + l.E) x + c = 0,    x.E x / 2 = e,    (Q + l.E) v + m.E x = 0,    x.E v = 0,    v.v = 1.
 
 These polynomials of degree 2 define curves of folds in (x, l, v, m) and both parameters, smooth at cusps too. At a pitchfork of
-a symmetric body their derivative is singular; there s v is added to the first of them with one more unknown s, 0 on the curve, and x
-moves across v, which leaves it in the plane of symmetry.
+a symmetric body their derivative is singular; there the first equation gets a term s v, with one more unknown s that is 0 on the
+curve, and x moves across v, that is in the plane of symmetry.
 
-On limits of stability the conditions with v and m are replaced by P(s) = P'(s) = 0 with the characteristic polynomial P of the squares of
-the exponents: s, that of the double one, is unknown, so that points at which all three are the same are regular.
+On limits of stability the conditions with v and m are replaced by P(s) = P'(s) = 0, P the characteristic polynomial of the squares of
+the exponents. The double root s is an unknown, so that points with a triple root are regular.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, length, transverse_axes
 from ..equilibria.algebra import body_at_rest
 
-# Nodes along each axis of the interpolation by polynomials, and relative sizes of terms that are left out of them.
+# Nodes of the polynomials along each axis, tried in this order; relative sizes of the last terms, at most, and of terms to drop.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # of least squares, relative
-_WEIGHT = 100.0  # of changes of multipliers and null vectors in least squares: these are free
+_WEIGHT = 100.0  # in least squares: multipliers and null vectors may change by so much more than x
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
-# Iterations from a start, its last step where it converges, also slowly as at pitchforks, and the force along the null vector below
-# which it may be one; least singular value of regular points, relative, and their last step, and force at pitchforks.
+# Iterations from a start; largest last step of those that converge, if slowly, as at pitchforks; force along the null vector below
+# which a point may be a pitchfork; least relative singular value of regular points; their largest last step and force at pitchforks.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
-_VANISHES = 1e-7  # coefficient of the characteristic polynomial over the largest one
-# Rounding of its discriminant, over the sum of its terms: two exponents may be the same on a whole curve.
+_VANISHES = 1e-7  # coefficient of the characteristic polynomial that counts as 0, over the largest one
+# Rounding error of the discriminant over the sum of its terms: two exponents may be equal along a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
-# Distance from a pitchfork at which solutions are compared, iterations to it, and distances at which extrema of the momentum are sought.
+# Distance from a pitchfork at which solutions are compared, iterations to reach them, and distances to search extrema of the momentum.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # iterations onto a side of the box
-# Of two and of three orthonormal vectors.
+# Quadratic forms of two and of three orthonormal vectors.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -56,7 +56,7 @@ TRIADS[3:] += TRIADS[3:].swapaxes(1, 2)
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solutions of linear equations; where a matrix is singular to the last bit, of equations changed by rounding errors."""
+    """Solutions of linear equations; matrices that are singular to the last bit are changed by rounding errors first."""
     with suppress(np.linalg.LinAlgError):
         return np.asarray(np.linalg.solve(matrix, right))
     size = np.abs(matrix).max((1, 2), keepdims=True)
@@ -88,7 +88,7 @@ class Potential(NamedTuple):
     axis: int  # of symmetry of all bodies; -1: none
     upright: bool  # nothing acts along alpha and beta
     mirrored: bool  # alpha -> -alpha leaves all potentials the same
-    # Those of I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma, and of their derivatives, (a, b, 81).
+    # Coefficients of I, k, Omega (2 I - tr I), Q and c along alpha, beta and gamma, and of their derivatives, (a, b, 81).
     bodies: Array
 
     @classmethod
@@ -148,8 +148,8 @@ class Potential(NamedTuple):
     def characteristic(self, x: Array, positions: Array) -> tuple[Array, Array]:
         """Coefficients of the polynomial in the squares s of exponents, lowest first, and their derivatives by x and position.
 
-        In the frame the body obeys I xi'' + v x xi' + H xi = 0, so that it is det(s I + H) + s v.(s I + H) v; a root that is 0 by a
-        symmetry is left out. (N, 4) and (N, 4, n + 2).
+        In the frame the body obeys I xi'' + v x xi' + H xi = 0, so that the polynomial is det(s I + H) + s v.(s I + H) v; a root that
+        is 0 by a symmetry is left out. (N, 4) and (N, 4, n + 2).
         """
         alpha, gamma = self.attitudes(x)
         inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 9, 2)
@@ -184,9 +184,9 @@ class Potential(NamedTuple):
         return values, slopes
 
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where a pair vanishes, without it."""
+        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where to ignore a pair 0."""
         c = coefficients.copy()
-        if self.size == 2:  # both gamma and the axis of symmetry can be turned about, but where they are one
+        if self.size == 2:  # two symmetries, about gamma and the axis, unless these are parallel
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
         out = np.broadcast_to(left_out, len(c))
         c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
@@ -199,7 +199,7 @@ class Potential(NamedTuple):
         return np.where(degree[:, None] > [0, 1, 2, 1], conditions, 1.0)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Gradients of the conditions on x, and what gives the multipliers of a vector with the sign changed, (N, m, n) each."""
+        """Gradients B of the conditions on x, and (B B^T)^-1 B, which maps a vector to minus its multipliers, (N, m, n) each."""
         B = np.einsum("kij,nj->nki", self.forms, x)
         return B, _solved(B @ np.swapaxes(B, 1, 2), B)
 
@@ -208,7 +208,7 @@ class Potential(NamedTuple):
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
-        """Signs of the unknowns of `Degenerate` after alpha -> -alpha, ones where this changes potentials."""
+        """Signs of the unknowns of `Degenerate` after alpha -> -alpha; all 1 if this changes the potentials."""
         n, m = self.forms.shape[1], len(self.forms)
         signs = np.ones(n + m)
         if self.mirrored:
@@ -216,7 +216,7 @@ class Potential(NamedTuple):
         return np.concatenate([signs, signs, np.ones(3)])
 
     def attitudes(self, x: Array) -> tuple[Array, Array]:
-        """alpha and gamma in body axes, (N, 3) each; alpha is any across gamma where nothing acts across gamma."""
+        """alpha and gamma in body axes, (N, 3) each; alpha is an arbitrary normal of gamma if nothing acts across gamma."""
         if self.size >= 6:
             return x[:, :3], x[:, -3:]
         if self.size == 2:
@@ -255,7 +255,7 @@ def _values(coefficients: Array, positions: Array) -> Array:
 
 
 def _polar(a: Array, b: Array) -> Array:
-    """Polar form of the adjugate of symmetric matrices (..., 3, 3), twice the adjugate where both are the same."""
+    """Polar form of the adjugate of symmetric matrices (..., 3, 3), twice the adjugate if a = b."""
     product, traces = a @ b, [np.einsum("...ii->...", each)[..., None, None] for each in (a, b, a @ b)]
     unit = (traces[0] * traces[1] - traces[2]) * np.eye(3)
     return product + np.swapaxes(product, -1, -2) - traces[0] * b - traces[1] * a + unit
@@ -270,7 +270,7 @@ def _hessian(d: Array, q: Array, c: Array) -> Array:
 
 
 def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
-    """Derivatives of the contractions of matrices K with that Hessian by d, (N, matrices, 3)."""
+    """Derivatives by d of the contractions of matrices K with `_hessian`, (N, matrices, 3)."""
     rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
     tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
     return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
@@ -310,12 +310,12 @@ class Degenerate(NamedTuple):
 
     @property
     def pitchfork(self) -> Mask:
-        """Which are pitchforks."""
+        """Which points are pitchforks."""
         return np.asarray(self.kind == BorderKind.PITCHFORK)
 
     @property
     def limit(self) -> Mask:
-        """Which are limits of stability without a change of the number of solutions."""
+        """Which points are limits of stability, without a change of the number of solutions."""
         return np.asarray(self.kind >= BorderKind.LIMIT_OF_STABILITY)
 
     @property
@@ -348,7 +348,7 @@ class Degenerate(NamedTuple):
         return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l), those of (x, l) v in (x, l), and derivatives of the gradient by both parameters, (N, n + m, -1)."""
+        """Second derivatives in (x, l), the derivatives by (x, l) of their product with (v, m), and `Potential.at` the positions."""
         x, l, v, m, position, _ = self.parts
         forms, (N, n) = self.potential.forms, x.shape
         diagonal = self.potential.at(position)
@@ -395,7 +395,7 @@ class Degenerate(NamedTuple):
         return residual, slopes
 
     def characteristic(self) -> tuple[Array, Array]:
-        """The characteristic polynomial at s and two derivatives, (N, 3), and the derivatives of the former two by x and position."""
+        """The characteristic polynomial P(s), P'(s) and P''(s), (N, 3), and the derivatives of P and P' by x and position."""
         x, _, _, _, position, s = self.parts
         s = np.where(self.limit[:, None], s, 0.0)
         coefficients, slopes = self.potential.characteristic(x, position)
@@ -405,19 +405,19 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l), derivatives of the gradient by both parameters, (N, n, 2), and those of solutions (x, l)."""
+        """Second derivatives in (x, l), and the derivatives by both parameters of the gradient, (N, n, 2), and of solutions (x, l)."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
         return first, forces, -_solved(first + 1e-13 * np.eye(first.shape[1]), right)
 
     def values_and_rates(self) -> tuple[Array, Array]:
-        """The characteristic polynomial of solutions at s, (N,), and its derivatives by both parameters with the solution, (N, 2)."""
+        """The characteristic polynomial at s, (N,), and its derivatives by both parameters along the solution, (N, 2)."""
         n, (*_, moved), (values, slopes) = self.potential.size, self.response(), self.characteristic()
         return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
     def margins(self) -> Array:
-        """Numbers that are all positive where exponents that do not vanish are imaginary, (N, 4)."""
+        """Numbers that are all positive where all nonzero exponents are imaginary, (N, 4)."""
         x, _, _, _, position, _ = self.parts
         coefficients, _ = self.potential.characteristic(x, position)
         left_out = self.pitchfork | self.limit | (not self.potential.cyclic)
@@ -425,9 +425,9 @@ class Degenerate(NamedTuple):
         return np.where(self.limit[:, None], -self.largest_square()[:, None], margins)
 
     def stable_change(self) -> NDArray[np.int64]:
-        """By how many stable solutions curves change where these margins are positive, (N,).
+        """Change of the number of stable solutions across curves whose margins are positive, (N,).
 
-        Of two solutions that merge one is stable, but both if the exponents that vanish do so at another momentum.
+        One of two merging solutions is stable; with a cyclic angle both are, whose exponents vanish at extrema of the momentum.
         """
         change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
@@ -435,7 +435,7 @@ class Degenerate(NamedTuple):
         return change
 
     def _change_at_pitchforks(self) -> NDArray[np.int64]:
-        """By how many the stable solutions are more on the side with more solutions, from the first of these beside a pitchfork, (N,)."""
+        """Stable solutions gained on the side of a pitchfork with more solutions, from one solution beside the pitchfork, (N,)."""
         _, _, toward = self.character()
         toward = toward / np.maximum(length(toward), np.finfo(float).tiny)[:, None]
         _, rates = self.values_and_rates()
@@ -467,7 +467,7 @@ class Degenerate(NamedTuple):
         return result
 
     def inside(self) -> Mask:
-        """Which are in the box but for rounding errors."""
+        """Which points are in the box, up to rounding errors."""
         return np.asarray((np.abs(self.parts[4] - 0.5) < 0.5 + _EXACT).all(1))
 
     def moved(self, change: Array) -> Degenerate:
@@ -494,10 +494,10 @@ class Degenerate(NamedTuple):
 
     @np.errstate(all="ignore")  # Newton's method diverges where these equations are singular
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
-        """Points of the curves in the hyperplanes through these across a row, (N, unknowns), the last steps, the unit tangents, and orientations.
+        """Points of the curves in hyperplanes through these points with normals `row`, last steps, unit tangents, and orientations.
 
-        The orientation, the sign of the determinant of the equations with the row, is constant along a curve but for points at which others
-        cross it.
+        The orientation, the sign of the determinant of the equations with the row, is constant along a curve except where another
+        curve crosses it.
         """
         points = self
         for _ in range(iterations):
@@ -512,11 +512,11 @@ class Degenerate(NamedTuple):
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
     def condition(self, rows: Array) -> Array:
-        """Condition numbers of the equations with rows over the unknowns, (N,)."""
+        """Condition numbers of the equations bordered by rows, (N,)."""
         return np.linalg.cond(np.concatenate([self.equations()[1], rows[:, None]], 1), 1)
 
     def onto_sides(self) -> tuple[Degenerate, Array]:
-        """Points of curves on the sides of the box beyond which these are, and the last steps."""
+        """Points of the curves on the sides of the box, from points beyond these sides, and the last steps."""
         nearest, row = np.clip(self.parts[4], 0, 1), np.zeros_like(self.unknowns)
         row[:, -3:-1] = np.sign(self.parts[4] - nearest)
         points = self._replace(unknowns=self.unknowns.copy())
@@ -525,11 +525,11 @@ class Degenerate(NamedTuple):
         return points, step
 
     def solves(self) -> Mask:
-        """Which are on their curves, in the box."""
+        """Which points are on their curves and in the box."""
         return np.asarray((np.abs(self.equations()[0]).max(1) < _EXACT) & self.inside())
 
     def flat(self) -> Mask:
-        """At which pitchforks no other solutions bifurcate: equilibria of the body form a line."""
+        """Which pitchforks have no bifurcating solutions, because equilibria of one body form a line."""
         _, (product, bend), _ = self.character()
         return np.asarray(self.pitchfork & (np.abs(bend) <= _EXACT * np.abs(product)))
 
@@ -545,14 +545,14 @@ class Degenerate(NamedTuple):
         points.unknowns[beyond] = onto.unknowns
         good[beyond] = step < _EXACT
         good &= ~points.flat()
-        limits = np.flatnonzero(points.limit)  # Newton's method is as fast at singular ones
+        limits = np.flatnonzero(points.limit)  # Newton's method is fast at singular limits too
         sizes = np.linalg.svd(points.take(limits).equations()[1], compute_uv=False)
         good[limits] &= sizes[:, -1] > _REGULAR * sizes[:, 0]
         return points.take(good), tangent[good]
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Unknowns at critical points and, where not solves, near complex ones, whose eigenvalues vanish within a reach to first order."""
+        """Unknowns at critical points (near complex ones if not `solves`) with an eigenvalue that vanishes within a reach, to first order."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -608,9 +608,9 @@ class Degenerate(NamedTuple):
         return Degenerate.joined([Degenerate(self.potential, unknowns, kind) for unknowns in sides])
 
     def settled(self, reach: float) -> Degenerate:
-        """Regular points of curves in the box to which Newton's method goes from near ones, within a reach of them."""
+        """Points of curves in the box to which Newton's method converges from these points, within a reach."""
         points, step = self.nearest(_ITERATIONS)
-        beyond = np.flatnonzero(~points.inside())  # on curves of which a part may be inside
+        beyond = np.flatnonzero(~points.inside())  # their curves may be inside in part
         onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
         near = step < _NEAR

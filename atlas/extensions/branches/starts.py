@@ -16,18 +16,18 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
-# Lines along each axis, samples on each, and values along each axis of the grid for the zeros of a component.
+# Lines along each axis, samples on each line, and size of the grid on which zeros of a component are traced.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # a component of c on the line of its zeros, where folds are limits of those beside it
-_ON_SPHERE = 8  # iterations
+_ZERO = 1e-20  # stands for a component 0 of c on its line of zeros, where folds are limits of others
+_ON_SPHERE = 8  # iterations of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
 CELLS = (
     13  # of the coarse grid, along each axis: odd, since the middle of ranges is often a plane of symmetry
 )
-_RIM = 0.004  # distance of its outermost lines from the border of the box, where bodies are often symmetric
-# Distance from the middle of another line through the grid: curves on both sides of a plane of symmetry cancel between corners beyond both.
+_RIM = 0.004  # distance of the outermost lines from the border of the box, where bodies are often symmetric
+# Distance from the middle of one more line of the grid: between corners on both sides of a plane of symmetry, mirrored curves cancel.
 _BESIDE_MIDDLE = 5e-4
-REACH = 2.0  # cells, within which curves are sought from an equilibrium
+REACH = 2.0  # distance from an equilibrium within which curves are sought, in cells
 # Further searches, points on an interval in each, and divisions of the segments of curves.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
@@ -47,11 +47,11 @@ class Cell(Flag):
 
 
 def on_sphere(potential: Potential) -> Degenerate:
-    """Points of all curves in the box, on the sphere or circle of one vector.
+    """Points of all curves in the box, for x on a sphere or circle.
 
-    With Q = d and c = b solutions are -b / (d - L), where F(L) = sum b_i^2 / (d_i - L)^2 is 1, and folds where F is 1 at its minimum
-    in a gap between two poles with b_i != 0; if a parameter moves one component of b alone, or only d by a common factor, every curve of folds leaves the
-    box or meets a line b_i = 0. Where b_i = 0 everywhere, pitchforks are where F without i is 1 at L = d_i.
+    With Q = d and c = b the solutions are -b / (d - L) for all L at which F(L) = sum b_i^2 / (d_i - L)^2 is 1. At a fold the minimum
+    of F between two poles with b_i != 0 is 1. If a parameter moves one component of b alone, or scales d, every curve of folds
+    leaves the box or meets a line b_i = 0. Where b_i = 0 everywhere, F without its term i is 1 at L = d_i at a pitchfork.
     """
     n, sides, steps = potential.size, np.linspace(0, 1, _SAMPLES), np.linspace(0, 1, _CONTOUR)
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1)
@@ -101,9 +101,10 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Solutions that may be degenerate within a reach, nearly real ones too, those near limits of stability, and numbers of all and of stable ones, (2, bodies).
+    """Solutions, also nearly real, that may be degenerate within a reach; solutions near limits of stability; and two numbers.
 
-    A number is nan where it is not certain; limits and numbers of stable solutions are only with stability.
+    The numbers, (2, bodies), are of all and of stable solutions, nan where not certain. Limits and stable solutions are found
+    only if `stability` is true.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -133,22 +134,22 @@ def near_solutions(
 def all_curves(
     system: Gyrostat, potential: Potential, points: Callable[[Array], Points], stability: bool
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
-    """The curves of bodies over two parameters, maybe with limits of stability, the axis of a coarse grid, and what is known of its cells, values of `Cell`.
+    """The curves of bodies over two parameters, the axis of a coarse grid, and a value of `Cell` for each of its cells.
 
-    Where the numbers of equilibria, or of stable ones, at neighbouring corners differ otherwise than the curves between them say, more curves are
-    sought from points between the two.
+    stability: whether to find limits of stability too. Where the curves between two neighbouring corners do not explain the
+    change of the number of equilibria, or of stable ones, more curves are sought from points between the corners.
     """
     axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
     nodes = np.insert(axis, CELLS // 2 + 1, 0.5 + _BESIDE_MIDDLE) if stability else axis
     i, j = np.divmod(np.arange(nodes.size**2), nodes.size)
-    j = np.where(i % 2, nodes.size - 1 - j, j)  # neighbours are solved from one another
+    j = np.where(i % 2, nodes.size - 1 - j, j)  # a serpentine: successive bodies are similar
     numbers = np.empty((2, nodes.size, nodes.size))
     positions = nodes[np.stack([i, j], -1)]
     near, limits, numbers[:, i, j] = near_solutions(system, potential, points, positions, reach, stability)
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size >= 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
-    # The sides of curves with more solutions, or more stable ones, change where these vanish.
+    # At the zeros of these functions the side of a curve with more solutions, or more stable ones, changes.
     tests: list[Callable[[Degenerate], Array]] = [
         lambda points: points.character()[1][1],
         lambda points: np.where(points.pitchfork, 1.0, points.character()[1][0]),
@@ -161,7 +162,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # Extrema of the momentum end where other ones of the solutions that bifurcate are stable, or are close all along.
+            # Curves of extremal momentum end where the stable solutions at a pitchfork change, or run close to a curve.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -210,23 +211,23 @@ def _margin(condition: int) -> Callable[[Degenerate], Array]:
 
 
 def _crossing(points: Degenerate) -> Array:
-    """A function that vanishes where limits of stability cross, at which nothing points to either side, or have cusps."""
+    """A function that vanishes where limits of stability cross, because the covector does, or have cusps."""
     _, (bend, _), covector = points.character()
     return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 
 
 def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
-    """Indices of the cells of a grid in which positions are, (N, 2), of the nearest ones at its rim."""
+    """Indices of the cells of a grid that contain positions (N, 2), or are nearest to positions outside."""
     return tuple(np.clip(np.searchsorted(axis, positions) - 1, 0, axis.size - 2).T)
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """The lower Morse index of the solutions beside segments, and their numbers to the left of the direction less those to the right.
+    """The lower Morse index of the solutions beside segments, and differences of their numbers, left minus right.
 
-    These are of all and of the stable ones, (2, segments).
+    The differences are of all and of stable solutions, (2, segments).
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
-    fork = middle.pitchfork  # off their curve others may seem to bifurcate on the wrong side
+    fork = middle.pitchfork  # off the curve, solutions may seem to bifurcate to the wrong side
     middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]
@@ -238,7 +239,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """Differences of the numbers of all and of stable solutions between neighbouring corners of a grid, along each axis, from the curves between."""
+    """Differences of the numbers of all and of stable solutions between neighbours of a grid, along each axis, by the curves."""
     result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result
@@ -246,7 +247,7 @@ def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Ar
     _, left = sides(parts)
     shares = np.arange(_DIVISIONS + 1) / _DIVISIONS
     for start, end in pairwise(parts.cubic(np.full(parts.curve.size, share)).parts[4] for share in shares):
-        for along in (0, 1):  # of the intervals, on lines of the grid with a value of the other coordinate
+        for along in (0, 1):  # direction of the intervals between neighbours
             low, high = start[:, 1 - along], end[:, 1 - along]
             part, line = np.nonzero((low[:, None] > axis) != (high[:, None] > axis))
             share = (axis[line] - low[part]) / (high - low)[part]

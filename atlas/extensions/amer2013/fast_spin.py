@@ -63,7 +63,7 @@ class FastSpin:
         )
         _raise_where(self.weight == 0, "Mg z0 = 0: the unit c sqrt(gamma0'') of p and q in (4) vanishes")
         _raise_where(C * r0 + self.l3 == 0, "C r0 + l3 = 0: chi1 and nu of (10) divide by 1 + Omega")
-        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), of p and q, rad s-1
+        self.scale = np.sqrt(np.abs(self.weight) / C * self.gamma0)  # c sqrt(gamma0''), unit of p, q, rad s-1
         self.eps = self.scale / r0
         self.a, self.A1 = A / C, (C - A) / A
         self.k = self.N * C / np.abs(self.weight) * self.gamma0  # N gamma0'' / c^2; (4) prints N / c^2

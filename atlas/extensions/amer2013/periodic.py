@@ -49,7 +49,7 @@ class Periodic(NamedTuple):
 
 
 def flow(spin: FastSpin, y: Array, directions: Array, period: Array, steps: int) -> tuple[Array, Array]:
-    """State after a period, (6, points), and the images of changes in some directions, (6, k, points).
+    """State after a period, (6, points), and its derivatives along k directions of the start, (6, k, points).
 
     The right side of (1) is quadratic, so that its derivative along v is exactly [f(y + v) - f(y - v)] / 2.
     """
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and the defect before the last one, about the root of the final defect."""
+    """Unknowns after corrections by Newton's method, and the defect before the last correction, which about squares it."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])

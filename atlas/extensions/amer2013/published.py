@@ -40,7 +40,7 @@ def formulas(values: Values, *names: str) -> Array:
     return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
 
 
-@lru_cache(maxsize=8)  # a right-hand side asks for them at every step
+@lru_cache(maxsize=8)  # every step of an integration needs them
 def coefficients(spin: FastSpin) -> Values:
     """The numbers of a body with chi, chi1 and nu of (10), X, chi2 and nu2 of (11); BadInput where they divide by zero."""
     values = numbers(spin)
@@ -269,7 +269,7 @@ MEASURES: dict[str, EntryMeasure] = {
         _kernel_24, lambda spin: (1, np.sqrt(frequency_squared(spin))), lambda spin: (1, 1), _FAST
     ),
     "(24), g_k": _of_body(_kernel_24, *2 * (lambda spin: 2 * (np.sqrt(frequency_squared(spin)),),), _FAST),
-    # by how much W1 has the wrong sign
+    # size of W1 where its sign is wrong
     "(32)": _of_body(
         lambda spin, rng, sign: np.maximum(0, -sign * formulas(coefficients(spin), "W1")), 1, -1, paper_spin
     ),

@@ -1,9 +1,9 @@
 """Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
 Each row tests one equation: k, the frequency, chi, chi1, nu and X have their true values (X = 1 / Omega, chi = 0) in both
-readings, and A^-1 y2 is C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected; S11 to S22 are (13),
+readings, and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected; S11 to S22 are (13),
 corrected, without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the two
-readings, or to the exact value where the readings are equal; the true reading of an expansion in eps has one of order eps.
+readings, or to the exact value where the readings are equal; the true reading of an expansion in eps has a residual of order eps.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def state(y: Array, prefix: str = "") -> Values:
     return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
-# (3), corrected, and states that satisfy (2) with it.
+# (3), corrected, and states that satisfy (2) with this (3).
 
 
 def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:

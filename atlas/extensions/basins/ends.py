@@ -16,7 +16,7 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # errors of the energy between a body and the rim of its well that a proof needs
+MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, in errors of the energy
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
 # Largest error (rad, and in units of rates) of a motion before it settles; a larger one may cross the border of a basin.
 LARGEST_ERROR = 0.01
@@ -101,7 +101,7 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Points with an end that the energy at the start may not decide."""
+        """Points with an end, unless it is certain because the energy at the start is below all equilibria but minima."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided

@@ -35,9 +35,9 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     -------
     Dataset
         `end`, int16, over the dimensions of the atlas: the position along `which`, or -1 where the status is not ok or no other
-        motion has the same end. Motions that differ by at most the tolerance, to a quarter of it, have the same end, and so
-        have chains of them. Along `which`, in the order of the first feature: count, the number of motions; each feature, its
-        median; and spread, the largest difference over the tolerance; a warning names chains, where it is above 1.
+        motion has the same end. Motions that differ by at most the tolerance, to a quarter of it, have the same end, directly
+        or through a chain of motions. Along `which`, in the order of the first feature: count, the number of motions; each
+        feature, its median; spread, the largest difference over the tolerance, above 1 for chains, which a warning names.
 
     Raises
     ------

@@ -64,7 +64,7 @@ class Wells:
             part = slice(first, first + _BLOCK)
             own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
             trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # circles, of which the nearest member counts
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # of a circle the nearest member counts
             s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
             along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
             across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 Places = NDArray[np.int64]
 # Two solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the error of every rival.
 _CLOSE, _DISTINCT = 0.3, 0.25
-_MAX_TURN = 0.5  # of a prediction and of a step of Newton's method, rad
+_MAX_TURN = 0.5  # largest turn by a prediction and by a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that meet no special value
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
@@ -63,7 +63,7 @@ class Singular(NamedTuple):
         """Whether a change of the parameters lets solutions merge and vanish."""
         by_parameters = self.slopes[:, :3, 3:]
         along = np.abs(np.einsum("ni,nij->nj", self.null, by_parameters))
-        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # derivative by a parameter that changes nothing
+        rounding = 1e-3 * np.abs(self.slopes).max((1, 2))  # rounding error of a derivative that is 0
         size = np.maximum(np.abs(by_parameters).max(1), rounding[:, None])
         return np.asarray((along > _TRANSVERSAL * size).any(1))
 
@@ -79,7 +79,7 @@ class BodyFamily(NamedTuple):
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
-        """The family on the range of some values, (bodies, parameters), with the symmetries that most of them have."""
+        """The family on the range of some values, (bodies, parameters), with the symmetries that most bodies have."""
         body = body_at_rest(system, points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
         upright = 2 * body.acts_across().sum() < len(values)
@@ -92,7 +92,7 @@ class BodyFamily(NamedTuple):
         return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
-        """Coordinates that are invariant under the symmetry, (..., components)."""
+        """Coordinates that are invariant under the symmetries, (..., components)."""
         alpha, gamma, axis = frames[..., 0, :], frames[..., 2, :], frames[..., self.axis]
         if self.axis < 0:
             return gamma if self.upright else np.concatenate([alpha, gamma], -1)

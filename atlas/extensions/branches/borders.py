@@ -75,14 +75,14 @@ _OWN = Variable.table(
 
 
 class Borders(NamedTuple):
-    """All borders on a plane of parameters, in positions: fractions of its sides."""
+    """All borders on a plane of parameters; positions on the plane are fractions of its sides."""
 
     plane: Plane
     potential: Potential
     lines: list[Curve]
     morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
     changes: Array  # of the numbers of all and of stable solutions there, left of the curve minus right, (2, vertices)
-    axis: Array  # of the grid on which equilibria are counted, along both sides
+    axis: Array  # positions, along each side, of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
     @classmethod
@@ -108,7 +108,7 @@ class Borders(NamedTuple):
         lines, axis, cells = all_curves(system, potential, points, stability)
 
         def shown(at: Degenerate) -> Mask:
-            """Where a body is possible and, at limits of stability, all exponents are imaginary."""
+            """Which points have a possible body and, at limits of stability, imaginary exponents alone."""
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
         lines = without_repeats(_possible(lines, shown)) if lines else []
@@ -209,13 +209,13 @@ def borders(
     Raises
     ------
     BadInput
-        For names, values and ties that a scene would not take, for empty ranges, for a parameter that changes no equilibria, for
+        For names, values and ties that a scene does not allow, for empty ranges, for a parameter that changes no equilibria, for
         damping, and where no body is possible.
 
     Notes
     -----
-    Between two vertices a curve is the cubic with both ends and, times the difference of arc, both tangents. Equilibria with
-    alpha and -alpha, if nothing acts along alpha, share one curve; other symmetries give a curve several times. A closed curve
+    Between two vertices a curve is the cubic through both whose derivatives there are the tangents times the difference of arc.
+    Equilibria with alpha and -alpha, if nothing acts along alpha, share one curve; other symmetries repeat curves. A closed curve
     of a satellite may be missed inside a cell that counts as explained. Where curves are nearer to one another than 1e-6 of the
     ranges, or 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
     """

@@ -71,8 +71,8 @@ def branches(
     Raises
     ------
     BadInput
-        For names, values and ties that a scene would not take, for a parameter that changes no body, where no body is possible, and
-        where every value is a bifurcation.
+        For names, values and ties that a scene does not allow, for a parameter that changes no body, where no body is possible,
+        and where every value is a bifurcation.
 
     Notes
     -----

@@ -33,8 +33,8 @@ _ASTRAY = 0.1  # least distance from the cubic, over the distance of its vertice
 # Least product of successive unit null vectors of one curve: with nearly equal moments another curve is close.
 _SAME_VECTOR = 0.3
 _BACK = 1e-6  # least -product of the parameters' rates at both vertices of a turn, over their squares
-# Distance, in ranges and in length, below which vertices of limits of stability, and limits, are the same: near ends their equations
-# are nearly singular.
+# Limits of stability shorter than this, and their vertices closer than this, in ranges and in length, are dropped: near ends their
+# equations are nearly singular.
 _SAME_END = 2e-5
 _OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
 
@@ -56,7 +56,7 @@ class Curve(NamedTuple):
     points: Degenerate
     tangents: Array
     closed: bool
-    lost: bool  # an end is not on the border of the box
+    lost: bool  # whether an end is not on the border of the box
 
     def sound(self) -> Mask:
         """Which vertices are on the curve and not between pitchforks at which nothing bifurcates."""
@@ -205,7 +205,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         accepted &= (sign == orientation[active]) | (
             arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
         )
-        first = ~bend[active].any(1)  # there the prediction is of lower order
+        first = ~bend[active].any(1)  # on a first step the prediction is of lower order
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED
         angle = np.arccos(cosine)
@@ -379,7 +379,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # the first one may be the middle again
+            break  # the first secant may give the middle again
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)

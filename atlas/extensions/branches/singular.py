@@ -32,9 +32,9 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, length, transverse_axes
 from ..equilibria.algebra import body_at_rest
 
-# Nodes of the polynomials along each axis, tried in this order; relative sizes of the last terms, at most, and of terms to drop.
+# Numbers of interpolation nodes along each axis, tried in turn; relative sizes of the last terms, at most, and of terms to drop.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
-_DAMPING = 1e-14  # of least squares, relative
+_DAMPING = 1e-14  # relative damping of least squares
 _WEIGHT = 100.0  # in least squares: multipliers and null vectors may change by so much more than x
 _MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
 # Iterations from a start; largest last step of those that converge, if slowly, as at pitchforks; force along the null vector below
@@ -81,7 +81,7 @@ class BorderKind(Flag):
 
 
 class Potential(NamedTuple):
-    """Amended potentials of bodies that depend on two parameters, at positions in a box: fractions of its sides."""
+    """Amended potentials of bodies over a box of two parameters; positions in the box are fractions of its sides."""
 
     terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
     forms: Array  # E_k, (m, n, n)
@@ -184,7 +184,7 @@ class Potential(NamedTuple):
         return values, slopes
 
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where to ignore a pair 0."""
+        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where to ignore one zero pair."""
         c = coefficients.copy()
         if self.size == 2:  # two symmetries, about gamma and the axis, unless these are parallel
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
@@ -320,7 +320,7 @@ class Degenerate(NamedTuple):
 
     @property
     def excess(self) -> Array:
-        """Size of the force along the null vector that no body exerts, 0 on curves, (N,)."""
+        """Size |s| of the artificial force along the null vector, 0 on curves, (N,)."""
         return np.where(self.limit, 0.0, np.abs(self.unknowns[:, -1]))
 
     @property
@@ -405,7 +405,7 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l), and the derivatives by both parameters of the gradient, (N, n, 2), and of solutions (x, l)."""
+        """Second derivatives in (x, l); derivatives by both parameters of the gradient, (N, n, 2); those of the solutions (x, l)."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
@@ -496,8 +496,7 @@ class Degenerate(NamedTuple):
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
         """Points of the curves in hyperplanes through these points with normals `row`, last steps, unit tangents, and orientations.
 
-        The orientation, the sign of the determinant of the equations with the row, is constant along a curve except where another
-        curve crosses it.
+        The orientation, the sign of the determinant of the equations with the row, changes along a curve only at crossings.
         """
         points = self
         for _ in range(iterations):
@@ -571,7 +570,7 @@ class Degenerate(NamedTuple):
         rates = np.stack([np.einsum("nei,ni,nei->ne", v, q, v) for q, _ in by], -1)
         rates += np.concatenate(bent, 2) @ moved
         slope = np.einsum("nei,nif->nef", v, forces)
-        with np.errstate(all="ignore"):  # some vanish
+        with np.errstate(all="ignore"):  # some derivatives vanish
             of_solutions = 0.5 * np.abs(kappa) / length(rates)
             of_others = np.abs(np.einsum("nei,ni->ne", v, gradient)) / length(slope)
         distance = np.where(solves[:, None], of_solutions, of_others)
@@ -636,10 +635,10 @@ class Degenerate(NamedTuple):
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, (2, N), and a covector.
 
-        The functions are, on folds, the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the
-        product of the other eigenvalues, and that times the fourth derivative; on limits of stability the second derivative of the
-        characteristic polynomial, 0 at cusps, and the product of the eigenvalues. The covector, (N, 2), points to the side of the curve where two more solutions are,
-        or one more is stable.
+        The functions are: on folds the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the product of the
+        other eigenvalues, and this times the fourth derivative; on limits of stability the second derivative of the characteristic
+        polynomial, 0 at cusps, and the product of the eigenvalues. The covector, (N, 2), points to the side of the curve with two
+        more solutions, or with one more stable solution.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]

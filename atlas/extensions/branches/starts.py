@@ -1,4 +1,4 @@
-"""Points on the curves of degenerate critical points: from closed forms on the sphere, from all equilibria of satellites."""
+"""Points on the curves of degenerate critical points: by closed forms on spheres, else from all equilibria of some bodies."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
 class Cell(Flag):
-    """What is known of a cell of the coarse grid."""
+    """Whether the numbers of equilibria at the corners of a cell of the coarse grid are explained."""
 
     COUNTED = (
         0,
@@ -65,7 +65,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """log F at the minima in the gaps, then at the poles of absent components, the L there, (levels, N), d and b."""
+        """log F and L, (levels, N), at the minima between poles, then at the poles of absent components; d and b."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -101,10 +101,9 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Solutions, also nearly real, that may be degenerate within a reach; solutions near limits of stability; and two numbers.
+    """Solutions, also nearly real, that may be degenerate within a reach; solutions near limits of stability; and counts.
 
-    The numbers, (2, bodies), are of all and of stable solutions, nan where not certain. Limits and stable solutions are found
-    only if `stability` is true.
+    The counts, (2, bodies), are of all and of stable solutions, nan where not certain; without `stability` no limits are sought.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -206,7 +205,7 @@ def all_curves(
 
 
 def _margin(condition: int) -> Callable[[Degenerate], Array]:
-    """The margin to one of the conditions of stability, a function of points."""
+    """A function of points: the margin of one condition of stability."""
     return lambda points: points.margins()[:, condition]
 
 

@@ -39,7 +39,7 @@ SWEEPS = 6  # of Jacobi's method
 
 
 def in_space(body, w, gamma):
-    """Bounds of a body about a fixed point near a rotation about the vertical; n is free, but 0 with damping."""
+    """Bounds of a body about a fixed point near a rotation about the vertical; the frame's rate n is free, but 0 with damping."""
     inertia, rotor, z = body.inertia, body.rotor, gamma
     momentum = dot(plus(times(inertia, w), rotor), z)
     n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
@@ -124,7 +124,7 @@ def attitude(body, w, alpha, gamma):
     if not least > 0:
         return unknown()
     slope = length(torque(body, a, g)) + GRADIENT * size
-    third = (1 + 17**0.5 / 4) * spread  # derivative of v.I v / 2
+    third = (1 + 17**0.5 / 4) * spread  # bound of the third derivative of v.I v / 2
     M = size_of(radius, third) + size_of(normal, third) + drag + GRADIENT * size
     limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
     offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)

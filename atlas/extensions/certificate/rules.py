@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the rates at the start, which no limit for all time can be below, leave the tolerance in reach."""
+    """Whether the rates at the start are small enough for limits within the tolerance, which hold at the start too."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 

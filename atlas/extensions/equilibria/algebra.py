@@ -19,8 +19,8 @@ from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
 _STARTS = 200  # orientations from which the search begins
-# Eigenvalues of the Hessian over its scale: below them two eigenvalues mean a surface of equilibria, an equilibrium is degenerate,
-# rounding decides the sign or, on circles, the number, and Newton's method may miss equilibria.
+# Eigenvalues of the Hessian over its scale, below which, in this order: two mean a surface of equilibria; an equilibrium is
+# degenerate; rounding decides the sign; on circles, rounding decides the number; Newton's method may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
 _ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, over the same scale
 _SAME = 1e-4  # largest distance of rotation matrices that count as equal

@@ -55,7 +55,7 @@ _NEARLY_REAL = 1.0  # largest imaginary part of solutions that count as nearly r
 def solve(
     inertia: Array, p: Array, r: Array, q: Array, ordered: bool = False
 ) -> tuple[Array, Array, Mask, Mask, Mask]:
-    """Critical points of W of some bodies; a common addend of the three moments has no effect.
+    """Critical points of W of some bodies; one number added to all three moments has no effect.
 
     ordered: whether neighbouring bodies are similar, so that Newton's method may start from the complex solutions of a neighbour.
     Returns alpha and gamma, (3, 24, bodies), unit vectors of real critical points and the real parts of others; the masks real

@@ -37,7 +37,7 @@ RESERVED = frozenset(
 # A mass matrix is singular if its determinant, rows divided by their norms, is below SINGULAR with floats in it, or below
 # SINGULAR_EXACT with exact numbers, computed with DIGITS digits.
 SINGULAR, SINGULAR_EXACT, DIGITS = 1e-13, 1e-30, 50
-# Longer expressions are simplified in fast ways only.
+# Longer expressions are simplified by fast methods only.
 MAX_OPERATIONS = 70
 
 
@@ -194,7 +194,7 @@ class _Mechanics:
                 raise BadInput(f"from_lagrangian: the name {name} is given twice")
 
     def _check_omitted(self) -> None:
-        """Raise BadInput unless nothing depends on the coordinates that the state shall not contain."""
+        """Raise BadInput if the Lagrangian, a force or a function depends on an omitted coordinate."""
         for i, coordinate in enumerate(self.coordinates):
             if coordinate in self.omit and not self.is_cyclic(i):
                 raise BadInput(
@@ -237,7 +237,7 @@ class _Mechanics:
         return matrix
 
     def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
-        """f, so that M v' = f; the shorter of the forms that follow from the Lagrangian and from M."""
+        """f of M v' = f, by the Lagrangian as given or by powers of the velocities, whichever is shorter."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         total = self.total_forces()
         result = []
@@ -251,7 +251,7 @@ class _Mechanics:
         return result
 
     def _by_powers(self, matrix: list[list[Expression]]) -> Expression:
-        """The Lagrangian by powers of the velocities, with the simplified mass matrix; as given where it has others."""
+        """The Lagrangian by powers of the velocities, with the simplified M; as given if it is not quadratic in them."""
         import sympy
 
         v = sympy.Matrix(self.velocities)
@@ -262,7 +262,7 @@ class _Mechanics:
         return (v.T * sympy.Matrix(matrix) * v)[0] / 2 + linear + self.lagrangian.subs(at_rest)
 
     def integrals(self) -> dict[str, tuple[str, list[Expression]]]:
-        """First integrals by name: what each is, and its terms, one or more for each term of the Lagrangian."""
+        """First integrals by name: meaning and terms, at least one for each term of the Lagrangian."""
         import sympy
 
         result, balances = {}, self.balances()
@@ -407,9 +407,7 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Numbers, the most important first: of functions of multiple angles and tangents, of different functions, of
-    operations with repeated parts counted once, and of all operations.
-    """
+    """Numbers of multiple angles and tangents, functions, operations without repeated parts and operations, in this order."""
     import sympy
 
     functions, multiples = expression.atoms(sympy.Function), 0

@@ -39,7 +39,7 @@ def nonlinear_lines(plane: Plane) -> Lines:
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
-        """D at positions that are indices."""
+        """D at positions in units of the lattice's indices."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 

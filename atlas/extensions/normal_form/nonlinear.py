@@ -21,7 +21,7 @@ In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (
 For l1 l2 < 0 without resonance up to order 4 it is stable if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
 (1961) 247; J. Moser, Lectures on Hamiltonian Systems, Mem. AMS 81 (1968)). By A. P. Markeev, Libration Points in Celestial Mechanics
 and Cosmodynamics (1978), it is unstable at l1 = -2 l2 if there is a resonant cubic term; at l1 = -3 l2 it is stable for
-|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B and unstable for <, where B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) is the resonant term. With
+|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B, else unstable, where B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) is the resonant term. With
 three degrees of freedom invariant tori do not separate the motions (Arnold diffusion), and these criteria do not show stability.
 """
 

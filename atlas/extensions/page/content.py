@@ -388,7 +388,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Type in JavaScript, size and data of each array: its bytes, grouped by place in the number, by zlib, in base64."""
+        """Type in JavaScript, size and data of each array: first bytes of all numbers, then second ones etc., zlib, base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))

@@ -41,7 +41,7 @@ class Page:
     Attributes
     ----------
     html : str
-        The whole file. It loads nothing, and its content-security policy forbids it to.
+        The whole file. It loads nothing; its content-security policy forbids loading.
     """
 
     html: str

@@ -32,7 +32,7 @@ class EllipticFunctions(NamedTuple):
         return cls(a, b, c)
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
-        """sn, cn and dn at 4 K turns."""
+        """sn, cn and dn at u = 4 K turns."""
         sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a

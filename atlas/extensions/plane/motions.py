@@ -12,10 +12,9 @@ motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = fiel
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
     P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
 
-Only P12 is odd in x. So if H maps deviations at x = 0 to deviations a time t later, R H^-1 R, R = diag(-1, 1, 1, -1), maps
-deviations a time t earlier to deviations at x = 0. The multipliers of a libration are eigenvalues of R H^-1 R H, t half a period;
-those of half a turn the same with t a quarter, and those of a whole turn their squares. H is symplectic, so that
-H^-1 = -J H^T J loses no digits.
+Only P12 is odd in x. So if H maps deviations at x = 0 to those a time t later, R H^-1 R, R = diag(-1, 1, 1, -1), maps those a time
+t earlier to x = 0. The multipliers of a libration are the eigenvalues of R H^-1 R H for t half a period; for a quarter they are
+those of half a turn, and their squares those of a whole turn. H is symplectic, so that H^-1 = -J H^T J loses no digits.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ class _Steps(NamedTuple):
 _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
-_MAX_ROUNDING = 1e-7  # relative, of 1 - k^2: above, near the separatrix, the period is not known
+_MAX_ROUNDING = 1e-7  # relative, of 1 - k^2; near the separatrix it is exceeded, and the period is not known
 _TOLERANCE = 1e-11  # relative error, with short steps, of the expressions that vanish on borders of stability
 _CHANGE = 3.2  # bound of the error over the change by the longest steps of an extrapolation; measured: 0.3
 # Signs of R H^-1 R relative to the blocks of H transposed.
@@ -148,7 +147,7 @@ class PlaneMotions(NamedTuple):
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
-        # over whole periods, and what the ends add to the means of x' and of its square
+        # Mean of the square of x' over whole periods, then the contributions of the ends to the means of x' and its square.
         square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
         slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2

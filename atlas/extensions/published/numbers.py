@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Row of one number, which agrees within half a unit of its last digit, or one unit of the last digit shown of ours."""
+    """Row of one number; it agrees if the difference is at most half a unit of its last digit or one of the last digit shown."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),
@@ -52,7 +52,7 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
     except (
         BadInput,
         AttributeError,
-    ) as refusal:  # without the extension that has the variable or the function
+    ) as refusal:  # the extension with the variable or the function is missing
         return row | {"verdict": f"not computed: {one_line(refusal)}"}
     values = np.asarray(result[output])
     if flag:

@@ -25,7 +25,7 @@ Counts = NDArray[np.int64]
 NODE_RADIANS = 0.8  # largest distance of two nodes, in rad of the frequency bound
 # Steps between two nodes: few numbers, so that motions share blocks of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
-NODES, LONGEST = 2**15, 2048  # largest numbers in memory, of all motions and of one
+NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory: of all motions, of one
 # A cubic nearly touches 0 if an extremum in the middle is below the share TOUCHING of its larger end; near the ends, where the cubic
 # is exact, a smaller share counts. If a motion is twice as fast as the bound, the error of a cubic is a third of TOUCHING.
 TOUCHING, SPLITS = 0.2, 6
@@ -131,7 +131,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """Extremum with the least value of cubics with values and slopes at 0 and 1, whether it decides on zeros, and an estimate of a zero."""
+    """For cubics with values and slopes at 0 and 1: the extremum nearest to 0 in value, whether it decides on zeros, and about a zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])
@@ -141,7 +141,7 @@ def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Arra
     depth = np.where(x < 1, depth, np.inf)
     signs = np.sign([f0, *height, f1])
     decides = (depth.min(0) < TOUCHING) | ((signs[1:] != signs[:-1]).sum(0) > 1)
-    # From x as a cubic in f with the same ends and slopes.
+    # Inverse interpolation: x as a cubic in f with the same ends and slopes.
     t, rise = f0 / (f0 - f1), f1 - f0
     zero = t * t * (3 - 2 * t) + t * (1 - t) * ((1 - t) * rise / s0 - t * rise / s1)
     zero = np.where((zero > 0) & (zero < 1), zero, 0.5)

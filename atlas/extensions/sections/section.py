@@ -34,7 +34,7 @@ DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
 DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # attributes
-MAX_VALUES = 10**8  # of each kept quantity
+MAX_VALUES = 10**8  # largest number of values of each kept quantity
 # Error of the first run over the difference of both, at most: errors of the steps are a sixth of it (rk4) or less, errors of
 # rounding may be larger.
 SHARE = 0.2
@@ -64,9 +64,8 @@ def section(
         As in `label_points`, of numbers, 1-D arrays or arrays along "point".
     at : str
         Two expressions with = between them, then "rising" (default), "falling" or "either": "psi_dot = 0 rising" is where
-        the left side minus the right one becomes positive. Names are states, constants and observables of the system and, of
-        a body, theta, psi, phi, theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z; psi and phi only alone on
-        the left.
+        left minus right becomes positive. Names are states, constants and observables of the system and, of a body, theta,
+        psi and phi (only alone on the left), theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z.
     keep : sequence of str, optional
         Expressions whose values at the crossings are kept; default the observables, of a body theta, phi, theta_dot and
         psi_dot.

@@ -23,7 +23,7 @@ TINY = 1e-300  # keeps rates on the vertical finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """The named quantities, states and constants, at states; imaginary parts, as small changes, are exact to first order."""
+    """The named quantities, states and constants, at states, whose imaginary parts are carried exactly to first order."""
     equations = system.equations
     values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
     missing = {*names} - values.keys()

@@ -19,7 +19,7 @@ FAST, UP = 10.0 ** np.arange(0, 7), 10.0 ** np.arange(-2, -13, -2)
 SPINS, FIELDS = 10.0 ** np.arange(-6, 5, 2), 10.0 ** np.arange(-8, 7, 2)
 TILTS = np.array([1e-2, 1e-3, 1e-4, 3e-5, 1e-6, 1e-8, 1e-12, 0.0])
 WEAK, WEAKER = 10.0 ** np.arange(-12, -3, 2), 10.0 ** np.arange(-2, -9, -2)
-# Additions to exact starts: beside a slowly unstable motion, and away from a stable one.
+# Offsets added to exact starts, rad: from slowly unstable motions, and from stable ones.
 HIDDEN, BESIDE = {"theta0": [1e-4, 1e-5, 1e-6]}, {"theta0": [0.0, 0.3]}
 # Offsets from unstable motions, rad, and the logarithms of their growth.
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)

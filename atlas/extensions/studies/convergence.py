@@ -29,7 +29,7 @@ VARIED = {
 }  # fmt: skip
 FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FLAGS = (*LABELS, "regularity")
-MAX_POINTS = 10_000  # default
+MAX_POINTS = 10_000  # default number of points
 CHANGE = "label_change"
 HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 
@@ -104,7 +104,7 @@ def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
 
 
 def _times(factor: float, amount: float | str) -> float | str:
-    """A number, or arithmetic, times a factor."""
+    """A number or an expression, multiplied by a factor."""
     return f"{factor!r} * ({amount})" if isinstance(amount, str) else factor * amount
 
 

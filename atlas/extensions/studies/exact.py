@@ -157,7 +157,7 @@ class FreeGyrostat:
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
-    where P is Weierstrass' function, computed by Jacobi's. The body turns about the fixed angular momentum at a rate that is a
+    where P is Weierstrass' function, by Jacobi's functions. The body turns about the fixed angular momentum at a rate that is a
     periodic function of r alone: its Fourier series is integrated term by term. psi' is relative to a frame that turns at
     frame_rate. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
@@ -195,7 +195,7 @@ class FreeGyrostat:
         self.components = [float(gamma @ vector[:, 0]) for vector in (axis, node, across)]
 
     def _find_roots(self, r: float) -> None:
-        """The root s that is nearest to r, and Weierstrass' values e from the other three."""
+        """Find the root s nearest to r, and Weierstrass' e1, e2 and e3 from the other three roots."""
         A, B, C = self.inertia
         l, L2, E2 = self.rotor, self.momentum**2, self.energy
         quadratics = [
@@ -274,7 +274,7 @@ class FreeGyrostat:
         return w
 
     def _directions(self, time: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Three fixed directions in body axes, (3, times): angular momentum, node at the start, across both."""
+        """Three fixed directions in body axes, (3, times): angular momentum, node at the start, normal of both."""
         phases = np.exp(1j * np.multiply.outer(time, self.harmonics))
         angle = self.mean_precession * time + ((phases - 1) @ self.series).real
         axis = self.inertia[:, None] * w
@@ -312,7 +312,7 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
     )
 
 
-# The exact motions that stress cases name.
+# Exact motions by their names in stress cases.
 
 
 def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:

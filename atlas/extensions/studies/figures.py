@@ -48,7 +48,6 @@ def stress_figure(ds: xr.Dataset) -> Figure:
     """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case
-    # A case has at least the height of its name.
     size = np.diff(np.r_[first, cases.size])
     edges = np.r_[0.0, np.cumsum(np.repeat(np.maximum(size, MIN_HEIGHT) / size, size))]
     columns = {

@@ -40,7 +40,7 @@ from .stress_truth import (
 # Levels, coarse to fine: steps as shares of the stability limit at the frequency bound; automatic steps by tolerances.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
-# Largest rate tolerance: with one relative to the natural rate of a fast rotor, all slow motions would be steady.
+# Largest rate tolerance: the default, relative to the natural rate of a fast rotor, would call all slow motions steady.
 RATE_TOLERANCE = 1e-5
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
 # A level leaves out points with more steps.
@@ -123,7 +123,7 @@ def _run_levels(
             radians = bound[where] * tile.duration
             most = replace(settings, max_steps=model.MAX_STEPS).at(tile.rate_tolerance)
             unlimited = StepSizes.of(most, bound[where], tile.duration, tile.step)
-        # 1000 steps show an overflow, for which the step size would ask for any number of steps.
+        # 1000 steps are enough to show an overflow, whose step sizes would take too many.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
         for max_steps, mask in runs.items():
@@ -224,7 +224,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, as at most 1 % may be."""
+    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, allowed for 1 % of runs."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
@@ -434,8 +434,8 @@ def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
 def constraint_bound(method: Method, y: float, steps: int) -> float:
     """Largest expected change of |gamma| over a run of a body that turns by y radians a step.
 
-    Each step multiplies the turning part by |R(i y)|, 1 - dissipation y^p to leading order, with R the method's stability
-    function. Rounding adds at most one ulp.
+    Each step multiplies the turning part by |R(i y)| = 1 - dissipation y^p to leading order, R the stability function of the
+    method. Rounding adds at most one ulp.
     """
     return steps * (method.dissipation * y**method.dissipation_order + 2.0**-53)
 

@@ -163,7 +163,7 @@ def _labels_of_runs(
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Labels from the statistics of exact motions, or of departures with a relative error."""
+    """Labels from the statistics of exact motions, or of departures, whose statistics have a relative error (points,)."""
     measured = {name: np.array([run[name] for run in runs]) for name in (*EXACT_STATISTICS, "outside")}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:

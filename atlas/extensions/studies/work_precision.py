@@ -38,9 +38,9 @@ from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
-MAX_POINT_STEPS = 5e8  # largest number at a level, over all points of the sample
-POINT_STEPS_TIMED = 6_000_000  # point-steps of one timing
-# Points tried for each point of the sample, because the family may not exist at some.
+MAX_POINT_STEPS = 5e8  # most steps at a level, summed over the sample
+POINT_STEPS_TIMED = 6_000_000  # steps of one timing, summed over its points
+# Points tried for each point of the sample, because the family may not exist at all of them.
 CANDIDATES_PER_POINT = 16
 
 # Variables over (method, level, sample), the last over (method, level): type, long name and units.
@@ -245,7 +245,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
     counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
-    module, seconds = _kernel(sample.scene, method), {}  # of a point-step, by the number of steps per sample
+    module, seconds = _kernel(sample.scene, method), {}  # of a step of one point, by steps per sample
     for count in set(counts):
         steps = max(POINT_STEPS_TIMED // repeated.size // count, 1) * count
         timed = replace(
@@ -386,7 +386,7 @@ def _statistics(ds: xr.Dataset) -> list[str]:
 
 
 def _median_and_largest(at: xr.Dataset, quantity: str) -> dict[str, float]:
-    """Median and largest error of the states, the rates or a statistic, by the names of the table."""
+    """Median and largest error of the states, the rates or a statistic, by the column names of the table."""
     values = at[f"error_{quantity}"].values
     return {f"error_{quantity}": nanmedian(values), f"error_{quantity}_largest": nanmax(values)}
 
@@ -528,7 +528,7 @@ def _cheapest_text(
     if angles > target:
         text += f"; theta_min and theta_max then have a median error of {angles:.1e}"
     above, names = _points_above(ds, row, target)
-    if above and name == "tolerance":  # half of the points are above a median
+    if above and name == "tolerance":  # else the target is a median, which half of the points exceed
         text += f"; {above} of {ds.sizes['sample']} points have larger errors, the largest at {names}"
         uncertain = np.fmax(ds["reference_error"].values, ds["reference_error_rates"].values) > target
         if uncertain.any():

@@ -8,9 +8,9 @@ down. Ratios are medians over rounds in which both kernels take turns.
 
 The share of the issue limit is the quotient of two times for one step of one vector of points. The first is measured for
 the packed floating-point instructions of the compiled step (counted in its assembly) as independent instructions with
-all operands in registers; the second is that of the kernel, statistics included. Multiplications with fused
-multiply-adds, and additions, may use different units of the processor, so the first time has the step's own proportion of
-the two. Shares are printed on x86 only; a share above 100 % means that the count or the limit is wrong, and makes the
+all operands in registers; the second is that of the kernel, statistics included. Multiplications (fused multiply-adds
+included) and additions may use different units of the processor, so the first time has the step's own proportion of the
+two. Shares are printed on x86 only; a share above 100 % means that the count or the limit is wrong, and makes the
 script fail.
 """
 

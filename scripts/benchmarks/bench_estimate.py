@@ -60,7 +60,7 @@ def point_sets(
 def share_beyond(
     system: str, points: dict[str, np.ndarray], duration: np.ndarray, reference, method: str, check: str
 ) -> tuple[float, float]:
-    """Share of the points with a label beyond 10 times their estimate, and the median of true error over estimate."""
+    """Share of the labelled points with errors above 10 estimates, and the median of true error over estimate."""
     ds = atlas.label_points(system, points, duration=duration, method=method, check_half_step=check)
     defaults = {name: np.full(duration.size, p.default) for name, p in SYSTEMS[system].parameters.items()}
     bound = SYSTEMS[system].frequency_bound(defaults | points)

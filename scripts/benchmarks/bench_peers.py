@@ -3,7 +3,7 @@
     python scripts/benchmarks/bench_peers.py [--rounds 3] [--only heyoka ...] [--docs .]
 
 The points are random satellites with Omega = 1, magnet and rotor, and random tops with rotor in the Newtonian field, to T = 50
-and to T = 1000, and slender satellites to T = 5. The spin of the latter is fast for short times: a constant step size costs most
+and to T = 1000, and slender satellites to T = 5, whose spin is fast for short times, so that a constant step size costs most
 in comparison with adaptive integrators. Tops, and points of the longer runs, are used only if they amplify a small change by less
 than 2 T, because no reference is accurate enough for the others.
 Every integrator runs the same points on one processor, in the best way of its documentation, at a series of tolerances. All take

@@ -3,7 +3,7 @@
 python scripts/benchmarks/bench_proofs.py [--points 2500] [--duration 1e4] [--seed 0] [--figure docs/labels_proofs.svg]
 
 Random bodies of four kinds, POINTS of each, start from steady motions whose own labels are proved, with nudges of random direction
-and size. About a quarter of random satellites has a minimum of the energy, and all tops.
+and size. About a quarter of the satellites, and all tops, have a minimum of the energy.
 """
 
 from __future__ import annotations

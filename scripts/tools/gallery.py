@@ -372,7 +372,7 @@ def is_current(file: Path, scene: atlas.Scene) -> bool:
 def draw(picture: Picture, out: Path, force: bool, docs: Path | None, count: int | None) -> list[str]:
     """Compute the atlas of a picture if need be, and draw it; returns its section of the page."""
     file = out / f"{picture.scene}.nc"
-    if is_example(picture):  # apart from the atlases whose pages scripts/docs.sh makes
+    if is_example(picture):  # in a folder apart from the atlases whose pages scripts/docs.sh makes
         register_example(picture)
         (out / "examples").mkdir(exist_ok=True)
         file = out / "examples" / file.name

@@ -156,7 +156,7 @@ def parameters(system: System) -> str:
 
 
 def dataset(system: System) -> str:
-    """List of the variables of an atlas: their remarks are too long for the cells of a table."""
+    """List of the variables of an atlas, whose remarks are too long for the cells of a table."""
     lines = []
     for v in variables(system).values():
         values = f"flags {', '.join(v.flags)}" if v.flags else unit(v.units)
@@ -179,7 +179,7 @@ def families(system: System) -> str:
 
 
 def conditions(system: System) -> str:
-    """List of the conditions of the families: too long for a table. A long one that several share has a letter."""
+    """List of the conditions of the families, too long for the cells of a table; a long one of several families has a letter."""
     texts = {f.name: [_symbols(c.text) for c in f.conditions] for f in families_of(system).values()}
     counts = Counter(text for each in texts.values() for text in each)
     shared = [text for text, count in counts.items() if count > 1 and len(text) > 80]
@@ -211,7 +211,7 @@ def figure_table() -> list[Any]:
 
 
 def by_body(rows: list[tuple[str, ...]]) -> str:
-    """A table for each body, the first cell of a row, with a column for each of its rows: they are too long for the page."""
+    """A transposed table for each body (first cell of a row), because the rows are too long for the page."""
     heading, *rest = [tuple(map(with_formulas, row)) for row in rows]
     groups = [list(group) for _, group in groupby(rest, key=lambda row: row[0])]
     columns = [zip(heading[1:], *(row[1:] for row in group), strict=True) for group in groups]

@@ -23,7 +23,7 @@ from atlas.systems.base import Array, derived_values
 from atlas.systems.satellite import SATELLITE
 
 Points = dict[str, Array]
-PERIODS = 3  # of the slow oscillation, whose range of theta is the unit of that of the run
+PERIODS = 3  # of the slow oscillation, over which the range of theta is the unit of excursions
 NAMES = ("nonlinear_stability", "stability_kind", "frequency_1", "frequency_2")
 
 

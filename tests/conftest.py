@@ -12,12 +12,12 @@ import pytest
 import tomli_w
 from hypothesis import settings
 
-# Before NumPy is loaded: with a test process on each processor more threads of its linear algebra wait for each other.
+# Before NumPy is loaded: with a test process on each processor, further threads of its linear algebra only wait.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("ATLAS_CACHE", str(Path(__file__).parent.parent / ".pytest_cache" / "kernels"))
-# A shell lets what it starts in the background ignore SIGINT, and so would every process that a test starts and interrupts.
+# Processes in the background of a shell ignore SIGINT, and so would every process that a test starts and interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup does the same with this one
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup does the same with SIGHUP
 settings.register_profile("atlas", deadline=None, max_examples=50, derandomize=True)
 settings.load_profile("atlas")
 
@@ -27,7 +27,7 @@ SMALL_SCENE = (Path(__file__).parent / "small.toml").read_text()
 def changed_scene(changes: Mapping[str, object]) -> str:
     """Text of the small scene after changes, which map a dotted key to its new value; None removes the key.
 
-    A mistyped key fails here where it is removed, and otherwise when the scene is read.
+    A mistyped key raises here if it is removed, otherwise when the scene is read.
     """
     table = tomllib.loads(SMALL_SCENE)
     for key, value in changes.items():
@@ -57,7 +57,7 @@ def fault_rounds(request) -> int:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Collect no garbage among modules and tests, which stay to the end, and less often among what tests import."""
+    """Exempt modules and tests, which live to the end, from garbage collection, and collect other objects less often."""
     gc.disable()
     try:
         return (yield)
@@ -115,7 +115,7 @@ def without_family():
 
 @pytest.fixture(scope="module")
 def whole_kernels():
-    """Integrate every point with the kernel that has all terms, whichever of them vanish at the points of a test.
+    """Integrate every point with the kernel that has all terms, also terms that vanish at the points of a test.
 
     That kernel is compiled once for all modules that use it; a kernel for each set of terms takes some 10 s.
     `tests/kernel/test_simplify.py` compares both kinds.
@@ -132,7 +132,7 @@ def short_timings():
     """Time the kernels of work-precision studies on a hundredth of the steps."""
     try:
         from atlas.extensions.studies import work_precision
-    except ModuleNotFoundError:  # without the extension there are none
+    except ModuleNotFoundError:  # the extension is not installed
         yield
         return
     with pytest.MonkeyPatch.context() as patched:
@@ -142,7 +142,7 @@ def short_timings():
 
 @pytest.fixture(scope="session", autouse=True)
 def few_dots():
-    """Save figures with fewer dots than for print, whose number per inch is the value, because many take half of a map's time."""
+    """Save figures with fewer dots per inch than for print (the value), because saving is half of the time of a map."""
     from atlas.plotting import style
 
     with pytest.MonkeyPatch.context() as patched:
@@ -153,9 +153,9 @@ def few_dots():
 
 @pytest.fixture(scope="module")
 def coarse_lines():
-    """Trace lines of theory from a ninth of the samples, where no test of a module looks at a figure.
+    """Trace lines of theory from a ninth of the samples, for modules whose tests look at no figure.
 
-    These lines are kept apart from those that other tests use.
+    These lines have a cache of their own.
     """
     from atlas.analysis import tracer
 
@@ -165,7 +165,7 @@ def coarse_lines():
         yield
 
 
-@pytest.fixture(scope="module")  # no longer than `whole_kernels`, which change its bits
+@pytest.fixture(scope="module")  # as `whole_kernels`, which change its bits
 def longer_atlas(scene_text):
     """Text of a scene of about a second, and its result computed in memory."""
     import atlas
@@ -203,9 +203,9 @@ def own_systems():
 
 @pytest.fixture
 def installed_extensions():
-    """Function that replaces the extensions of all packages, and those that cannot be loaded, until the end of the test.
+    """Function that replaces the lists of extensions, and of those that cannot be loaded, until the end of the test.
 
-    Without arguments it looks for the installed ones anew.
+    Without arguments it searches the installed packages anew.
     """
     import atlas.variables
     from atlas import extension
@@ -233,7 +233,7 @@ def installed_extensions():
 
 @pytest.fixture
 def without_extension(installed_extensions):
-    """Function of a name: the extension is as if it were not installed, until the end of the test."""
+    """Function of a name that makes an extension seem not installed, until the end of the test."""
     from atlas.extension import extensions
 
     return lambda name: installed_extensions({key: e for key, e in extensions().items() if key != name})
@@ -241,7 +241,7 @@ def without_extension(installed_extensions):
 
 @pytest.fixture
 def install_example(installed_extensions, tmp_path_factory):
-    """Function of a name: that package of docs/examples is installed, as far as this process and those it starts can tell."""
+    """Function of a name that installs a package of docs/examples for this process and its children."""
     import plugins
 
     with pytest.MonkeyPatch.context() as patched:
@@ -260,14 +260,14 @@ def install_example(installed_extensions, tmp_path_factory):
 def copied_package(tmp_path):
     """A copy of the package, and the variables of processes that import it."""
     copy = tmp_path / "copy" / "atlas"
-    # What Python has compiled as well, but not what another process is writing.
+    # Compiled modules too, but not files that another process is writing.
     shutil.copytree(Path(__file__).parents[1] / "atlas", copy, ignore=shutil.ignore_patterns("*.pyc.*"))
     return copy, {"PYTHONPATH": str(copy.parent)}
 
 
 @pytest.fixture(scope="module")
 def server():
-    """A server of S3 with a bucket, in a thread of this process."""
+    """An S3 server with a bucket, in a thread of this process."""
     import logging
     import urllib.request
 
@@ -294,7 +294,7 @@ def server():
 
 @pytest.fixture
 def steps_of_theory(monkeypatch):
-    """Names of the methods by which theory identifies and decides motions of a satellite, call by call."""
+    """Names of the methods that theory calls to identify motions of a satellite and decide their stability, in order of calls."""
     from atlas.systems.satellite import SATELLITE
 
     calls = []
@@ -309,7 +309,7 @@ def steps_of_theory(monkeypatch):
 
 @pytest.fixture
 def evaluated(monkeypatch):
-    """Numbers of points that are integrated, call by call."""
+    """Number of points of each integration, in order."""
     from atlas.runs import memory
 
     sizes, evaluate = [], memory.evaluate
@@ -324,7 +324,7 @@ def evaluated(monkeypatch):
 
 @pytest.fixture
 def interrupt(monkeypatch, evaluated):
-    """Function of a number: the integration of this number from then on is interrupted, and not counted by `evaluated`."""
+    """Function of a number k that interrupts the k-th integration after its call, which `evaluated` then does not count."""
     from atlas.runs import memory
 
     def interrupt(number: int) -> None:

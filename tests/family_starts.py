@@ -33,7 +33,7 @@ def rotation_rate(point):
 
 
 def points_of_family(name, count, seed=0, min_rate=0.15, slower=1.0):
-    """Points whose first family is the named one, rotating at no less than a rate."""
+    """The points whose first family is the named one and whose rotation rate is not less than a rate."""
     rng, points = np.random.default_rng(seed), []
     while len(points) < count:
         point = satellite_on_family(name, rng, slower)
@@ -121,7 +121,7 @@ def grioli_points(rng, count, rotor=1.0, **given):
 
 
 def fixed_start(points, start):
-    """The points that have a start, with it."""
+    """The points of bodies that have a start by this formula, with the start."""
     points = points | start
     return select(points, np.isfinite(points["p0"]))
 
@@ -194,7 +194,7 @@ def other_axes(rng, count):
 
 
 def satellites_on_family(name):
-    """A function that draws satellites on a family, which may be on an earlier one as well."""
+    """A function that draws satellites on a family, which may be on an earlier family as well."""
 
     def draw(rng, count):
         drawn = (satellite_on_family(name, rng) for _ in iter(int, 1))

@@ -1,4 +1,4 @@
-"""Odd and hostile scenes and points, drawn from a seed: what any of them may lead to is a result or BadInput.
+"""Odd and hostile scenes and points, drawn from a seed: each must lead to a result or to BadInput.
 
 `tests/scene/test_fuzz.py` tries some of them, `scripts/tools/fuzz_scenes.py` as many as wanted.
 """
@@ -318,7 +318,7 @@ def _add_section(rng: Random, table: dict[str, Any], system: Any) -> None:
 
 
 def _section(table: dict[str, Any], key: str) -> dict[str, Any]:
-    """A table in the scene, made if it is not there."""
+    """A table in the scene, created if it is missing."""
     if not isinstance(table.get(key), dict):
         table[key] = {}
     return table[key]
@@ -339,7 +339,7 @@ def _number(rng: Random) -> Any:
 
 
 def _value(rng: Random, depth: int = 0) -> Any:
-    """Anything that TOML can hold."""
+    """A random value of any type of TOML."""
     kind = rng.random()
     if kind < 0.5:
         return _number(rng)
@@ -449,7 +449,7 @@ def try_csv(rng: Random) -> str:
     names = ["index", "m"] if names == ["index"] else names  # a table without a parameter is refused
     separator, count = rng.choice(",;\t"), rng.choice([0, 1, 1, 2, 2, 3, 4])
     rows = [[_field(rng) for _ in names] for _ in range(count)]
-    rows = [row for row in rows if separator.join(row).strip()]  # others are empty lines
+    rows = [row for row in rows if separator.join(row).strip()]  # other rows would be empty lines
     lines = [separator.join(fields) for fields in (names, *rows)]
     for _ in range(rng.choice([0, 0, 1, 3])):
         lines.insert(rng.randint(0, len(lines)), rng.choice(["", "# a comment", "  ", "\t#"]))
@@ -493,7 +493,7 @@ def try_tie(rng: Random) -> str:
     def evaluate() -> None:
         tie = expressions.Expression("ties.u", text)
         values = {name: np.array([rng.choice(USUAL), 0.3, -2.0]) for name in sorted(tie.names)}
-        if tie.names & expressions.FUNCTIONS.keys():  # known to no scene
+        if tie.names & expressions.FUNCTIONS.keys():  # such names are unknown to scenes
             return
         tree = ast.parse(tie.text, mode="eval")
         for i, node in enumerate([each for each in ast.walk(tree) if isinstance(each, ast.Constant)]):
@@ -510,7 +510,7 @@ def try_tie(rng: Random) -> str:
 
 
 def _check_columns(values: dict[str, np.ndarray], size: int) -> None:
-    """Every column has a value for each point, and no state that is not finite has a label; what is not computed has none."""
+    """Assert that every column has a value for each point, and that points not computed or not finite have no label."""
     assert all(column.shape == (size,) for column in values.values())
     if "label" in values and "error_estimate" in values and "status" in values:
         label, status = values["label"], values["status"]
@@ -534,7 +534,7 @@ def _outcome(run: Any) -> str:
 
 
 def use_interpreted_kernels(monkeypatch: Any) -> None:
-    """Let the pipeline integrate with kernels that are neither compiled nor hashed: every specialisation takes a moment only."""
+    """Let the pipeline integrate with kernels that are neither compiled nor hashed, so that a new one takes only a moment."""
     modules: dict[Any, Any] = {}
 
     def kernel(plan: Plan) -> Any:

@@ -1,4 +1,4 @@
-"""Kernels as plain Python, slow: `integrate` is the file itself, so that a debugger or a coverage tool steps through it."""
+"""Kernels as plain, slow Python: a debugger or a coverage tool steps through `integrate` in its own file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plain_module(
     of: ModuleType = integrate,
     plugs: tuple[Plug, ...] = (),
 ) -> ModuleType:
-    """The kernel that `assemble.source` writes, with the same arguments."""
+    """The kernel of `assemble.source`, from the same arguments, as a module of plain Python."""
     measured = augmented.losses_of(equations, zero, equal) if file_of(of) in MEASURING else {}
     equations = augmented.with_losses(equations, measured)
     namespace = {"np": np, "axpy": _axpy, "aligned_empty": np.empty, **arithmetic.numpy_functions()}

@@ -1,4 +1,4 @@
-"""A system of another package and a scene of it; packages as Python finds them: a module and its metadata in a folder."""
+"""A system of another package, a scene of it, and functions that write packages (module and metadata) into a folder."""
 
 import tomllib
 from collections.abc import Iterator
@@ -93,7 +93,7 @@ x = 0.5
 
 @contextmanager
 def registry() -> Iterator[None]:
-    """Systems that are registered in this context are forgotten at its end."""
+    """Context that forgets, at its end, the systems that were registered in it."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(systems, "SYSTEMS", dict(systems.SYSTEMS))
         yield
@@ -117,7 +117,7 @@ def install(folder, module, text, names, package="some-systems", version="1.2"):
 
 
 def install_example(name, folder):
-    """Write what pip leaves of a package in docs/examples besides its modules; the value is the folder of these."""
+    """Write the metadata that pip would write for a package in docs/examples; returns the folder of its modules."""
     project = tomllib.loads((EXAMPLES / name / "pyproject.toml").read_text())["project"]
     write_metadata(folder, project["name"], project["version"], project["entry-points"])
     return EXAMPLES / name

@@ -1,4 +1,4 @@
-"""What a person reads off a figure: which entry of the legend a place has, which number, which line."""
+"""Functions that read a figure as a person does: entry of the legend at a place, number at a place, lines of an entry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 
 
 def entries(figure: Figure) -> dict[str, Artist]:
-    """Samples of the legends of a figure by their texts."""
+    """Handles of the legends of a figure, by their texts."""
     legends = [*figure.legends, *(legend for sub in figure.subfigs for legend in sub.legends)]
     legends += [legend for ax in figure.axes if (legend := ax.get_legend())]
     return {
@@ -30,13 +30,13 @@ def heading(figure: Figure) -> str:
 
 
 def colours(figure: Figure) -> dict[str, str]:
-    """Colour of an area in the legend -> its text; of hatching alone there is none."""
+    """Colour of an area in the legend -> its text; areas of hatching alone are left out."""
     areas = {text: sample for text, sample in entries(figure).items() if isinstance(sample, Patch)}
     return {to_hex(s.get_facecolor()): text for text, s in areas.items() if s.get_facecolor()[3] > 0}
 
 
 def mesh_of(ax: Axes) -> QuadMesh:
-    """The cells of a map, of several layers the lowest."""
+    """The cells of a map; of several layers the lowest one."""
     return next(each for each in ax.collections if isinstance(each, QuadMesh))
 
 
@@ -79,7 +79,7 @@ def look(line: Line2D) -> tuple[object, ...]:
 
 
 def lines_of(figure: Figure, ax: Axes, text: str) -> list[np.ndarray]:
-    """Vertices of the lines that look like the entry of the legend that begins with a text."""
+    """Vertices of the lines with the look of the legend entry whose text begins with `text`."""
     (sample,) = (sample for entry, sample in entries(figure).items() if entry.startswith(text))
     assert isinstance(sample, Line2D)
     return [line.get_xydata() for line in ax.lines if look(line) == look(sample) and line.get_xydata().size]

@@ -1,6 +1,6 @@
-"""What holds of every answer to wrong input, in Python and in the shell; rows of inputs and sentences are read by these two.
+"""Assertions about every answer to wrong input, in Python and in the shell.
 
-`test_refusals` has the rows of the core; those of an extension stand in its own tests.
+Rows of inputs and sentences are in `test_refusals` for the core, and in the tests of each extension.
 """
 
 import re
@@ -22,7 +22,7 @@ def matches(message: str, sentence: str) -> bool:
 
 @contextmanager
 def unchanged_folder() -> Iterator[None]:
-    """At the end the current folder has the files and folders of the beginning, and they have the same bytes."""
+    """Context that asserts, at its end, that the current folder has the same files and folders with the same bytes."""
 
     def content() -> dict[Path, bytes]:
         return {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")}
@@ -33,7 +33,7 @@ def unchanged_folder() -> Iterator[None]:
 
 
 def assert_refused(call: Callable[[], object], sentence: str) -> None:
-    """A call raises BadInput with this sentence, in one line."""
+    """Assert that a call raises BadInput with this sentence, in one line."""
     with pytest.raises(BadInput) as error:
         call()
     message = str(error.value)
@@ -42,7 +42,7 @@ def assert_refused(call: Callable[[], object], sentence: str) -> None:
 
 
 def assert_refused_in_shell(command: str, sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A command answers with this sentence, in one line, and exit code 2, and leaves every file as it was."""
+    """Assert that a command answers with this sentence, in one line, and exit code 2, and changes no file."""
     capsys.readouterr()
     with unchanged_folder():
         try:

@@ -1,6 +1,6 @@
 """Bodies and starts for tests: defaults, random points, random points on a family of steady motions.
 
-Every function takes the generator that it draws from, so that no test depends on those that ran before it.
+Every function takes the generator that it draws from, so that no test depends on earlier tests.
 Points are dictionaries of arrays of one length, as the package takes them.
 """
 
@@ -35,7 +35,7 @@ seeds = st.integers(0, 10**6)
 
 
 def default_points(system: str, count: int | None = None, **given) -> Points:
-    """Points of a system with every parameter at its default but those given."""
+    """Points of a system with every parameter at its default, except the given ones."""
     defaults = {name: parameter.default for name, parameter in SYSTEMS[system].parameters.items()}
     assert set(given) <= set(defaults)
     if count is None:
@@ -89,7 +89,7 @@ def random_fixed_points(rng: np.random.Generator, count: int, **given) -> Points
 
 
 def random_points(system: str, rng: np.random.Generator, count: int, **given) -> Points:
-    """Random points of any system: what must be positive about 1, damping and optional parameters at their defaults."""
+    """Random points of any system: positive parameters about 1, damping and optional parameters at their defaults."""
     points = {}
     for name, parameter in SYSTEMS[system].parameters.items():
         if parameter.low == 0.0 and parameter.open_low:
@@ -102,7 +102,7 @@ def random_points(system: str, rng: np.random.Generator, count: int, **given) ->
 
 
 class BySystem(dict):
-    """What tests need of each system, by its name; the test of a system of which there is nothing is skipped."""
+    """Values for tests by the name of a system; a test of a system without a value is skipped."""
 
     def __missing__(self, system: str):
         pytest.skip(f"nothing is given here of the system {system}")
@@ -126,7 +126,7 @@ def symmetric_fixed_points(rng: np.random.Generator, count: int, **given) -> Poi
 
 
 def fixed_points_on_family(family: str, points: Points, *names: str) -> Points:
-    """The points with the named parameters from the family's formulas, those where they exist."""
+    """The points with the named parameters from the family's formulas, without points at which these have no solution."""
     points = dict(points)
     for name in names:
         points[name] = FIXED_POINT_FAMILIES[family].solve[name](points)
@@ -215,13 +215,13 @@ def tile_of(system, base, points, duration, settings):
 
 
 def evaluate(system, base, points, duration, settings, *, halved=False, threads=None, **plan):
-    """The variables of a `tile_of` these; plan: further fields of a Plan."""
+    """The variables of `tile_of` these arguments; plan: further fields of a Plan."""
     tile = tile_of(system, base, points, duration, settings)
     return pipeline.evaluate(Plan(system, settings, **plan), tile, halved=halved, threads=Threads(threads))
 
 
 class SteadyMotion(NamedTuple):
-    """The steady motion that each start is, or would be."""
+    """The steady motion of each start, and whether the start is on it."""
 
     axes: TwoAxes
     answer: np.ndarray  # values of Existence
@@ -235,7 +235,7 @@ def steady_motions(system, points, duration, rate_tolerance, angle_tolerance, in
 
 
 def predictions(system, base, points=None, duration=50.0, tolerances=(1e-5, 1e-5)):
-    """What theory predicts of starts, nudged to `points` unless that is None, as a Prediction; and about any axes."""
+    """The Prediction of theory for starts, nudged to `points` unless None, and the prediction about any axes."""
     settings = Settings(rate_tolerance=tolerances[0], cylinder_tolerance=tolerances[1])
     plan = Plan(system, settings, nudged=points is not None)
     durations = np.broadcast_to(duration, base["A"].shape)

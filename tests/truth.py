@@ -1,4 +1,4 @@
-"""Reference results that do not come from the code under test.
+"""Reference results that are independent of the code under test.
 
 The Lagrangian of the satellite by computer algebra, the cases verified outside this project, linearisation by
 complex steps, and equality of data sets to the byte and of values at points.
@@ -128,7 +128,7 @@ def jacobian_matrices(rhs, state, constants):
 
 
 def exponents_along_runs(rhs, states, constants, duration):
-    """Of each point the states along its run, (d, instants), and the exponents of the equations linearised there."""
+    """For each point the states along its run, (d, instants), and the exponents of the equations linearised there."""
     for state, column in zip(states.T, constants.T, strict=True):
         run = solve_ivp(
             lambda t, y, c=column: rhs(y, c),
@@ -171,7 +171,7 @@ def gyrostat_run(inertia, rotor, weight, start, duration, frame_rate=0.0):
     the statistics by name; psi' and the rate about the vertical are relative to a frame that turns at frame_rate.
     """
 
-    def cross(a, b):  # np.cross takes most of the time of such a run
+    def cross(a, b):  # np.cross would take most of the time of a run
         return np.array([
             a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
         ])  # fmt: skip
@@ -217,7 +217,7 @@ def fundamental_matrix(rhs, motion, constants, duration, step=0.01):
     h = duration / count
     identity = monodromy = np.eye(len(motion(np.zeros(1))))
     log_scale = 0.0
-    for first in range(0, count, 256):  # steps at once, few enough for the cache of the processor
+    for first in range(0, count, 256):  # steps at once, whose arrays fit in the processor's cache
         instants = np.arange(2 * first, 2 * min(first + 256, count) + 1) * (h / 2)
         matrices = jacobian_matrices(rhs, motion(instants), constants[:, None])
         begin, middle, end = matrices[:-1:2], matrices[1::2], matrices[2::2]
@@ -225,7 +225,7 @@ def fundamental_matrix(rhs, motion, constants, duration, step=0.01):
         third = middle @ (identity + h / 2 * second)
         fourth = end @ (identity + h * third)
         products = identity + h / 6 * (begin + 2 * second + 2 * third + fourth)
-        while half := len(products) // 2:  # of neighbours, the later on the left
+        while half := len(products) // 2:  # products of neighbours, the later factor on the left
             pairs = products[1::2] @ products[: 2 * half : 2]
             products = np.concatenate([pairs, products[2 * half :]])
         monodromy = products[0] @ monodromy
@@ -244,7 +244,7 @@ def cases(kind: str) -> list[dict]:
 
 
 def columns_of(system: str, points: Sequence[Mapping[str, object]]) -> dict[str, np.ndarray]:
-    """Points, as mappings from the names of parameters among others, as columns; what is missing has its default."""
+    """Columns of the parameters of points, which are mappings; missing parameters have their defaults."""
     defaults = {name: parameter.default for name, parameter in SYSTEMS[system].parameters.items()}
     return {
         name: np.array([point.get(name, default) for point in points], float)
@@ -284,7 +284,7 @@ def fixed_point_cases() -> dict[str, np.ndarray]:
 
 
 def worst_point(points, seed, size, **values) -> str:
-    """The point with the largest size in words: its parameters, values there, and the seed of all points."""
+    """Text about the point with the largest size: its parameters, its values, and the seed of all points."""
     size = np.nan_to_num(np.asarray(size, float), nan=np.inf)
     i = int(size.argmax())
 
@@ -301,7 +301,7 @@ def worst_point(points, seed, size, **values) -> str:
 def assert_at_points(actual, expected, points, seed, *, where=True, rtol=0.0, atol=0.0, **values) -> None:
     """Assert that values, (..., points), are the expected ones, nan where these are; else name the worst point.
 
-    where: the points that count; values: what else of the worst point is printed.
+    where: mask of the points to compare; values: further values of the worst point to print.
     """
     __tracebackhide__ = True
     actual, expected = np.broadcast_arrays(np.asarray(actual, float), np.asarray(expected, float))
@@ -342,7 +342,7 @@ def tile_path(tiles, tile, suffix=".tile"):
 
 
 def state(tiles):
-    """Which tiles are whole, which are damaged, with the reasons, and which are missing, after all of them are read."""
+    """Numbers of the whole tiles, of the damaged ones with reasons, and of the missing ones, after all of them are read."""
     missing = tiles.missing()
     written = sorted({*range(tiles.tiling.count)} - {*missing})
     damaged = tiles.check(written)[1]
@@ -352,14 +352,14 @@ def state(tiles):
 
 
 def with_key(manifest):
-    """A changed manifest of a run with the key that belongs to it."""
+    """A changed manifest of a run with the key that matches it."""
     from atlas.runs import run
 
     return manifest | {"key": run._key(manifest)}
 
 
 def check_whole_periods(motion):
-    """An exact motion has its period, and the statistics of a run of many periods and a part are sums over its parts."""
+    """Assert that an exact motion has its period, and that statistics of many periods and a rest are sums over these parts."""
     from atlas.extensions.studies import exact
 
     time = np.linspace(0, 2 * motion.period, 40)
@@ -373,7 +373,7 @@ def check_whole_periods(motion):
 
 
 def acceleration_error(point):
-    """Largest error of the angular acceleration of one satellite at 13 times of w' = n gamma + m e3."""
+    """Largest error of the angular acceleration of one satellite at 13 instants of w' = n gamma + m e3."""
     from atlas.systems.satellite.equations import rhs
     from atlas.systems.satellite.families import steady_motion
     from atlas.systems.satellite.initial import constants

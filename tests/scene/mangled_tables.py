@@ -1,4 +1,4 @@
-"""Tables as people bring them: what they mean, and how programs and typing distort it."""
+"""Tables of parameters, and the distortions of names, texts and files by programs and by typing."""
 
 import csv
 import io
@@ -27,12 +27,12 @@ UNITS = ("kg m2", "kg·m²", "rad/s", "deg", "°", "rpm", "N m s", "A m^2", "T")
 
 
 def draw(rng, values):
-    """One of the values."""
+    """A random one of the values."""
     return values[rng.integers(len(values))]
 
 
 def a_table(rng):
-    """Parameters with values that are no defaults, and all columns in a drawn order as texts."""
+    """Parameters with values other than the defaults, and all columns, in random order, as texts."""
     size = int(rng.integers(1, 5))
     names = rng.permutation(NAMES)[: rng.integers(1, 5)].tolist()
     meant = {name: np.round(rng.uniform(0.61, 0.99, size), 3) for name in names}
@@ -55,7 +55,7 @@ def other_name(rng, column):
 
 
 def other_fields(rng, column):
-    """A column with other texts for the same numbers, all of them or one."""
+    """A column with other texts for the same numbers, for all of them or for one."""
     unit = draw(rng, UNITS)
     change = draw(
         rng,

@@ -95,7 +95,7 @@ def free_rotation(p):
 
 
 def neutral(p):
-    """Motions whose neighbours are steady: distances grow like the time at most."""
+    """P and Q of motions whose neighbours are steady: distances grow like the time at most."""
     return np.ones_like(p["A"]), 0.0
 
 
@@ -126,7 +126,7 @@ def stability(P, Q):
     return growth > 1e-6 * np.sqrt(np.abs(P) + np.sqrt(np.abs(Q))), growth
 
 
-# System, family, what draws starts on it, and the closed form.
+# System, family, function that draws starts on the family, and closed form.
 ROWS = {
     "cylindrical": (SATELLITE, "cylindrical", loaded("cylindrical"), about_normal),
     "perp_radius": (SATELLITE, "perp_radius", STARTS["satellite"]["perp_radius"], tilted),

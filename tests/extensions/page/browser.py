@@ -1,4 +1,4 @@
-"""A headless Chromium, driven over a pipe by the DevTools protocol: nothing but the browser itself is needed."""
+"""A headless Chromium, driven over a pipe by the DevTools protocol, without any other program."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OPTIONS = (
     "--disable-dev-shm-usage", "--remote-debugging-pipe", "--window-size=1300,900", "--force-color-profile=srgb",
     "--disable-features=IsolateSandboxedIframes",
 )  # fmt: skip
-# Seconds for an answer: a browser that is read from a slow disk takes more than a minute to begin.
+# Longest wait for an answer, s: a browser on a slow disk takes more than a minute to start.
 TIMEOUT = 180.0
 # Chromium reads commands from descriptor 3 and writes answers to descriptor 4.
 _LAUNCH = (
@@ -32,7 +32,7 @@ _LAUNCH = (
 
 
 def program() -> str | None:
-    """Path of a Chromium, None where there is none."""
+    """Path of a Chromium, or None."""
     return next((path for name in PROGRAMS if (path := shutil.which(name))), None)
 
 
@@ -44,9 +44,9 @@ class Browser:
     errors : list of str
         Uncaught exceptions and error messages of the console.
     requests : list of str
-        Addresses that pages asked for, those of the pages themselves not counted.
+        Addresses that pages requested, without the addresses of the pages themselves.
     contexts : list of int
-        Contexts in which scripts run, those of frames after that of the page.
+        Contexts in which scripts run: of the page, then of its frames.
     """
 
     def __init__(self, read: int, write: int):
@@ -93,7 +93,7 @@ class Browser:
         return dict(json.loads(text))
 
     def _note(self, event: dict[str, Any]) -> None:
-        """Keep errors and requests."""
+        """Store errors and requests of a message."""
         parameters = event.get("params", {})
         match event.get("method"):
             case "Runtime.exceptionThrown":
@@ -183,7 +183,7 @@ class Browser:
 
 @contextmanager
 def launched() -> Iterator[Browser]:
-    """A browser with a new profile; its processes end with the context."""
+    """Context of a browser with a new profile; its processes end with the context."""
     path = program()
     assert path is not None
     command_read, command_write = os.pipe()
@@ -201,7 +201,7 @@ def launched() -> Iterator[Browser]:
         try:
             yield Browser(answer_read, command_write)
         finally:
-            os.close(command_write)  # the browser ends where nobody drives it
+            os.close(command_write)  # the browser ends when this end is closed
             try:
                 process.wait(10)
             except subprocess.TimeoutExpired:

@@ -62,7 +62,7 @@ def file_of(of: ModuleType) -> str:
 
 
 def entries(of: ModuleType, plugs: Sequence[Plug]) -> tuple[Any, ...]:
-    """The functions that a kernel with plugs calls from outside its file, and `integrate`."""
+    """Functions of plugs that a kernel calls, and its `integrate`."""
     return *dict.fromkeys(plug.add_node for plug in plugs if plug.add_node), of.integrate
 
 
@@ -109,7 +109,7 @@ def source(
     `zero` and `equal` name constants that are 0, or equal to another one, at every point. Raises BadInput for equations
     that cannot be differentiated, and for a first integral or a loss with the name of a function of the kernel.
     """
-    from . import machine_code  # here, because drawing atlases needs no compiler
+    from . import machine_code  # imported here: drawing atlases needs no compiler
 
     present = {"PLUGGED": plugs, "STROBED": getattr(equations, "STROBED", ())}
     absent = tuple(name for name, parts in present.items() if not parts)
@@ -333,9 +333,8 @@ def _level_lines(equations: ModuleType, row: int, first: int, levels: int) -> li
 def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
     """Body of `step`: one step of length method.kernel_step.
 
-    The first weight is factored out, so that the weights of rk4 become 1, 2, 2, 1 and the sum needs additions alone: the
-    multipliers of the processor, which limit its speed, are left to the equations. The sum grows stage by stage, so that few
-    slopes are kept at a time.
+    The first weight is factored out, so that the weights of rk4 become 1, 2, 2, 1 and the sum needs no multiplications, which
+    limit the speed of the processor. The sum grows stage by stage, so that few slopes are kept at a time.
     """
     lines, first = [], method.b[0]
     for stage in range(method.stages):
@@ -349,7 +348,7 @@ def step_lines(method: Method, rhs_name: str = "rhs") -> list[str]:
 
 def _axpy(base: str, coefficients: Iterable[float], factor: float = 1.0) -> str:
     """A tuple plus the sum of the slopes k, weighted by coefficients times factor; slopes of weight 0 are left out."""
-    # A sum of two is cheaper than a product with 2.
+    # x + x is cheaper than 2 x.
     pairs = [(a * factor, f"k{j}") for j, a in enumerate(coefficients) if a != 0.0]
     terms = [term for a, k in pairs for term in ([(1.0, k), (1.0, k)] if a == 2.0 else [(a, k)])]
     weights, slopes = (", ".join(str(term[i]) for term in terms) for i in range(2))

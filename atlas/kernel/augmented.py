@@ -136,7 +136,7 @@ def _with_states(
     }
 
 
-# Start of a tangent vector, for the state and for the rotation: out of every plane of symmetry, not normalised.
+# Initial tangent vector, not normalised, for states and for the rotation; it is in no plane of symmetry.
 START, START_OF_ROTATION = (5.0, -4.0, 6.0), (3.0, 4.0, -3.0)
 
 
@@ -201,7 +201,7 @@ def tangent_start(equations: ModuleType, state: Array) -> Array:
     rows = [np.full(state.shape[1], pattern[j % length]) for j in range(len(own))]
     if rotates(equations):
         rows += [np.full(state.shape[1], value) for value in START_OF_ROTATION]
-    elif vectors:  # the vector stays a unit vector
+    elif vectors:  # a change of a unit vector is normal to it
         indices = [names.index(name) for name in vectors[0]]
         for i, row in zip(indices, np.cross(state[indices].T, START_OF_ROTATION).T, strict=True):
             rows[own.index(i)] = row

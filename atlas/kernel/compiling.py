@@ -39,7 +39,7 @@ def say(announcement: str) -> None:
 
 
 def announce(change: int) -> None:
-    """Count (1) or discount (-1) a part of the program that wants a line on stderr when a kernel is compiled."""
+    """Add 1 or -1 to the number of parts of the program that want a line on stderr when a kernel is compiled."""
     global _announcers
     with _lock:
         _announcers += change

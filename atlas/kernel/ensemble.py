@@ -25,7 +25,7 @@ MIN_NODES = 8
 
 
 class Plug(Protocol):
-    """An instrument with sums of its own over the nodes of the motion of a body; they are 0 at the start."""
+    """An instrument with sums of its own over the nodes of the motion of a body; the sums are 0 at the start."""
 
     @property
     def sums(self) -> int:
@@ -137,7 +137,7 @@ class Ensemble:
         else:
             nodes = self._integrate_in_segments(kernel, step_sizes, arrays, early_stop_rate, threads)
         intervals = np.maximum(nodes - 1, 1)
-        with np.errstate(over="ignore"):  # a duration near the largest number
+        with np.errstate(over="ignore"):  # durations near the largest float
             duration = intervals * step_sizes.sample_spacing
         return Integration(
             arrays.state[: len(self.state)], arrays.sums, intervals, duration, nodes <= step_sizes.intervals
@@ -155,7 +155,7 @@ class Ensemble:
         """States, (states, samples, points), at samples that are `steps` steps apart; step_sizes: (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
         states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
-        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # such calls are many and short
+        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # many short calls
         for k, step_size in enumerate(step_sizes):
             arrays = arrays._replace(step_size=step_size)
             if direct:
@@ -223,7 +223,7 @@ class Ensemble:
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Node after a share of the nodes of runs; 0 where an interruption there is too early."""
+    """Node at a share of the nodes of runs; 0 where it is before MIN_NODES."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 

@@ -443,7 +443,7 @@ def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
     near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
     # During the run a passage inside the cylinder has no samples of psi' and phi'.
     inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals
-    # Successive passages, and both zeros of one, may coincide.
+    # Zeros of successive passages, or both zeros of one passage, may be the same zero.
     same = 0.1 * y
     x1, y1 = z.real - stats[Row.ZERO_1_REAL, l], z.imag - stats[Row.ZERO_1_IMAG, l]
     x2, y2 = z.real - stats[Row.ZERO_2_REAL, l], z.imag - stats[Row.ZERO_2_IMAG, l]

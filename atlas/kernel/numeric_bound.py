@@ -36,7 +36,7 @@ TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 # Derivatives below the share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # Jacobians computed at a time
-FEW_STEPS = 20000  # of all points together: up to these no thread is started, which would take longer
+FEW_STEPS = 20000  # most steps, of all points together, that take less time than starting a thread
 MAX_NOT_FINITE = 4  # attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
@@ -122,7 +122,7 @@ def _largest_frequency(
     # steady motions the derivatives would be rounding errors.
     matrices = jacobian.jacobian(system.equations, ensemble.state, ensemble.constants)
     has_time = (matrices == 0).all(2).any(1)
-    sizes = np.zeros((4, *ensemble.state.shape))  # the largest of each state and derivative
+    sizes = np.zeros((4, *ensemble.state.shape))  # largest magnitude of each state and derivative
     samples = np.clip(np.ceil(bound * duration / SAMPLE_RADIANS), MIN_SAMPLES, MAX_SAMPLES).astype(np.int64)
     steps = np.ceil(bound * duration / (samples * longest_step)).astype(np.int64)
     mean_step_size, distances = duration / (samples * steps), _distances(samples.max())
@@ -145,7 +145,7 @@ def _largest_frequency(
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
         sampled = n_samples + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
-        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # none after the first
+        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # up to the first that exceeds
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
         derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
         sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)

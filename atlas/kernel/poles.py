@@ -89,7 +89,7 @@ def zeta_differences(passages, e):
 
 
 def approximate_zero(passages, e, farther):
-    """The nearer or the farther zero of the parabola that touches zeta at TIME; both may be near."""
+    """Write the nearer or the farther zero of the parabola that osculates zeta at TIME, and whether the farther one is near."""
     x = passages[Passage.TIME, e]
     value, slope, curvature = polynomial(zeta_differences(passages, e), x)
     root = square_root(slope * slope - 4.0 * (curvature * value))

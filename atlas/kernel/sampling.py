@@ -32,7 +32,7 @@ SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside the cylinder; inside it is 0, like psi' and phi'."""
+    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside the cylinder; inside, psi', phi' and the 1.0 are 0."""
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)

@@ -86,7 +86,7 @@ NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_
 
 
 def begin(stats, l, motion, cylinder_squared):
-    """Start the sums of lane l at the first node; later rates are counted from the rates there."""
+    """Start the sums of lane l at the first node, whose rates are subtracted from later ones."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
     theta_dot, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
@@ -191,7 +191,7 @@ def finish(
             result[f"{name}_std"] = np.sqrt(np.maximum(square - shifted_mean**2, 0.0))
         low, high = out[Row.COS_THETA_MIN], out[Row.COS_THETA_MAX]
         widest = np.where((low < 0) & (high > 0), 1.0, out[Row.SIN2_THETA_MAX])
-        # On one side of the equator the widest tilt is the extreme nearer to it.
+        # On one side of the equator sin theta is largest at the extreme nearer to the equator.
         result |= {
             "theta_min": theta_from(high, np.where(high > 0, out[Row.SIN2_THETA_MIN_ABOVE], widest)),
             "theta_max": theta_from(low, np.where(low > 0, widest, out[Row.SIN2_THETA_MIN_BELOW])),

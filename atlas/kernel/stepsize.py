@@ -12,7 +12,7 @@ from .sampling import MIN_INTERVALS
 from .tableaux import METHODS, Method
 
 MAX_STEPS_PER_SAMPLE = 16
-# Share of the rate tolerance that an automatic step may spend on a motion that turns at the frequency bound.
+# Share of the rate tolerance that errors of automatic steps may use up in a motion at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16  # relative rounding error of a state at the start and by each step
 # A run is resolved up to this step ratio and this dissipation error.
@@ -190,7 +190,7 @@ class StepSizes:
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
         fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
-        for _ in range(3):  # the next odd numbers, where both have a common factor
+        for _ in range(3):  # the next odd number, where the numbers have a common factor
             fewer = np.where(np.gcd(fewer, nodes) > 3, fewer + 2, fewer)
         intervals = np.where(fewer * periods >= MIN_INTERVALS, fewer, 2 * nodes - 1) * periods
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)

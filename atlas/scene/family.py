@@ -43,7 +43,7 @@ def solution(
 def near_values(
     system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Parameter -> value whose nearest solution is wanted: near, or 0 (branch slow) and infinity (fast), of [family]."""
+    """Parameter -> value to which its solution is nearest, from [family]: near, or 0 for branch slow, infinity for fast."""
     key = next((key for key in ("branch", "near") if key in table), "")
     if "branch" in table and "near" in table:
         raise BadInput("family: branch and near are both given; a scene has one of them")
@@ -119,7 +119,7 @@ def _with_values(
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if trials of one parameter are all on the family, unless its motions fill regions."""
+    """Raise BadInput if points with several values of one parameter are all on the family, unless its rate varies."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(free_message(family, name, " here"))
 

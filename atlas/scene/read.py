@@ -105,7 +105,7 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
     path, is_atlas = Path(source), False
-    with suppress(OSError, ValueError):  # read_text raises the better error
+    with suppress(OSError, ValueError):  # read_text reports the error below
         is_atlas = (path / "manifest.json").exists()
         if path.is_file():  # a pipe could not be read again
             with path.open("rb") as file:
@@ -381,7 +381,7 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
     first, last, spacing = checks.interval(key, table)
     if count > 1 and first == last:
         raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
-    with np.errstate(all="ignore"):  # near the largest number the logarithm of `to` may round up
+    with np.errstate(all="ignore"):  # rounding in geomspace may overflow near the largest float
         values = np.asarray((np.linspace if spacing == "linear" else np.geomspace)(first, last, count))
     if not (values[1:] != values[:-1]).all():
         raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
@@ -483,7 +483,7 @@ def _check_ties(
 
 
 def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
-    """Start value -> amount added, from [nudge]; names: what has a value in the scene."""
+    """Start value -> amount added, from [nudge]; names: all names with a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.quantity(f"nudge.{name}", value) for name, value in table.items()}

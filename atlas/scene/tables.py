@@ -35,7 +35,7 @@ Table: TypeAlias = (
 FORMATS = (".csv", ".nc")
 # NumPy type -> fill value of NetCDF, read where no number was written.
 _UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8": -(2**63) + 2}
-_NO_RADIANS = re.compile(r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE)  # start of units of angle but rad
+_NO_RADIANS = re.compile(r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE)  # units other than rad
 IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
 
 

@@ -89,8 +89,8 @@ class Observable:
     name: str
     unit: str  # UDUNITS spelling; "1" for pure numbers
     long_name: str  # description in a few words
-    # Largest standard deviation of a constant, in its unit. None: the scene's rate_tolerance; inf: variation is ignored.
-    # The table labels.std_tolerance of a scene replaces it.
+    # Largest standard deviation with which it counts as constant, in its unit; None: the scene's rate_tolerance, inf: its
+    # variation is ignored. The table labels.std_tolerance of a scene replaces this value.
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
     # Period of measurement in time units, a number or arithmetic in pi and constants of the equations, such as "2*pi/w": it is

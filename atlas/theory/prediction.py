@@ -94,8 +94,8 @@ def residual_of(body):
 def changes(before, after, start, duration, rate_tolerance, angle_tolerance):
     """Largest change of the rates of a steady motion by a nudge, and `departure` after the nudge, in tolerances.
 
-    The departure is a lower bound of the oscillation of rates, that of psi' may be larger by 1 / sin(theta). Inside the cone the
-    change of the angular velocity measures the oscillation. start: of `after`.
+    The departure bounds the oscillation of rates from below; the oscillation of psi' may be larger by 1 / sin(theta). Inside the
+    cone the change of the angular velocity counts instead. start: of `after`.
     """
     motion = motion_about_third(start, after.rates)
     away = departure(start, after.constants, motion, after.bound, duration, rate_tolerance, angle_tolerance)

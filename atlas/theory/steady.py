@@ -102,7 +102,7 @@ def exact_motion(start, constants, rates, bound):
         second = second_derivative(start, constants)
         for which in range(CANDIDATES):
             motion = candidate(which, start, second, bound)
-            # Rates far beyond the bound cancel, and their errors are as large.
+            # Rates far above the bound cancel in u, with errors as large as u.
             near = fmax(abs(motion.m), abs(motion.n)) <= 8 * bound and is_beside(start, motion, bound)
             if near and is_steady(start, constants, motion, bound, True):
                 return True, motion

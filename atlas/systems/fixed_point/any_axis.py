@@ -257,7 +257,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """One coordinate of the centre of mass, on a normal of a circular section, from another one; it keeps its sign."""
+        """One coordinate of a centre of mass on a normal of a circular section, from another one, with its given sign."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])

@@ -42,7 +42,7 @@ from .initial import bodies, body, fields, initial_state, rates, symmetric, vert
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """sin theta, psi' = n and phi' = m of the steady motion that the start would belong to."""
+    """sin theta, psi' = n and phi' = m of the steady motion with each start."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return np.hypot(gamma[0], gamma[1]), n, m
@@ -164,7 +164,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
     """
     gamma = vertical(points)
     n = np.zeros_like(points["A"]) if resting else rates(points)[1]
-    from ..gyrostat import secular  # few scenes solve for the start of a permanent rotation
+    from ..gyrostat import secular  # here: few scenes solve for the start of a permanent rotation
 
     rotations, _ = secular.directions(body(points)._replace(turn=n), gamma)
     distance = np.where(np.isnan(rotations[0]), np.inf, -(rotations * gamma[:, None]).sum(0))

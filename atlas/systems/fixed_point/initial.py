@@ -93,7 +93,7 @@ def vertical(points: Points) -> Array:
     angles = directions(points)[1]
     vector = np.array([points["gamma10"], points["gamma20"], points["gamma30"]])
     size = length(vector)
-    # A vector of length 1 to rounding is not divided: that would only change its last bits.
+    # A vector of length 1 to rounding is not normalised, which would only change its last bits.
     vector = np.where(np.abs(size - 1) > 4e-16, vector / size, vector)
     return np.where(np.isnan(points["gamma10"]), angles, vector)
 
@@ -180,7 +180,7 @@ def warnings(points: Points) -> list[str]:
     """One sentence for each moment of inertia below M times the squared offset: the equations allow it, no body has it."""
     messages = []
     for moment, a, b in (("A", "y0", "z0"), ("B", "x0", "z0"), ("C", "x0", "y0")):
-        with np.errstate(over="ignore", invalid="ignore"):  # offsets far beyond any body, without a mass
+        with np.errstate(over="ignore", invalid="ignore"):  # huge offsets, or no mass
             least = points["M"] * (points[a] ** 2 + points[b] ** 2)
         bad = np.flatnonzero(points[moment] < least * (1 - 1e-12))
         if bad.size:
@@ -209,7 +209,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
     largest = inertia.max(0)
-    # The most by which the fields can change the kinetic energy; terms that vanish at the start reach this size.
+    # Largest change of the kinetic energy by the fields; terms that are 0 at the start may grow to this size.
     potential = length(weight) + 0.5 * np.abs(N) * (largest - inertia.min(0))
     momentum = length(inertia * w) + np.sqrt(2 * largest * potential)
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
@@ -238,7 +238,7 @@ def frequency_bound(points: Points) -> Array:
     fixed, damping = conserves_axial_momentum(points), points["damping"]
     moment = length(weight)
 
-    # U - min U <= each term at the start minus its own minimum; a bound of 2 T for all or for p, q.
+    # U - min U is at most the sum over terms of U of start value minus minimum, which bounds 2 T, or its part in p and q.
     quadratic = (inertia * gamma**2).sum(0)
     gradient = np.where(N > 0, quadratic - inertia.min(0), inertia.max(0) - quadratic)
     gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient

@@ -334,7 +334,7 @@ _TABLE = (
     ),
 )  # fmt: skip
 
-# Damping leaves the motions at rest in the orbital frame, as the conditions of the family "equilibrium" require.
+# With damping only motions at rest in the orbital frame remain, which the family "equilibrium" requires anyway.
 _UNDAMPED = {family.name: () if family.name == "equilibrium" else (the.NO_DISSIPATION,) for family in _TABLE}
 _UNDRAGGED = {
     family.name: () if family.name in ("equilibrium", "perp_radius", "oblique") else (the.NO_DRAG,)

@@ -133,7 +133,7 @@ def frequency_bound(points: Points) -> Array:
     field = np.hypot(points["h1"], points["h3"])
     moment, rotor, drag = length(mu), length(k), drag_vector(points)
 
-    # U - min U <= each term at the start minus its own minimum.
+    # U - min U is at most the sum over terms of U of start value minus minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
     gravity = 1.5 * Omega**2 * ((inertia * alpha**2).sum(0) - inertia.min(0))
     centrifugal = 0.5 * Omega**2 * (inertia.max(0) - (inertia * gamma**2).sum(0))
@@ -191,5 +191,5 @@ def specialization(zero: Set[str], equal: Set[tuple[str, str]]) -> tuple[set[str
 
 
 def steady_rates(points: Points) -> tuple[Array, Array, Array]:
-    """sin theta, psi' = n and phi' = m of the steady motion that the start would belong to."""
+    """sin theta, psi' = n and phi' = m of the steady motion with each start."""
     return np.sin(points["theta0"]), points["n"], points["m"]

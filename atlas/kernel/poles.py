@@ -206,7 +206,7 @@ def divided_differences(v0, v1, v2, v3, d0, d1, d2, d3):
 
 
 def horner(value, slope, curvature, x, coefficient):
-    """One step of Horner's scheme with the first derivative and half the second."""
+    """One step of Horner's scheme for value, first derivative and half the second derivative."""
     return value * x + coefficient, slope * x + value, curvature * x + slope
 
 
@@ -273,7 +273,7 @@ def newton_change(g1, g2, g3):
 
 
 def motion_of_turn(turns, e):
-    """Value, first derivative and half the second of each component at TIME; `turns` holds divided differences."""
+    """Value, first derivative and half the second derivative of g1, g2, g3 at TIME; `turns` holds divided differences."""
     x = turns[Turn.TIME, e]
     return (
         polynomial(differences_of(turns, Turn.G1, e), x),

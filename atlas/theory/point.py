@@ -65,7 +65,7 @@ class Membership(NamedTuple):
     varies: Value  # whether its motion turns about the vertical at a varying rate
     elsewhere: Value  # whether its motion is about other axes than the third and the vertical
     residual: Value  # condition residual of its family before a nudge, inf without a family
-    nudged_residual: Value  # the same after a nudge
+    nudged_residual: Value  # condition residual of its family after a nudge
     stable: Value  # value of Stability
     growth: Value  # logarithm of the growth of a distance from the motion over the run; nan: unknown
 

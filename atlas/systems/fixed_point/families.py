@@ -178,7 +178,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 def _solve_rest(angle: str, points: Points) -> Array:
     """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
-    if angle == "theta0" and f"{NEAR}theta0" in points:  # the vertical is at rest too
+    if angle == "theta0" and f"{NEAR}theta0" in points:  # a third axis on the vertical is at rest too
         poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
         closed = nearest_root(np.array([closed, *poles]), points["theta0"])
     closed = np.where(symmetric(points), closed, np.nan)

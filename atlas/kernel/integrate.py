@@ -213,7 +213,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def empty_queue(rows):
-    """A queue of zeros, because unused columns are computed like the others."""
+    """A queue of zeros: unused columns are integrated too and must hold numbers."""
     queue = aligned_empty((rows, QUEUE + WIDTH))
     queue[:] = 0.0
     return queue

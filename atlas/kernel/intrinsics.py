@@ -45,7 +45,7 @@ def aligned_empty(typingctx, shape):
 
 @intrinsic
 def axpy(typingctx, y, weights, slopes):
-    """The tuple y plus the weighted sum of tuples, which the compiler need not read as a thousand operations."""
+    """The tuple y plus the weighted sum of tuples, as one instruction for Numba instead of a thousand operations."""
 
     def generate(context, builder, signature, arguments):
         operands = [

@@ -66,7 +66,7 @@ CALLED = INLINE.replace("forceinline=True, ", "")
 _FASTMATH = f" fastmath={OPTIONS['fastmath']!r},"
 UNFUSED = CALLED.replace(_FASTMATH, "")
 KERNEL = f"@njit(nogil=True, fastmath={OPTIONS['fastmath']!r}, error_model='numpy', boundscheck=False)"
-# Settings of Numba that choose the processor: they change machine code, but numbers only where multiply and add are not fused.
+# Settings of Numba that choose the processor; they change numbers only through fused multiply-add.
 PROCESSOR_SETTINGS = {
     "CPU_NAME": "processor that the code is for",
     "CPU_FEATURES": "instructions that it may use",
@@ -133,7 +133,7 @@ def settings() -> dict[str, str]:
 
 
 def numeric_settings() -> dict[str, str]:
-    """The settings that change numbers, by name: whether multiply and add are fused is known by `architecture`."""
+    """Settings that change numbers, by name, except fused multiply-add, which `architecture` records."""
     return {name: value for name, value in settings().items() if name not in PROCESSOR_SETTINGS}
 
 
@@ -178,7 +178,7 @@ def digest(source: str) -> str:
 
 
 def numeric_digest(source: str) -> str:
-    """Hash of all that the numbers of a kernel depend on: equal for processors alike, unlike their machine code."""
+    """Hash of everything that the numbers of a kernel depend on; equal on processors with different machine code but equal bits."""
     environment = "\n".join((*_compilers(), architecture(), repr(numeric_settings())))
     return _hash([statement.tree for statement in _statements(source)], environment)
 
@@ -198,7 +198,7 @@ def _hash(trees: Iterable[str], environment: str) -> str:
 
 
 def check_compiler() -> None:
-    """BadInput where Numba compiles nothing: kernels are no plain Python."""
+    """Raise BadInput if Numba is told not to compile, because kernels do not run as plain Python."""
     config: Any = numba.config
     if config.DISABLE_JIT:
         raise BadInput(
@@ -228,7 +228,7 @@ def _kernel(module: ModuleType, source: str) -> Any:
 
 
 def _define(source: str, module: ModuleType, *, functions: bool) -> None:
-    """Execute a part of a source: the callees of its last function, whose decorators take a tenth of a second, or the rest."""
+    """Execute the callees of the last function of a source (functions), whose decorators take 0.1 s, or all the rest."""
     *callees, kernel = _statements(source)
     body = [node for _, node, _ in callees if functions == isinstance(node, ast.FunctionDef)]
     body += [] if functions else [kernel.node]
@@ -237,7 +237,7 @@ def _define(source: str, module: ModuleType, *, functions: bool) -> None:
 
 def _compile(source: str, module: ModuleType, compiler: Callable[..., Any], *arguments: Any) -> Any:
     """Compile the kernel, which is not in the cache; the time is measured and announced."""
-    # Few of the millions of objects of a compilation are in cycles of references, which may wait.
+    # Without garbage collection: few of the millions of objects of a compilation are in cycles of references.
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -297,7 +297,7 @@ class _MachineCode(NullCache):
 
     def __init__(self, name: str):
         self.name = name
-        self.modules: list[str] = []  # names under which its functions are cached
+        self.modules: list[str] = []  # names under which the functions of the kernel are cached
 
     def load_overload(self, signature: Any, target_context: Any) -> CompileResult | None:
         """The compiled function, or None if it has to be compiled."""
@@ -317,7 +317,7 @@ class _MachineCode(NullCache):
             return CompileResult._rebuild(target_context, *pickle.load(stream))
         except FileNotFoundError:
             return None
-        except Exception as error:  # whatever unpickling raises
+        except Exception as error:  # unpickling may raise anything
             logging.getLogger("atlas").warning("%s: compiling again: %s", path, one_line(error))
             _remove(path)
             return None

@@ -4,10 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from atlas.analysis.published import published_equations
 
-from atlas import systems
-from atlas.extensions.catalogue.tables import TRUE
+from atlas import extension, systems
 
 TEXT = (Path(__file__).parents[1] / "docs" / "paper" / "paper.md").read_text()
 
@@ -25,9 +23,10 @@ def test_the_paper_has_the_sections_of_its_journal_and_the_counts_of_the_errata(
         r"Of (\d+) equations and statements of @yehia2021, (\d+) need .* (\d+) of (\d+) of @amer2013", words
     )
     rows = {
-        name: [row.verdict for row in published_equations(systems.get(name))] for name in systems.BUILT_IN
+        name: [row.verdict for part in extension.of_each("published", name) for row in part]
+        for name in systems.BUILT_IN
     }
-    differ = {name: len(each) - each.count(TRUE) for name, each in rows.items()}
+    differ = {name: len(each) - each.count("true") for name, each in rows.items()}
     assert [int(number) for number in counts.groups()] == [
         len(rows["satellite"]), differ["satellite"], differ["fixed_point"], len(rows["fixed_point"]),
     ]  # fmt: skip

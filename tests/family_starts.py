@@ -33,7 +33,7 @@ def rotation_rate(point):
 
 
 def points_of_family(name, count, seed=0, min_rate=0.15, slower=1.0):
-    """The points whose first family is the named one and whose rotation rate is not less than a rate."""
+    """The points whose first family is the named one and whose rotation rate is at least a given rate."""
     rng, points = np.random.default_rng(seed), []
     while len(points) < count:
         point = satellite_on_family(name, rng, slower)

@@ -334,7 +334,7 @@ def engine(points: int, rk4_steps: int, repeat: int) -> bool:
 
 
 def tangent_run(*arguments) -> None:
-    """Runs with tangent vectors, from their preparation to the end."""
+    """Prepare and integrate runs with tangent vectors."""
     tangent_runs.Separation(*arguments).integrate(threads=blocks.Threads(1))
 
 

@@ -63,7 +63,7 @@ def accuracy(text: str, folder: Path) -> Counts:
 
 
 def published(text: str, folder: Path) -> Counts:
-    """Numbers of published numbers, and of those that differ."""
+    """Counts of published numbers and of those that differ."""
     ((agreeing, count),) = re.findall(r"(\d+) of (\d+) numbers of others", text)
     return int(count), int(count) - int(agreeing)
 

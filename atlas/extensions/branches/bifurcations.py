@@ -37,7 +37,7 @@ _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ra
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # step at which Newton's method stops
 _CONVERGED = 1e-9  # largest last step of a converged value, in units of the range
-_SETTLED = 1e-6  # the same with the rotation, for which near a pitchfork each step only halves the error
+_SETTLED = 1e-6  # largest last step, rotation included; near a pitchfork each step only halves the error
 _BLOCK = 512  # intervals whose solutions are matched at once
 _SAME = 1e-3  # largest distance of coincident points
 # Relative sizes: of the eigenvalue of a degenerate solution, at most; of the derivative along the null vector at a fold, at least.

@@ -157,7 +157,7 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of equilibria with `places` for each body, run by dask perhaps; source: None if all bodies may be impossible."""
+    """Variables of equilibria with `places` for each body, a function for dask; source: None if all bodies may be impossible."""
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)

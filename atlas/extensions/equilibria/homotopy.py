@@ -9,9 +9,9 @@ For p = r = q = 0 and distinct moments these are the 24 orientations with the pr
 for complex moments too. The path of each is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
 complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
 isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials, World
-Scientific 2005, chapters 7 and 8). General p, r and q have 24 as well: in a quaternion W is a symmetric quartic form, whose
-number of eigenvectors is 40 (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942;
-`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the equilibria of the body: if 24 different ends are
+Scientific 2005, chapters 7 and 8). General p, r and q have 24 as well: in a quaternion W is a quartic form with 40 eigenvectors
+(D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942), 16 of which are isotropic and no rotations
+(`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the equilibria of the body: if 24 different ends are
 reached, none is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
@@ -43,7 +43,7 @@ _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
 # A path goes to infinity (the body has fewer than 24 solutions) if a component exceeds _FAR at t > _FAR_FROM.
 _FAR, _FAR_FROM = 100.0, 0.99
-_STRIDE = 5  # paths are followed for one of so many successive bodies
+_STRIDE = 5  # paths are followed for every fifth body
 _GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at an end
 # A solution with imaginary parts below _REAL is real. Imaginary parts between _REAL and _DISTINCT, or distances of
 # solutions below _DISTINCT, leave the number of real solutions uncertain.

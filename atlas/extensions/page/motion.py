@@ -25,7 +25,7 @@ from ...systems import arithmetic
 from ...systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the equations in the kernel's units, and optional ones, in the caller's units, that show a body.
+# Functions of the equations: for the integration, in the kernel's units, and optional ones to show a body, in the caller's units.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 

@@ -32,7 +32,7 @@ TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method is done after a step below LAST_STEP distances of nodes, or LAST_SHARE of the distance to the ends of the piece.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
-# A motion lies on the surface if the function stays below this share of its change by a generic relative change of the states.
+# A motion lies on the surface if |function| stays below this share of the function's derivative along a generic change of the states.
 STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
 

@@ -16,7 +16,7 @@ from scipy.special import ellipkm1, elliprf
 from ...systems.base import Array, Points, System
 from ..plane.elliptic import EllipticFunctions
 
-# Samples of the precession of a free body about its angular momentum, over one period.
+# Number of samples of the precession of a free body about its angular momentum, over one period.
 FOURIER_SAMPLES = 1024
 
 

@@ -71,7 +71,7 @@ def _condition(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _beyond(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Amount by which a true motion breaks the printed limits; for the true reading, the residual of the motion."""
+    """Amount by which a true motion violates the printed limits; for the true reading, the residual of the motion."""
     point = with_values(random_point(rng), entry["start"])
     for name in entry.get("solve", ()):
         point[name] = FAMILIES[entry["family"]].solve[name](point)

@@ -274,7 +274,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # accepted only as a singular point of other solutions
+        else:  # no solution ends or changes here: the value must be that of a point where some do
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:

@@ -48,7 +48,7 @@ def small(files, request, monkeypatch):
 # Selection and fractions.
 
 
-@pytest.mark.usual("memory", "file")
+@pytest.mark.usual("file")
 def test_select_gives_the_points_of_the_flags(small, files):
     _, ds = files
     flat = ds.stack(index=("sigma", "theta0"))
@@ -278,7 +278,7 @@ def test_a_map_shows_what_the_scene_is_about(files):
     assert named.atlas.map(boundary=False).axes[1].get_ylabel() == "growth rate (theory, rad s$^{-1}$)"
 
 
-@pytest.mark.usual("memory", "dask")
+@pytest.mark.usual("memory")
 def test_a_trajectory_is_that_of_the_atlas(small, files):
     _, ds = files
     coords = {"sigma": 1.35, "theta0": 1.2}
@@ -303,6 +303,7 @@ def test_trajectories_of_points_without_a_scene():
     np.testing.assert_array_equal(tr.theta, direct.theta)
 
 
+@pytest.mark.long
 def test_families_and_maps_are_those_of_analysis_and_plotting(scene_text):
     changes = {"family": None, "nudge": None, "labels": None, "integration": {"duration": 1.0}}
     scene = load_scene(scene_text(changes | {"axes.n.values": [0.0, 0.1]}))

@@ -212,6 +212,7 @@ VERNER = (
 )
 
 
+@pytest.mark.long
 def test_a_method_is_a_name_an_order_and_a_tableau(monkeypatch):
     """Labels and states by it are those of DOP853 to its tolerance, in about the steps that its order promises."""
     monkeypatch.setitem(tableaux.METHODS, "rk6", Method("rk6", 6, *VERNER))

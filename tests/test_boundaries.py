@@ -11,6 +11,8 @@ from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 TESTS = Path(__file__).parent
 PACKAGE = TESTS.parent / "atlas"
 PROJECT = tomllib.loads((TESTS.parent / "pyproject.toml").read_text())["project"]
@@ -206,6 +208,7 @@ def imports_of(path: Path, modules: Collection[str]) -> set[str]:
     return imported & set(modules)
 
 
+@pytest.mark.long
 def test_no_file_imports_itself_through_others():
     paths = {path.relative_to(PACKAGE.parent).with_suffix(""): path for path in PACKAGE.rglob("*.py")}
     modules = {".".join(name.parts).removesuffix(".__init__"): path for name, path in paths.items()}

@@ -106,7 +106,7 @@ def folder_of_reader(tmp_path, monkeypatch):
         sys.modules.pop(path.stem, None)
 
 
-@pytest.mark.usual("README.md", "docs/index.md", "docs/satellite.md", "docs/published.md", "docs/chaos.md")
+@pytest.mark.usual("README.md", "docs/index.md", "docs/satellite.md")
 @pytest.mark.usefixtures("whole_kernels", "short_timings", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("page", PAGES)
 def test_code_blocks_run(page, install_example):
@@ -255,6 +255,7 @@ def test_the_gallery_has_the_captions_and_commands_of_its_scenes(gallery):
         assert "\n".join(gallery.commands(picture)) in page, picture.scene
 
 
+@pytest.mark.usual("conditions_k3")
 @pytest.mark.usefixtures("whole_kernels", "coarse_lines", "folder_of_reader")
 @pytest.mark.parametrize("scene", ["conditions_k3", "capture_damping"])
 def test_the_python_of_the_gallery_draws_its_picture(scene, gallery, monkeypatch):

@@ -160,6 +160,7 @@ def test_a_subclass_of_the_satellite_is_its_authors_own_system(monkeypatch):
     assert "plane_period" not in variables(mine)
 
 
+@pytest.mark.long
 def test_a_broken_record_leaves_everything_else_working(tmp_path):
     """In processes that find it by its entry point."""
     module(tmp_path, "broken_record", "raise RuntimeError('no\\nsuch library')")

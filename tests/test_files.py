@@ -102,6 +102,7 @@ def test_a_process_is_found_to_run_until_it_is_killed(other_process):
     assert files.is_running(name) is False
 
 
+@pytest.mark.long
 def test_leftovers_of_killed_processes_are_removed_and_all_else_is_kept(tmp_path, other_process, monkeypatch):
     other, name = other_process
     machine, rest = name.split("-", 1)

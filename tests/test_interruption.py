@@ -132,7 +132,7 @@ def test_a_run_in_another_program_raises_when_the_library_returns(small_scene, t
         atlas.run(small_scene, f"{tmp_path}/run/", progress=False)
 
 
-@pytest.mark.usual("False-10", "True-12")
+@pytest.mark.usual("False-10")
 @pytest.mark.parametrize("number", interruption.STOPS)
 @pytest.mark.parametrize("is_ignored", [False, True])
 def test_a_signal_of_a_batch_system_ends_a_run_between_two_tiles(
@@ -187,6 +187,7 @@ def test_a_command_whose_terminal_hangs_up_ends_without_a_traceback():
     assert process.wait(30) == HUNG_UP
 
 
+@pytest.mark.long
 def test_a_signal_of_a_forked_child_is_none_of_its_parent():
     code = (
         "import os, signal, time\n"

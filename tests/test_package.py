@@ -96,6 +96,7 @@ def test_extensions_and_the_compiler_are_loaded_by_what_uses_them():
     assert subprocess.run([sys.executable, "-c", code], cwd=PACKAGE.parent, check=False).returncode == 0
 
 
+@pytest.mark.long
 def test_the_library_of_a_format_is_loaded_by_its_atlases_alone():
     code = (
         "import sys; sys.argv[0] = 'atlas'; from atlas.cli import parser; parser()\n"

@@ -135,7 +135,6 @@ def less_work(script_folders, monkeypatch, tmp_path):
     "bench_long_runs",
     "bench_methods",
     "bench_proofs",
-    "draw",
     "fuzz_scenes",
     "make_docs",
 )

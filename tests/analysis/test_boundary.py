@@ -62,6 +62,7 @@ def test_the_stability_limit_separates_growth_from_none(small_scene):
         assert min(growth) < 1e-3, vertex
 
 
+@pytest.mark.long
 def test_the_stability_limit_is_sharp(small_scene):
     vertices = np.concatenate(boundary.theory_borders(plane(small_scene))[boundary.STABILITY])
     sigma, u = vertices[:, 0], np.cos(vertices[:, 1]) ** 2
@@ -82,6 +83,7 @@ def test_the_stability_limit_on_one_axis(small_scene):
     assert (float(first[0, 0]), float(second[0, 0])) == pytest.approx((1.0, 4 / 3), abs=1e-4)
 
 
+@pytest.mark.long
 def test_borders_of_the_quickstart_are_those_of_the_formulas():
     scene = load_scene(QUICKSTART)
     view = planes.Plane(scene, {"l3": (-2.5, 2.5), "n": (-2.0, 2.0)}, {})
@@ -99,6 +101,7 @@ def test_borders_of_the_quickstart_are_those_of_the_formulas():
     np.testing.assert_allclose(stiffness, 0, atol=1e-3)
 
 
+@pytest.mark.long
 def test_lines_are_kept_for_later_processes(small, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ATLAS_CACHE", str(tmp_path))
     for name in ("ANNOUNCED", "WORTH_KEEPING"):

@@ -66,6 +66,7 @@ def test_the_prediction_for_a_nudged_start_depends_on_stability():
         assert predicted.tolist() == [Label.PERMANENT_ROTATION, unstable]
 
 
+@pytest.mark.long
 def test_the_report_counts_and_lists_the_worst_disagreements(small_scene):
     ds = atlas.run(load_scene(small_scene), progress=False)
     text = compare.report(ds)

@@ -33,6 +33,7 @@ def test_a_map_in_degrees_has_the_lines_of_the_map_in_rad(ds):
             np.testing.assert_allclose(other, line * [1.0, np.degrees(1.0)])
 
 
+@pytest.mark.long
 def test_values_panels_and_points_in_degrees(ds, scene_text):
     figure = ds.atlas.map("theta_max", degrees=True)
     assert "(deg)" in figure.axes[-1].get_ylabel()
@@ -123,6 +124,7 @@ def test_wrong_values_are_one_line(ds, scene_text):
             atlas.load_scene(scene_text(changes))
 
 
+@pytest.mark.long
 def test_the_shell_takes_and_shows_degrees(ds, scene_text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text(scene_text({}))

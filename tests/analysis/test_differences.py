@@ -30,6 +30,7 @@ def rows(report):
     }
 
 
+@pytest.mark.long
 def test_changes_of_labels_are_counted_and_located(pair):
     first, second = pair
     text = first.atlas.compare(second)
@@ -140,6 +141,7 @@ def test_atlases_of_points_without_axes_are_compared(pair):
     assert "the same at every point: label" in free.atlas.compare(free.copy())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("coarse_lines")
 def test_the_command_prints_and_draws_differences(pair, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

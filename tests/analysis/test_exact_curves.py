@@ -12,6 +12,8 @@ from atlas.analysis import plane as planes
 from atlas.errors import BadInput
 from atlas.theory.motions import condition_residual
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 THETA, TOP = 2.2, {"A": 1.0, "B": 1.0, "C": 0.4, "Mg": 1.0, "z0": 0.3, "theta0": 2.2}
 AXES = {
     "m": {"from": 0.5, "to": 9.0, "count": 3},
@@ -104,6 +106,7 @@ def test_family_curves_are_exact_motions(m, C, mu3):
             assert residual.max() < 1e-7
 
 
+@pytest.mark.long
 def test_family_curves_for_either_axis(scene_text, without_family):
     view = plane(scene_text(without_family))
     (curve,) = exact_curves.family_curves(view)["perp_velocity"]  # only theta0 can be solved for
@@ -125,6 +128,7 @@ def test_a_plane_that_lies_on_a_family_has_no_curve(small_scene):
     assert exact_curves.family_curves(plane(small_scene)) == {}
 
 
+@pytest.mark.long
 def test_an_offset_axis_has_its_family_at_zero():
     scene = CURVE_SCENE.format(m=0.5, C=0.7, mu3=0.0).replace(
         "from = -4.0\nto = 4.0\ncount = 3", "from = -0.1\nto = 0.2\ncount = 4\noffset_from_family = true"

@@ -57,6 +57,7 @@ def names(ds, variable: str = "label_any_axis") -> list[str]:
     return [NAMES[flag] for flag in ds[variable].values]
 
 
+@pytest.mark.usual("rk4")
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_verified_cases(method):
     ds = labelled("fixed_point", columns_of("fixed_point", CASES), method=method)
@@ -292,6 +293,7 @@ def test_run_folders_shards_and_threads_give_the_same(tmp_path):
     assert_shards_and_threads_agree(scene, tmp_path)
 
 
+@pytest.mark.long
 def test_refinement_follows_it(tmp_path, capsys):
     """Its borders are traced though `label` has none, and the cost is estimated without knowing where they are."""
     text = free_scene(["label", "label_any_axis", "nutation"], refine={"levels": 2, "probe": 0.0})
@@ -333,6 +335,7 @@ def test_the_error_of_an_unstable_exact_start_is_bounded():
     assert ds.error_estimate < 1.001
 
 
+@pytest.mark.long
 def test_a_system_in_euler_angles(monkeypatch, own_systems):
     """A free symmetric top whose angular velocity is no linear function of its state."""
     path = Path(__file__).parents[2] / "docs/examples/heavy_top_euler/heavy_top_euler.py"

@@ -190,6 +190,7 @@ rate_tolerance = "1e-4 * rate"
 """
 
 
+@pytest.mark.long
 def test_scenes_take_texts_in_parameters_and_axes(tmp_path):
     scene = load_scene(SCENE)
     round_trip = parse_scene(scene.toml())
@@ -235,6 +236,7 @@ def test_check_says_what_texts_are_in_numbers(tmp_path, capsys):
     assert "warning" not in capsys.readouterr().out  # no label is measured
 
 
+@pytest.mark.long
 def test_reuse_compares_the_tolerance_of_each_point(tmp_path, evaluated):
     """An atlas of one number has those points of the text where both are equal."""
     old = tmp_path / "old.nc"

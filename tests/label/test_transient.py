@@ -152,6 +152,7 @@ def test_a_long_one_may_be_interrupted(monkeypatch):
         np.testing.assert_allclose(cut[name], whole[name], rtol=1e-6, atol=1e-13)
 
 
+@pytest.mark.long
 def test_an_exact_start_keeps_its_prediction_and_others_lose_that_of_drifting():
     """At rest on the orbit, beside it, and turning steadily about the normal, where damping acts and where not."""
     starts = {"theta0": [0.0, 0.3, 0.0], "n": [0.0, 0.0, 0.4], "B": 1.1, "C": 1.3}
@@ -258,6 +259,7 @@ transient = "40 * damping"
 """
 
 
+@pytest.mark.long
 def test_of_a_scene(tmp_path, capsys):
     """Its text, motions, captions and lines of `atlas check` have the transient; refined, it has the same labels."""
     scene = atlas.load_scene(SCENE)

@@ -91,7 +91,7 @@ def test_lines_of_captions_fit_whatever_the_hash(points):
                 assert drawn / dpi * 25.4 <= mm, (dpi, line)
 
 
-@pytest.mark.usual("85")
+@pytest.mark.long
 @pytest.mark.parametrize("mm", WIDTHS)
 def test_figures_fit_whatever_the_hash(small, points, mm):
     ds = points.assign_attrs(atlas_kernel_hash=np.random.default_rng(mm).bytes(8).hex())

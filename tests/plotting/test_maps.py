@@ -161,6 +161,7 @@ def test_long_axes_are_thinned(small, monkeypatch):
 # Scales, labels, size.
 
 
+@pytest.mark.long
 def test_scales_fit_the_numbers(small):
     def norm_and_figure(values):
         ds = small.assign(theta_dot_rms=small.theta_dot_rms.copy(data=values))
@@ -198,7 +199,7 @@ def test_signed_colours_show_the_sign_in_grey():
     assert (np.diff(lightness[:, 0]) > 0).all()
 
 
-@pytest.mark.usual("page-180")
+@pytest.mark.long
 @pytest.mark.parametrize(("width", "mm"), [("column", 88), ("page", 180)])
 def test_the_figure_has_the_width_of_the_journal(small, solid, width, mm):
     for ds in (small, solid, small.isel(sigma=0)):
@@ -236,7 +237,7 @@ def test_the_legend_shows_only_what_occurs(small):
     assert legend(maps.atlas_map(small, legend=False)) == []
 
 
-@pytest.mark.usual("unknown")
+@pytest.mark.long
 @pytest.mark.parametrize("bad", [r"$\nonsense{$", f"${'{' * 3000}$"], ids=["unknown", "nested"])
 def test_texts_that_are_no_formulas_are_drawn_as_they_are(small, bad):
     """A file of a stranger may contain any."""
@@ -372,6 +373,7 @@ def test_maps_of_the_caller_carry_the_entries_of_one_legend(small):
     assert content.SLOW not in right.get_legend_handles_labels()[1]  # nothing was run there
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dpi", [72, 110, 300])
 def test_the_legend_is_inside_the_figure_at_any_resolution(small, dpi):
     figure = maps.atlas_map(small)
@@ -406,6 +408,7 @@ def test_colours_texts_and_size_can_be_chosen(small):
     assert bar.axes[1].get_ylabel() == "unrest"
 
 
+@pytest.mark.long
 def test_plain_savefig_writes_for_print(small, tmp_path):
     for dpi, expected in ((None, 300), (120, 120)):
         figure = maps.atlas_map(small, **({} if dpi is None else {"dpi": dpi}))

@@ -44,6 +44,7 @@ def test_a_map_shows_labels_and_says_so(cubesat):
     assert (heading(figure), legend(figure)) == ("label", ["drifting", "equilibrium (exact)"])
 
 
+@pytest.mark.long
 def test_theory_is_called_theory(cubesat):
     assert heading(cubesat.atlas.map("predicted")) == "predicted (theory)"
     assert heading(cubesat.atlas.map("stable")) == "stable (theory)"
@@ -55,6 +56,7 @@ def test_theory_is_called_theory(cubesat):
     assert heading(points.atlas.map("predicted", x="k3", y="theta0")) == "predicted (theory)"
 
 
+@pytest.mark.long
 def test_with_a_title_or_several_variables_each_panel_is_named(cubesat):
     figure = cubesat.atlas.map("predicted", title="A satellite")
     assert (heading(figure), figure.axes[0].get_title()) == ("A satellite", "predicted (theory)")
@@ -100,6 +102,7 @@ def test_a_measured_point_is_not_white_for_the_reason_of_one_that_was_not(cubesa
     assert np.argwhere(panel.white[content.NO_THEORY]).tolist() == [[0, 0]]
 
 
+@pytest.mark.long
 def test_a_probability_says_of_what():
     changes = {"axes": {"K1": {"count": 3}, "K3": {"count": 3}, "draw": {"to": 4, "count": 4}}}
     changes |= {"integration": {"duration": "1 orbits"}}

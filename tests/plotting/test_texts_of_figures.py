@@ -91,7 +91,7 @@ def check(ds, width: float) -> None:
         assert width < 85 or legend_rows(figure) <= 3, name
 
 
-@pytest.mark.usual("quickstart", "random_bodies_proved")
+@pytest.mark.usual("quickstart")
 @pytest.mark.parametrize("path", example_scenes(), ids=lambda path: path.stem)
 def test_no_text_lies_over_another_in_one_column(example_atlas, path):
     check(example_atlas(path), 85)

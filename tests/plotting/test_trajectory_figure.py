@@ -106,6 +106,7 @@ def test_wrong_options_of_motions_are_named(nutation, bad, message):
     assert str(error.value) == message
 
 
+@pytest.mark.long
 def test_the_panel_of_rates_says_where_it_is_clipped(tmp_path):
     tr = atlas.trajectory("satellite", {"theta0": 1.0, "n": 0.3, "m": 0.4}, duration=20.0, samples=201)
     rates = trajectory.trajectory_figure(tr).axes[2]

@@ -102,6 +102,7 @@ def test_variables_of_theory_are_added_without_integrating(old, scene_text, eval
     assert sum(evaluated) == 0
 
 
+@pytest.mark.long
 def test_atlases_are_joined_and_extended_again_with_the_provenance_of_all(
     old, scene_text, tmp_path, evaluated
 ):

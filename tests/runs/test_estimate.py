@@ -138,6 +138,7 @@ def test_derived_variables_are_priced_by_some_points(monkeypatch):
     assert max(sizes) <= scene.size
 
 
+@pytest.mark.long
 def test_a_long_run_says_so_first(monkeypatch, caplog, small_scene):
     monkeypatch.setattr(memory, "LONG", 1e-6)
     monkeypatch.setattr(estimate, "LONG", 1e-6)

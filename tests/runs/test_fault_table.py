@@ -232,7 +232,7 @@ def values_of(content: bytes) -> bytes:
 
 
 # What the header of a tile says does not depend on its place, and a server differs from a bucket in memory by its answers.
-@pytest.mark.usual("folder-names0")
+@pytest.mark.usual("bucket-names1")
 @pytest.mark.parametrize(
     ("run", "names"),
     [("folder", [*DAMAGES, *OBSTACLES]), ("bucket", [*DAMAGES][:7]), ("server", [*DAMAGES][:2])],

@@ -253,6 +253,7 @@ def test_a_file_is_no_run_folder_and_left_unchanged(scene, tmp_path):
     assert (tmp_path / "run").read_text() == "mine"
 
 
+@pytest.mark.long
 def test_only_the_run_of_another_scene_is_discarded(scene, scene_text, tmp_path):
     """Its own files go, with those of dead processes; files of others stay."""
     path, other = tmp_path / "run", load_scene(scene_text({"fixed.m": 0.6}))
@@ -282,6 +283,7 @@ def progress_file(path, **entries):
     (path / f"progress-{process_name()}.json").write_text(json.dumps(content))
 
 
+@pytest.mark.long
 def test_the_folder_of_a_process_at_work_is_never_removed(scene, scene_text, tmp_path):
     other, path = load_scene(scene_text({"fixed.m": 0.6})), tmp_path / "a.nc.run"
     empty_run_folder(scene, path)
@@ -303,6 +305,7 @@ def test_the_folder_of_a_process_at_work_is_never_removed(scene, scene_text, tmp
         assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
+@pytest.mark.long
 def test_a_process_is_at_work_until_its_file_is_in_its_place(scene, scene_text, tmp_path, monkeypatch):
     other, join = load_scene(scene_text({"fixed.m": 0.6})), RunFolder.join
 
@@ -406,6 +409,7 @@ def test_a_read_only_folder_is_refused_unless_it_is_finished(
     assert_same_bytes(whole, atlas.run(scene, out, progress=False))
 
 
+@pytest.mark.long
 def test_a_clock_going_backwards_has_no_effect(scene, whole, tmp_path, small_tiles, monkeypatch):
     out, now = f"{tmp_path}/run/", 1e9
     empty_run_folder(scene, out)
@@ -672,6 +676,7 @@ def test_status_join_and_dry_run_on_the_command_line(tmp_path, small_scene, monk
         assert ds.sizes == {"sigma": 9, "theta0": 7}
 
 
+@pytest.mark.long
 def test_a_grid_of_a_billion_points_opens_and_starts_in_little_memory(tmp_path, scene_text, monkeypatch):
     scene = load_scene(
         scene_text(

@@ -173,6 +173,7 @@ def test_any_ellipse_that_contains_a_coarse_point_is_exact(x0, y0, semi_axis, ra
         assert (coarse == Label.DRIFTING).all()
 
 
+@pytest.mark.long
 def test_islands_that_the_probe_hits_are_traced_and_counted(monkeypatch):
     def islands(x, y):  # three fine points wide, between the points of the coarse grid
         return (abs((8 * x) % 1 - 0.5) < 0.2) & (abs((8 * y) % 1 - 0.5) < 0.2)
@@ -235,6 +236,7 @@ def test_a_grid_that_does_not_fit_onto_the_disk_is_refused(scene_text, tmp_path,
         atlas.run(scene, f"{tmp_path}/night/", progress=False)
 
 
+@pytest.mark.long
 def test_boxes_of_any_size_give_the_same_atlas(scene_text, both, monkeypatch):
     monkeypatch.setattr(refine, "MAX_BOX_POINTS", 60)
     monkeypatch.setenv("ATLAS_TILE_POINTS", "100")

@@ -29,6 +29,7 @@ def small_atlas(tmp_path_factory, small_scene):
     return path, ds
 
 
+@pytest.mark.long
 def test_an_atlas_has_the_variables_and_parameters_of_the_registry(small_atlas):
     path, ds = small_atlas
     scene = load_scene(ds.attrs["atlas_scene"])
@@ -111,6 +112,7 @@ def test_a_wrong_number_of_points_per_tile_is_refused_before_anything_is_written
     assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]
 
 
+@pytest.mark.long
 def test_a_run_is_continued_in_the_tiles_that_it_began_with(small_atlas, tmp_path, monkeypatch):
     scene = load_scene(small_atlas[1].attrs["atlas_scene"])
     monkeypatch.setenv("ATLAS_TILE_POINTS", "10")

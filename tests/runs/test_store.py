@@ -86,7 +86,7 @@ def test_force_replaces_another_run_that_nobody_computes(scene, scene_text, whol
         assert len(evaluated) == 5
 
 
-@pytest.mark.usual("s3")
+@pytest.mark.usual("folder")
 def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     values, computed, _ = evaluate_at(ScenePlan.of(scene).runs, scene, run.tiles.indices(3))
@@ -109,7 +109,7 @@ def test_a_run_takes_no_tile_of_another_processor(scene, whole, place, monkeypat
     assert_same_bytes(whole, atlas.run(scene, place, progress=False))
 
 
-@pytest.mark.usual("folder")
+@pytest.mark.usual("s3")
 def test_claims_expire_by_the_clock_of_the_storage(scene, place, monkeypatch):
     run = RunFolder.prepare(ScenePlan.of(scene), place)
     other = process_name().replace(process_name()[:8], "0" * 8).encode()  # on another machine

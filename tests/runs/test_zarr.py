@@ -63,6 +63,7 @@ def test_a_store_holds_the_atlas(run, tmp_path, monkeypatch, points_per_chunk, f
         assert ds.atlas.select(label=3).sizes == whole.atlas.select(label="drifting").sizes
 
 
+@pytest.mark.long
 def test_large_parameters_are_written_in_parts(run, tmp_path, monkeypatch):
     folder, whole = run
     monkeypatch.setattr(dataset, "MAX_EAGER_VALUES", 1)
@@ -73,6 +74,7 @@ def test_large_parameters_are_written_in_parts(run, tmp_path, monkeypatch):
             np.testing.assert_array_equal(ds[name], whole[name])
 
 
+@pytest.mark.long
 def test_other_programs_read_a_store(run, store):
     _, whole = run
     for consolidated in (True, False):
@@ -84,6 +86,7 @@ def test_other_programs_read_a_store(run, store):
         assert ds.atlas.fractions().identical(whole.atlas.fractions())
 
 
+@pytest.mark.long
 def test_a_store_can_be_pickled(run, store):
     with atlas.open_atlas(store) as ds:
         assert_same_bytes(run[1], pickle.loads(pickle.dumps(ds)))

@@ -98,6 +98,7 @@ def test_draws_of_no_number_are_none():
     assert np.isnan(u[2:]).all()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("whole_kernels")
 def test_probability_at_a_straight_border_is_that_of_the_normal_distribution(scene_text):
     """The axis along the velocity is stable iff C > A (17), and no body has C > A + B = 2: P = Phi(distance / sigma)."""

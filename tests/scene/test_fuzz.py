@@ -41,6 +41,7 @@ def test_odd_scenes_are_read_and_checked_or_refused_in_one_line(cases):
     assert len(set(outcomes)) > 100  # the grammar reaches many different complaints
 
 
+@pytest.mark.long
 def test_odd_scenes_run_or_are_refused_in_one_line(cases):
     outcomes = [odd_scenes.try_run(odd_scenes.scene_text(rng)) for rng in cases("run", 60)]
     assert outcomes.count("ok") > 0.1 * len(outcomes)

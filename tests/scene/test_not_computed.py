@@ -99,6 +99,7 @@ def test_a_run_folder_its_join_and_its_comparison_with_theory(computed, tmp_path
         assert int(one.atlas.select(status="impossible_body").sizes["point"]) == (~possible(one)).sum()
 
 
+@pytest.mark.long
 def test_a_refined_scene_has_the_flags_of_the_full_grid():
     fine = {name: axis | {"count": 8 * axis["count"] - 7} for name, axis in RECTANGLE["axes"].items()}
     outputs = {"variables": ["label", "status", "predicted", "theta_dot_rms"]}

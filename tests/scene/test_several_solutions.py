@@ -11,6 +11,8 @@ from atlas.scene.family import solution
 from atlas.systems import SYSTEMS
 from atlas.systems.base import families_of
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 VECTORS = ["p0", "q0", "r0", "gamma10", "gamma20", "gamma30"]
 TOP = {"A": 1.0, "B": 1.0, "C": 0.5, "Mg": 1.0, "z0": 1.0, "theta0": np.radians(150)}
 TILTED = {

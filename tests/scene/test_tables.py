@@ -76,6 +76,7 @@ def test_csv_is_read_as_programs_write_it(tmp_path, text):
     assert {name: column.tolist() for name, column in table.items()} == {"C": [0.8, 1.2], "m": [0.5, -1.0]}
 
 
+@pytest.mark.long
 def test_columns_that_name_points_are_kept(tmp_path, monkeypatch, capsys):
     frame = pd.DataFrame(
         {"C": [0.8, 1.2, 1.3], "satellite": ["A, B", "#2", 'C "3"'], "ID": [7, 8, 10**17], "m": 0.5}
@@ -139,6 +140,7 @@ def test_samples_fill_the_unit_cube_evenly(kind):
     assert quasi_random(kind, 2, 1, 0).shape == (2, 1)
 
 
+@pytest.mark.long
 def test_a_sampled_scene_runs_and_is_read_back_like_any_other(tmp_path):
     scene = load_scene(SAMPLED)
     ds = atlas.run(scene, tmp_path / "a.nc", progress=False)

@@ -59,6 +59,7 @@ def test_a_table_of_points_has_their_values(here):
             assert ("nan" in texts) == bool(np.isnan(array).any())
 
 
+@pytest.mark.long
 def test_a_frame_has_the_values_in_rad_or_degrees(small):
     angles = {"theta_min", "theta_max", "psi0", "phi0"}
     for degrees in (False, True):
@@ -91,6 +92,7 @@ def few_steps(monkeypatch):
     monkeypatch.setattr(estimate, "LABEL_STEPS", estimate.LABEL_STEPS / 10)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("few_steps")
 def test_a_dry_run_tells_what_the_run_takes(scene_text, tmp_path):
     """Points, steps, processor time, bytes and memory, each within a factor that the load of a machine leaves."""

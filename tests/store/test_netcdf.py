@@ -270,6 +270,7 @@ def test_a_file_that_claims_more_than_it_can_hold_is_refused(tmp_path):
             atlas.open_atlas(tmp_path / "bomb.nc")
 
 
+@pytest.mark.long
 def test_paths_that_the_library_takes_for_others_are_refused(small_file, small_scene, tmp_path):
     for name in ("back\\slash", os.fsdecode(b"\xff")):
         (tmp_path / name).mkdir()

@@ -163,6 +163,7 @@ def test_a_figure_a_table_and_a_text_are_replaced(folder):
         assert atlas.files.writable(name, (Path(name).suffix,), force=True) == Path(name)
 
 
+@pytest.mark.long
 def test_a_damaged_atlas_is_made_again(folder, small_scene):
     whole = Path("a.nc").read_bytes()
     for damaged in (

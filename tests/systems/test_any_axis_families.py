@@ -205,6 +205,7 @@ def test_floquet_multipliers_against_the_monodromy_matrix(name):
             assert np.log(np.abs(multipliers).max()) / period == pytest.approx(growth[i], rel=1e-4)
 
 
+@pytest.mark.long
 def test_all_multipliers_of_free_precessions_are_on_the_unit_circle():
     """w moves on a circle at the rate |w''| / |w'|; gamma turns under it, so that the matrix of both is block triangular.
 

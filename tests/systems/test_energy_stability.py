@@ -147,6 +147,7 @@ def test_the_diagram_of_likins_and_thomson():
     assert (kind == StabilityKind.GYROSCOPIC).any()
 
 
+@pytest.mark.long
 @pytest.mark.extension("equilibria")
 def test_permanent_rotations_have_the_second_variation_on_the_leaf():
     """Of energy - n M.gamma - a gamma^2 / 2 on the tangents of |gamma| and M.gamma, M = I w + l."""

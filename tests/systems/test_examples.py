@@ -125,6 +125,7 @@ def indicators(points, duration):
     )
 
 
+@pytest.mark.long
 def test_lyapunov_exponents_are_those_of_dop853():
     def slope(_, state):
         x, y, u, v, a, b, c, d = state
@@ -356,6 +357,7 @@ def pitch(nu, state, e, K):
     )
 
 
+@pytest.mark.long
 def test_periodic_pitch_on_an_elliptic_orbit():
     """The references are periodic by Radau, an implicit method, too; those of the branches come out of the example, with their traces."""
     from elliptic_orbit import periodic

@@ -42,6 +42,14 @@ def starts(system, kind, seed, count):
     return points, families_of(system)[kind.partition(",")[0]]
 
 
+@pytest.mark.usual(
+    "satellite-cylindrical",
+    "satellite-perp_radius",
+    "satellite-other_axis",
+    "fixed_point-conical, fast",
+    "fixed_point-staude, rotor",
+    "fixed_point-grioli",
+)
 @EVERY_FAMILY
 def test_solved_points_are_steady_and_recognised(system, kind):
     points, family = starts(system, kind, 7, 24)

@@ -89,6 +89,7 @@ def test_threshold_of_the_sleeping_top_over_spin_and_rotor():
     assert (survives == (spin**2 > threshold)).where(off_threshold, True).all()
 
 
+@pytest.mark.long
 def test_upright_tops_are_mirror_images_of_tops_hung_upside_down():
     """The body turned by half a turn about its first axis: theta from pi to 0, and z0, l3, r0 and m with the other sign."""
     turned = {"z0": -1.0, "gamma30": 1.0, "m": -2.0}

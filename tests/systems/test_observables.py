@@ -305,6 +305,7 @@ def test_a_run_that_is_cut_has_the_same_bits(pendulum, monkeypatch):
     np.testing.assert_array_equal(cut.final_state, whole.final_state)
 
 
+@pytest.mark.long
 def test_run_folders_tiles_threads_and_refinement(pendulum, tmp_path, monkeypatch):
     whole = atlas.run(atlas.load_scene(PENDULUM_SCENE), progress=False, threads=1)
     monkeypatch.setenv("ATLAS_TILE_POINTS", "20")
@@ -473,6 +474,7 @@ def test_the_bound_of_a_point_depends_on_it_alone(pendulum):
         assert bound_along(pendulum, alone, 30.0, threads=Threads(1))[0] == bound[i]
 
 
+@pytest.mark.long
 def test_a_motion_that_reaches_infinity_keeps_its_last_finite_bound(pendulum):
     """x'' = x^3 does so from x = 3 in 0.6 time units, whatever the steps: shorter ones would cost time and change nothing."""
     points = {"omega": np.zeros(1), "cubic": np.full(1, -1.0), "x0": np.full(1, 3.0), "v0": np.zeros(1)}

@@ -227,6 +227,7 @@ def test_a_family_makes_predictions():
     assert (atlas.run(scene, progress=False)["label"] == Label.REGULAR_PRECESSION).all()
 
 
+@pytest.mark.long
 def test_scene_file_and_queries(ds, tmp_path):
     assert dict(ds.sizes) == {"tilt": 5, "spin": 7}
     assert set(np.unique(ds["label"])) <= {Label.REGULAR_PRECESSION, Label.DRIFTING}
@@ -297,6 +298,7 @@ def test_stress_study_makes_its_own_cases(monkeypatch):
     assert not stress.mislabelled(ds).any()
 
 
+@pytest.mark.long
 @pytest.mark.extension("equilibria")
 def test_commands(tmp_path, capsys):
     (tmp_path / "top.toml").write_text(SCENE)

@@ -61,6 +61,7 @@ def test_a_name_is_found_and_only_then_imported(pendulum):
     assert "pendulum" in systems.available()
 
 
+@pytest.mark.long
 def test_check_and_schema_find_it_without_a_compiler(pendulum, scene_file):
     program = (
         "import sys; from atlas.cli import main\n"

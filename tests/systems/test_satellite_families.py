@@ -302,6 +302,7 @@ def test_points_one_percent_off_a_family_are_on_none():
         assert count > 3, name
 
 
+@pytest.mark.long
 def test_generic_points_are_on_no_family():
     points = random_satellites(np.random.default_rng(4), 500)
     flags, distance = SATELLITE.identify_family(

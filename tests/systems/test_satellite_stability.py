@@ -86,6 +86,7 @@ def symmetric_point(theta0, psi0, sigma, b):
     return default_points("satellite", A=1, B=1, Omega=1, C=sigma, theta0=theta0, psi0=psi0, m=0.7, k3=k3)
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(sigma=st.floats(0.05, 1.95), b=st.floats(-6, 6), theta0=st.floats(0.05, 1.5))
 def test_classical_boundaries(sigma, b, theta0):

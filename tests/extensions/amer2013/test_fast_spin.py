@@ -237,6 +237,7 @@ def angles_of_the_motion(spin, turns):
     return t, np.array([np.arccos(g3), psi, np.unwrap(np.arctan2(g1, g2))])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", [(22.49, 35.6), (50.32, 33.4)])
 @pytest.mark.parametrize("rotor", [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (10.0, 10.0, 10.0)])
 def test_euler_angles(body, rotor):
@@ -251,6 +252,7 @@ def test_euler_angles(body, rotor):
     assert np.all((printed > 50 * true)[0 if rotor[0] else 1 :])
 
 
+@pytest.mark.long
 def test_secular_precession_is_twice_the_printed_one():
     spin = top(300.0, (0.0, 0.0, 0.0))
     t, exact = angles_of_the_motion(spin, 40)
@@ -372,6 +374,7 @@ def test_a_spherical_body_with_an_axial_rotor_has_a_solution():
     assert np.isfinite(fast_spin.first_order(top(300.0, (0.0, 0.0, 0.0), A=30.0, C=30.0), TAU)).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("row", published.PUBLISHED, ids=lambda row: row.number)
 def test_printed_equations_are_much_worse_than_the_true_ones(row):
     assert [other.number for other in published.PUBLISHED].count(row.number) == 1

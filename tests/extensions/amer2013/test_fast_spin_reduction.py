@@ -61,6 +61,7 @@ def assert_reading_is(number, spin, y, more, exact):
     assert abs(float(reduction.left_side(reduction.ENTRIES[number], "printed", values)) - exact) > 1e-3
 
 
+@pytest.mark.long
 def test_7_is_the_series_of_p1():
     """In (7) eps mu1 = l1 / (A r0): its first order contains the terms of order eps^2 with mu, without l3."""
     _, _, _, _, _, _, eps, *_, m1, m2, s3, _, _ = SYMBOLS
@@ -74,6 +75,7 @@ def test_7_is_the_series_of_p1():
         assert_reading_is("(7), forcing and first order", spin, y, {"S1": S1}, exact)
 
 
+@pytest.mark.long
 def test_8_is_the_series_of_g1():
     """With l3 / (A r0) of order eps."""
     eps, s3 = SYMBOLS[6], SYMBOLS[13]

@@ -329,6 +329,7 @@ def test_the_columns_of_the_table_are_those_of_their_names():
             assert float(text) == pytest.approx(getattr(row, names[name]), rel=5e-3), name
 
 
+@pytest.mark.long
 def test_the_table_of_periodic_solutions_has_three_readings():
     rows = claims.periodic_table((0.0, 50.0))
     heading, *lines = amer2013.periodic_solutions(rows)
@@ -354,6 +355,7 @@ def installed(install_example):
     install_example("amer2013_figures")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("installed")
 def test_the_command_writes_figures_and_the_table(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

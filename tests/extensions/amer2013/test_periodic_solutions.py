@@ -173,6 +173,7 @@ def test_an_upright_top_has_the_solution_while_its_precession_exists():
     assert list(reached) == [True, True, False, False]
 
 
+@pytest.mark.long
 def test_shooting_from_the_printed_solution_leads_to_the_same_orbit():
     """The printed (33) lacks the forced part, and both starts differ from the orbit by their orders."""
     spin = gyrostats([0.002, 0.02], 0.01, 1.58)
@@ -236,6 +237,7 @@ def test_an_unstable_band_remains_for_the_fastest_spin(C, stable):
     )
 
 
+@pytest.mark.long
 def test_unstable_solutions_are_left_and_stable_ones_are_not(orbits):
     """The full equations from a start beside the exact one."""
     for i in (1, 3, 5):

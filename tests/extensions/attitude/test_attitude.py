@@ -71,6 +71,7 @@ def initial(start, **more):
     return state.T.reshape(count, 3, 3).swapaxes(0, 1)
 
 
+@pytest.mark.usual("anywhere")
 @pytest.mark.parametrize("relative_to", ["orbit", "inertial"])
 @pytest.mark.parametrize("rates_in", ["body", "frame"])
 @pytest.mark.parametrize("frame", FRAMES)

@@ -110,6 +110,7 @@ def test_fractions_over_starts(ds):
     np.testing.assert_allclose(along["fraction"].mean("m"), whole["fraction"])
 
 
+@pytest.mark.long
 def test_undecided_starts_are_counted(ds):
     """Of which the atlas of any end holds the flag, asked for or not."""
     own = ds["settled_by"]
@@ -253,6 +254,7 @@ def test_points_without_a_body_have_no_end():
     np.testing.assert_array_equal(np.isnan(ds["end_theta0"]), [False, True])
 
 
+@pytest.mark.long
 def test_without_the_extension_its_names_are_refused_and_other_numbers_are_equal(
     without_extension, scene_text, ds
 ):

@@ -217,7 +217,7 @@ def test_a_body_without_symmetry_has_folds_alone():
     assert (ds.kind == BorderKind.FOLD).all()
 
 
-@pytest.mark.usual("body0")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("body", "ranges", "name", "value", "other", "total"),
     [  # complex solutions alone lead to one curve of the former, and points beyond the ranges to one of the latter

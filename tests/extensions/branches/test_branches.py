@@ -149,6 +149,7 @@ def test_staudes_cone():
     assert np.nanmax(np.sort(np.abs(ends), -1)[..., 1]) < 0.05
 
 
+@pytest.mark.long
 def test_pitchforks_of_a_rotor_along_an_axis():
     """Gutnik & Sarychev's counts 24, 20, 16, 12, 8: alpha = +-e1, +-e2 lean off the normal where |k3| < C - B, C - A, and
     beta where |k3| < 4 (C - B), 4 (C - A). At k3^2 = 4 (C - A) (C - B) lines of equilibria join two of these families."""

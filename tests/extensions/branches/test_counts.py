@@ -70,6 +70,7 @@ def test_energy_stable_equilibria_are_the_minima():
     assert counts_of(default_points("satellite", A=1.0, B=1.3, C=1.7)).ravel().tolist() == [24, 4, 4]
 
 
+@pytest.mark.long
 def test_bodies_of_which_no_number_is_certain():
     """Two equal moments, three, no orbit, a bifurcation, beside it, an orbit that is too slow."""
     points = bodies(

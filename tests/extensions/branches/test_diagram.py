@@ -51,6 +51,7 @@ def test_lines_end_at_the_bifurcations(arcs):
         assert (np.abs(drawn - point).max(1) == 0).any()
 
 
+@pytest.mark.long
 def test_angles_are_not_joined_across_a_jump(ds):
     lines = branch_lines(ds, "psi0", "k3")
     assert max(np.abs(np.diff(line[:, 1])).max() for group in lines.values() for line in group) < 0.9 * np.pi

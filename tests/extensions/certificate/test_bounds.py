@@ -201,6 +201,7 @@ def test_bounds_near_permanent_rotations_about_a_fixed_point():
     assert_sharp(used, 0.99, 0.95, 0.9, 0.9, 0.7)
 
 
+@pytest.mark.long
 def test_the_range_of_a_top_is_exact():
     """Fast and slow, hanging and inverted: the motion goes from one end of the range to the other."""
     rng = np.random.default_rng(5)

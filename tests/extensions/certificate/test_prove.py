@@ -136,6 +136,7 @@ def legend(figure):
     return [entry.get_text() for each in figure.legends for entry in each.get_texts()]
 
 
+@pytest.mark.long
 def test_maps_outline_what_is_proved(whole, proved):
     outline = f"{content.PROVED} (theory)"
     assert content.PROVED in legend(maps.atlas_map(whole, "predicted_inertial"))  # a map of theory
@@ -172,6 +173,7 @@ def test_a_contradiction_is_counted_and_placed(whole, proved):
     assert lines[at + 1] == "  a defect of proof or run, please report it: theta0 = 0.0003, C = 2"
 
 
+@pytest.mark.long
 def test_pages_show_the_bound(whole):
     page = whole.atlas.page().html
     assert "limit of the deviation of a rate for all time" in page

@@ -125,6 +125,7 @@ def test_a_rigid_body_has_24_equilibria():
     assert solutions["stable"].dtype == np.int8
 
 
+@pytest.mark.long
 def test_circles_of_a_symmetric_body():
     """A = B: the axis along normal, velocity or radius, and any angle about it."""
     solutions = SATELLITE.equilibria({"A": 1.0, "B": 1.0, "C": 1.5})

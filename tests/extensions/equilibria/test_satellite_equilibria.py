@@ -260,6 +260,7 @@ def test_bodies_at_once_and_one_by_one():
         np.testing.assert_array_equal(solutions["index"][i, :count], one["index"])
 
 
+@pytest.mark.long
 def test_no_result_depends_on_the_other_bodies():
     points = random_bodies(40, seed=2)
     together = SATELLITE.equilibria_of_bodies(points)

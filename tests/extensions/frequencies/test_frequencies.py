@@ -61,6 +61,7 @@ def test_a_motion_answers_by_itself_in_rad_or_degrees():
     )
 
 
+@pytest.mark.long
 def test_small_librations_have_the_frequency_of_the_linear_equations():
     """Third axis along the radius, second along the normal: B psi'' = -3 (A - C) psi."""
     A, B, C = 1.3, 1.6, 1.0

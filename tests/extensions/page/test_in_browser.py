@@ -167,6 +167,7 @@ def test_keys_move_choose_and_zoom(browser, address):
     assert not browser.errors
 
 
+@pytest.mark.long
 def test_every_variable_can_be_drawn_in_light_and_dark(browser, address, small_atlas):
     browser.open(address, dark=True)
     assert browser.evaluate("document.documentElement.dataset.theme") == "dark"
@@ -181,6 +182,7 @@ def test_every_variable_can_be_drawn_in_light_and_dark(browser, address, small_a
     assert not browser.errors
 
 
+@pytest.mark.long
 def test_the_address_leads_to_variable_and_point(browser, address, small_atlas):
     browser.open(address)
     browser.click(*pixel(browser, [7, 2]))
@@ -282,6 +284,7 @@ def test_a_slider_for_a_further_axis(browser, cube_atlas, tmp_path, quick_page):
     assert not browser.errors
 
 
+@pytest.mark.long
 def test_single_points_and_their_axes(browser, sampled_atlas, tmp_path, quick_page):
     path = tmp_path / "sampled.html"
     sampled_atlas.atlas.page().save(path)

@@ -83,6 +83,7 @@ def test_numbers_beyond_float32_keep_their_magnitude():
         assert float_array(np.array([1.0, extreme])).dtype == np.float64
 
 
+@pytest.mark.long
 def test_the_page_holds_the_points_of_the_atlas(small_atlas, small_page):
     table = table_of(small_page.html)
     arrays = [unpacked(entry) for entry in table["arrays"]]

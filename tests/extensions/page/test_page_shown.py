@@ -92,6 +92,7 @@ LABELS = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_table_names_variables_axes_and_flags(small_atlas, small_page):
     table = table_of(small_page.html)
     variables = {each["name"]: each for each in table["variables"]}
@@ -343,6 +344,7 @@ def test_the_plots_of_a_motion_are_those_of_the_trajectory(browser, address, sma
         np.testing.assert_allclose(drawn_curve[:, 1], expected, atol=0.02 * np.ptp(values))
 
 
+@pytest.mark.long
 def test_theta_of_a_motion_in_degrees(browser, small_atlas, tmp_path, quick_page):
     path = tmp_path / "degrees.html"
     atlas_page(small_atlas, degrees=True).save(path)

@@ -365,6 +365,7 @@ variables = ["label", "predicted", "regularity", "lyapunov", "family", "stable",
 """
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("whole_kernels")
 def test_a_scene_compares_stability_with_regularity(tmp_path):
     ds = atlas.run(atlas.load_scene(SCENE), progress=False)

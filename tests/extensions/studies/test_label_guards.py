@@ -400,6 +400,7 @@ def test_an_exact_sleeping_start_cannot_tilt():
     assert result["status"][0] == Status.ROUNDOFF_DECIDED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["satellite", "fixed_point"])
 @given(exponent=st.floats(-17, -10), n=st.floats(-2, 2), m=st.floats(-2, 2), upside_down=st.booleans())
 @settings(max_examples=40)

@@ -58,6 +58,7 @@ def test_reference_of_a_libration():
     assert run["theta_max"].item() == pytest.approx(solution.statistics["theta_max"][0], abs=5e-9)
 
 
+@pytest.mark.long
 def test_reference_after_a_transient():
     """Its states are those of one whole run; its statistics those of the kernel, damped and free."""
     given = {"B": 1.3, "C": 1.6, "theta0": 0.7, "psi0": 0.4, "n": 0.3, "damping": np.array([0.0, 0.1])}

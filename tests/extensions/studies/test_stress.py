@@ -127,6 +127,7 @@ def test_statistics_table_of_the_report(studies):
     assert "exact motions" not in stress.report(none)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_exact_cases_pass_beside_the_vertical(system):
     """Each of these runs comes as near the vertical as its case states."""
@@ -139,6 +140,7 @@ def test_exact_cases_pass_beside_the_vertical(system):
                 assert theta == pytest.approx(sine, rel=1e-6)
 
 
+@pytest.mark.long
 def test_departures_of_large_offsets_agree_with_the_reference():
     """Offsets large enough for the reference integrator, which adds them to the state."""
     system = SYSTEMS["satellite"]

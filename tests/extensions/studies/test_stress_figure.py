@@ -23,6 +23,7 @@ def study():
     return ds
 
 
+@pytest.mark.long
 def test_each_panel_has_one_scale_and_all_points(study):
     axes = stress_figure.stress_figure(study).axes
     assert [ax.get_title("left") for ax in axes] == ["rk4", "", "rk8", ""]

@@ -49,6 +49,7 @@ def test_the_true_reading_is_lagrange_s_equation_and_the_printed_one_is_no_multi
     assert spread.min() > 1e-2
 
 
+@pytest.mark.long
 def test_harmonics_of_the_true_readings_by_computer_algebra():
     """(32)-(34) as the coefficients of cos 2phi, sin 2phi, cos phi, sin phi and 1 of Lagrange's equations."""
     (psi, theta, phi), (psi_dot, theta_dot, phi_dot), _, body = satellite_symbols()

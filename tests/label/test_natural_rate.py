@@ -19,6 +19,8 @@ from atlas.scene.read import load_scene, parse_scene
 from atlas.systems import System
 from atlas.systems.gyrostat.body import SLOW
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 SATELLITE, TOP = systems.get("satellite"), systems.get("fixed_point")
 
 

@@ -74,6 +74,7 @@ def test_the_share_of_points_that_are_not_resolved_is_printed(monkeypatch):
     assert "25 % of the points have steps too long" in dry_run(scene, threads=1)
 
 
+@pytest.mark.long
 def test_ends_are_priced_with_their_tangent_vectors(monkeypatch):
     """By the steps that a run takes with them, if every point settles; without ends there are none."""
     table = {

@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 import atlas
 from atlas import systems
 
+pytestmark = pytest.mark.usefixtures("whole_kernels")
+
 ALMOST = 1e-12
 OMEGA = 0.7
 # Axes of the frames of a satellite at time 0, as columns, along radius, velocity and normal.

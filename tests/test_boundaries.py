@@ -42,7 +42,7 @@ REPLACED = {
     "the processors, the memory and the programs of this machine": """
         extensions/page/test_in_browser.py:?.browser.launched kernel.blocks.os.sched_getaffinity kernel.machine_code.architecture
         kernel.intrinsics.VECTOR_BITS kernel.machine_code.llvm.get_host_cpu_features plotting.trajectory.ANIMATIONS..mp4 runs.folder.identity
-        runs.refine.os.sysconf runs.reuse.identity runs/test_identity.py:?.?
+        runs.refine.os.sysconf runs.reuse.identity runs/test_identity.py:?.? test_scripts.py:?.MAX_SOURCE
     """,
     "the installed packages, their code, and the systems, instruments and methods of this process": """
         extension._found sources.AT_IMPORT sources.OF_FOLDERS.? sources.PACKAGE sources.read systems.SYSTEMS

@@ -39,7 +39,7 @@ def column(cases, key, i=None):
     return np.array([case[key] if i is None else case[key][i] for case in cases])
 
 
-@pytest.mark.usual("fixed_point")
+@pytest.mark.long
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_verified_regular_and_chaotic_motions(system):
     cases, points = cases_of(system, "regular", "chaotic", "unstable_periodic")

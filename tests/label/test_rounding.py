@@ -127,7 +127,7 @@ class Circling(systems.System):
         return np.array([points["radius0"] * x, points["radius0"] * y, -speed * y, speed * x])
 
 
-@pytest.mark.usual("rk8-radial")
+@pytest.mark.long
 @pytest.mark.parametrize("observable", ["radius", "radial"])
 @pytest.mark.parametrize("method", ["rk4", "rk8"])
 def test_an_observable_of_a_circle_is_constant_or_not_known_to_be(own_systems, observable, method):

@@ -161,6 +161,7 @@ def test_rotations_slower_than_the_tolerance_count_as_none():
     assert np.isnan([rest[name][0] for name in any_axis.ANGLES]).all()
 
 
+@pytest.mark.long
 def test_a_spherical_satellite_precesses_in_inertial_space():
     """Nothing turns it, so that it precesses about its momentum; seen from the orbit the axis of that turns as well."""
     rng = np.random.default_rng(0)

@@ -120,7 +120,7 @@ def ends(points):
     return np.split(state, 3)
 
 
-@pytest.mark.usual("False")
+@pytest.mark.long
 @pytest.mark.parametrize("reverses", [False, True])
 def test_an_image_has_the_labels_and_statistics_of_its_motion(reverses):
     """Reversed motions begin where the others end: both pass the same states."""

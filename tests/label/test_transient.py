@@ -129,6 +129,7 @@ def test_all_is_as_from_the_state_at_its_end():
     assert (ds.integral_drift > 0).all()
 
 
+@pytest.mark.long
 def test_without_one_every_bit_is_the_same_whatever_the_neighbours():
     """A transient of 0 at some points, by arithmetic, and none at all; cut into parts and not."""
     given = SATELLITE | {"damping": np.array([0.0, 0.1, 0.0, 0.2]), "m": np.array([-0.2, 0.4, 0.1, 0.3])}

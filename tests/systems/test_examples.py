@@ -159,6 +159,7 @@ def test_lyapunov_exponent_of_the_chaotic_sea(energy, exponent, tolerance):
     assert ds["lyapunov"].values[chaotic].mean() == pytest.approx(exponent, rel=tolerance)
 
 
+@pytest.mark.long
 def test_motions_of_little_energy_are_regular():
     ds = indicators(chaotic_starts(1 / 24), 2e3)
     assert (ds["status"] == Status.OK).all()
@@ -298,6 +299,7 @@ def test_two_field_top_has_predictions_without_families():
         assert (ds.agreement.where(ds.status == Status.OK, Agreement.AGREE) == Agreement.AGREE).all()
 
 
+@pytest.mark.long
 def test_two_field_top_is_stable_where_it_spins_fast():
     """As a top against the resultant F of the fields: stable for (C m + l3)^2 > 4 A F; nudged, the labels agree."""
     m = np.linspace(0.2, 6.0, 12)
@@ -487,6 +489,7 @@ def test_a_damped_satellite_is_captured_by_resonances():
     assert ds.atlas.ends("rotation_mean", 0.01)["which"].size >= 2
 
 
+@pytest.mark.long
 def test_two_field_top_precesses_about_the_resultant():
     """The conditions give motions that DOP853 confirms, measured as regular about two axes, and small nutations as derived:
     A theta'' = f(theta) of the axis to the resultant has -f'/A = N^2 sin^2 + (b/A - 2 N cos)^2, b = C w3 + l3.

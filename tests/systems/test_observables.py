@@ -405,6 +405,7 @@ def test_the_bound_sees_a_forcing_that_the_jacobian_does_not_contain(driven, mon
     assert np.isfinite(estimate).all()
 
 
+@pytest.mark.long
 def test_a_forcing_that_turns_once_from_sample_to_sample_is_seen_at_all_phases(driven):
     """With equal distances all samples have one phase, in which the slope is zero and the bound had no limit."""
     points, duration = {"w": np.full(1, 2 * np.pi), "force": 1 - (2 * np.pi) ** 2, "x0": 1.0}, 2000.0

@@ -162,6 +162,7 @@ def test_trajectories_agree_with_dop853_and_conserve_energy():
     assert float(tr.psi[-1]) == pytest.approx(turn, abs=1e-8)
 
 
+@pytest.mark.long
 def test_labels_of_steady_and_other_motions():
     points = random_points(40)
     steady = points | {"spin": steady_spin({"transverse": np.ones(40), **points})}
@@ -215,6 +216,7 @@ def test_variables_that_the_system_does_not_have_are_absent():
     }  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_family_makes_predictions():
     points = random_points(20)
     points["spin"] = steady_spin({"transverse": np.ones(20), **points})
@@ -256,6 +258,7 @@ def test_figures(ds, tmp_path):
     assert (tmp_path / "map.png").stat().st_size > 5000
 
 
+@pytest.mark.long
 def test_a_frame_of_another_name(monkeypatch):
     from atlas.plotting.trajectory import trajectory_figure
 

@@ -130,6 +130,7 @@ def registered(own_systems):
         systems.register(system)
 
 
+@pytest.mark.long
 def test_polynomial_equations_predict_without_a_family():
     points = random_points(60)
     transverse = {"transverse": np.ones(60), **points}

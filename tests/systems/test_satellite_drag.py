@@ -190,7 +190,7 @@ def test_drag_is_a_parameter_as_others():
         atlas.label_points("satellite", {"drag1": "much"})
 
 
-@pytest.mark.usual("oblique")
+@pytest.mark.long
 @pytest.mark.parametrize("family", ["perp_radius", "oblique"])
 def test_a_family_with_drag_is_steady_and_found(family):
     """Axial drag keeps the tilt of the closed forms; the label is predicted, and measured."""

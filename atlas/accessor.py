@@ -1,7 +1,7 @@
 """`ds.atlas`: questions to an atlas; `registration` registers it with xarray.
 
-An atlas may be larger than memory, so that every dataset, lazy, chunked or in memory, is read in chunks. Only the methods that
-make figures, films and pages import Matplotlib.
+An atlas may be larger than memory. Therefore every dataset, whether lazy, chunked or in memory, is read in chunks. Only the
+methods that make figures, films and pages import Matplotlib.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Atlas(Questions):
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
 
     Every method raises BadInput for unknown names and values, and if the dataset cannot answer: it lacks axes, flags or
-    variables that the method needs, more than two axes are left, the family of its scene has no motion, or its coordinates are
-    not those of the scene from which motions or theory would follow.
+    variables that the method needs, more than two axes are left, the family of its scene has no motion, or its coordinates differ
+    from the values in its scene, from which motions and theory are computed.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -43,7 +43,7 @@ class Atlas(Questions):
         self._ds = subject_of(ds)
 
     def __repr__(self) -> str:
-        """The methods with the first lines of their documentation, one in a line."""
+        """One line for each method: its name and the first line of its documentation."""
         own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
         methods = own | {name: load("questions", name) for name in parts("questions")}
         rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
@@ -54,7 +54,7 @@ class Atlas(Questions):
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
         A flag has the same colour in every figure. Positive numbers, except angles, that span more than two decades get a
-        logarithmic colour scale, numbers of both signs a scale centred on zero, integers a colour each. White cells have no
+        logarithmic colour scale, numbers of both signs a scale centred on zero, integers one colour for each value. White cells have no
         value. Over a single axis the figure is a curve, with a level for each flag.
 
         Parameters
@@ -73,7 +73,7 @@ class Atlas(Questions):
         return atlas_map(self._ds, variable, **options)
 
     def select(self, *, degrees: bool = False, **flags: str | int | Sequence[str | int]) -> xr.Dataset:
-        """The points with the flags named.
+        """The points that have the given flags.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Atlas(Questions):
         degrees : bool, optional
             Take and return angles in degrees.
         **coords : float
-            Axis or parameter -> value. Along an axis the point is the one in whose cell of the map the value lies. Among
+            Axis or parameter -> value. Along an axis the point is taken whose cell of the map contains the value. Among
             single points each distance is divided by the range of the parameter over the points.
 
         Returns
@@ -133,7 +133,7 @@ class Atlas(Questions):
         return to_dataframe(self._ds, degrees)
 
     def fractions(self, variable: str = "label", along: str | None = None) -> xr.DataArray:
-        """Fraction of the points with each flag of a variable, over all or along one axis.
+        """Fraction of the points with each flag of a variable, among all points or along one axis.
 
         Parameters
         ----------
@@ -145,8 +145,8 @@ class Atlas(Questions):
         Returns
         -------
         DataArray
-            float64, over a dimension named like the variable, whose coordinate is the names of the flags, after the dimension
-            `along` if it is given. The fractions of all flags sum to 1; they are nan where there are no points.
+            float64. Dimensions: `along` if it is given, then a dimension named like the variable, whose coordinate is the names of
+            the flags. The fractions of all flags sum to 1; they are nan where there are no points.
         """
         from .analysis.trust import fractions
 
@@ -191,8 +191,8 @@ class Atlas(Questions):
             Name or number of a flag: the lines enclose the region where the variable has this flag. Default: the lines of
             theory.
         variable : str, optional
-            The flag variable; default label. The lines of theory are those of its frame: label_inertial gives lines in inertial
-            space. A frequency adds resonances; a variable with lines from an extension gives only these lines.
+            The flag variable; default label. Lines of theory hold in the frame of the variable: label_inertial gives lines in
+            inertial space. For a frequency resonances are added; if an extension has lines for the variable, only these are given.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional
@@ -207,8 +207,8 @@ class Atlas(Questions):
             `kind`, what changes at the line, such as "stability limit". Kinds of theory are `atlas.analysis.boundary.KINDS`, and,
             for exact motions of a family, kinds such as "conical (exact)". A line is closed or ends at a limit of the axes.
             Attributes are the parameters that all points share, angles in rad. Lines of a region run halfway between points
-            inside and outside, on a logarithmic axis in the logarithm; of an axis with more than
-            `atlas.analysis.select.MAX_CELLS` values only every k-th counts.
+            inside and outside, on a logarithmic axis in the logarithm; on an axis with more than
+            `atlas.analysis.select.MAX_CELLS` values only every k-th value is used.
         """
         from .analysis.boundary import boundary
 
@@ -255,7 +255,7 @@ class Atlas(Questions):
         str
             With theory: confusion table, agreement, unstable points that survive, and the clearest disagreements; label and
             predicted are loaded whole. With another atlas: differences of the scenes; changes of flags, with a table of labels
-            here (rows) and there (columns); for each numeric variable the largest difference, and the largest ratio to the
+            in this atlas (rows) and in the other (columns); for each numeric variable the largest difference, and the largest ratio to the
             larger error_estimate with its place. Variables are loaded one by one.
         """
         if other is None:
@@ -277,8 +277,8 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            For flags `label_change`, ...: unchanged, or to_drifting, ...; for numbers `theta_max_difference`, ...: the other
-            minus this one. `differences(other).atlas.map()` draws where labels change.
+            For flags, variables such as `label_change`, with flags such as unchanged and to_drifting; for numbers, variables such
+            as `theta_max_difference`: the other atlas minus this one. `differences(other).atlas.map()` draws where labels change.
         """
         from .analysis import differences
 
@@ -372,7 +372,7 @@ class Atlas(Questions):
         Returns
         -------
         matplotlib.animation.FuncAnimation or None
-            Without a path; a notebook shows it with buttons.
+            The animation, which a notebook shows with buttons; None if `path` is given.
         """
         from .plotting.trajectory import animate
 
@@ -449,7 +449,7 @@ class Atlas(Questions):
         Returns
         -------
         str
-            Three lines, or three entries. The entry of the atlas has its hash, `atlas_result`, or for points the hash of the kernel.
+            Three lines, or three entries. The entry of the atlas has the hash of its result, or, for single points, of the kernel.
         """
         from .analysis.citation import cite
 

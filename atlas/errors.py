@@ -42,7 +42,7 @@ def _shorten(text: str, limit: int) -> str:
 
 def say(*lines: str, file: TextIO | None = None) -> None:
     """Print each argument as one line; commands print by this function alone."""
-    # Flush at once: while a process exits it ignores signals, and could wait for its reader for ever.
+    # Flush at once: a process that exits ignores signals, and flushing then could wait for a reader for ever.
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -126,7 +126,7 @@ def option(name: str, value: object) -> str:
 
 
 def deprecated(what: str, instead: str, version: str) -> None:
-    """Warn who calls the package, or runs a command, that a version removes something, and what to use instead."""
+    """Warn the caller of the package or of a command: what a version removes, and what to use instead."""
     message = f"{what} is deprecated, and version {version} removes it: use {instead}"
     if _in_shell:
         logging.getLogger("atlas").warning(message)
@@ -147,7 +147,7 @@ class _Short(reprlib.Repr):
         return super().repr_instance(x, level)
 
     def repr_int(self, x: int, level: int) -> str:
-        """Digits of an integer; only their approximate number where Python refuses to print them."""
+        """Digits of an integer, or, for a long one, which Python may refuse to print, about how many digits it has."""
         return (
             repr(x)
             if x.bit_length() < 600

@@ -67,7 +67,7 @@ class Extension:
     published : mapping of str to str, optional
         Name of a system -> sequence of `PublishedEquation`, rows of its catalogue; several extensions may have such rows.
     published_numbers : mapping of str to str, optional
-        Name of a system -> function of its name that returns rows of printed numbers; several extensions may have such rows.
+        Name of a system -> function of this name that returns rows of printed numbers; several extensions may have such rows.
     """
 
     name: str
@@ -117,7 +117,7 @@ class Extension:
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )
-# Kinds of parts named by systems; several extensions may have a part for the same system, see `of_each`.
+# Kinds of parts that have the name of a system; several extensions may have a part for the same system, see `of_each`.
 OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 
@@ -158,7 +158,7 @@ def available_text(value: object, names: Collection[str]) -> str:
 
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
-    """Every part of a kind (one of PARTS) by name; BadInput if two extensions give the same name."""
+    """Every part of a kind (one of PARTS) by name; BadInput if two extensions give a name, except in OF_SYSTEMS, where the last one counts."""
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():

@@ -162,7 +162,7 @@ KINDS: Mapping[str, Kind] = {
 
 
 def theory_borders(plane: Plane) -> Lines:
-    """Polylines, by KINDS, at which theory predicts a change in a plane, in the units of its axes.
+    """Polylines at which theory predicts a change in a plane, by their kind (of KINDS), in the units of its axes.
 
     Lines separate linearly stable from unstable motions, regular precession from permanent rotation, and points with a motion
     from points without. On lines where psi' or phi' is 0, a motion that is a regular precession on both sides is a permanent

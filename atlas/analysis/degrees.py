@@ -18,7 +18,7 @@ RAD, DEGREE = "rad", "degree"  # values of the attribute units
 def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
     """Factor from the values of a variable to the values shown: 180 / pi for an angle in rad, else 1.
 
-    degrees: None if the attribute display_units decides.
+    degrees: None means that the attribute display_units decides.
     """
     if degrees is None:
         degrees = attribute_text(attributes, "display_units") == "deg"

@@ -113,7 +113,7 @@ def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str],
 
 
 def _estimate(first: xr.Dataset, second: xr.Dataset, name: str) -> Any:
-    """The larger error estimate of a variable, in its unit; None without an estimate or the variables needed to scale it."""
+    """The larger of the two atlases' error estimates of a variable, in its unit; None if the estimate or a variable for its unit is missing."""
     system, stem = system_of(first), name.rpartition("_")[0]
     if name not in (*main_instrument(system).statistics(system), *OVER_BOUND, *circle.ANGLES):
         return None

@@ -15,18 +15,18 @@ from .metadata import axes_of
 from .plane import Plane
 from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
-# Number of samples along each axis for tracing curves, and of trisections between two samples.
+# For tracing curves: number of samples along each axis, and number of trisections between two samples.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
-# A condition that holds at a larger fraction of the samples holds in a region, where its sign is only rounding.
+# A condition that holds at more than this fraction of the samples holds in a region, where its sign is only rounding.
 REGION = 0.1
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
     """Curves by family where exact steady motions cross a plane.
 
-    The families are the scene's family or, if it names none, all. If the scene solves its points onto a family, this family has
-    a curve only at zero of an axis that is an offset from it; otherwise the curves are the lines on which the conditions of a
-    family hold.
+    The families are the scene's family or, if it names none, all. If the scene solves its points onto a family, the only curves
+    are the lines on which an axis is the offset from this family and is 0; otherwise the curves are the lines on which the
+    conditions of a family hold.
     """
     scene = plane.scene
     if scene.solve:
@@ -39,7 +39,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
         return {str(scene.family): lines} if lines else {}
     families = families_of(scene.system)
     chosen = families if scene.family is None else [scene.family]
-    traced = [name for name in chosen if not families[name].rate_std]  # others fill regions
+    traced = [name for name in chosen if not families[name].rate_std]  # other families fill regions
 
     def trace() -> dict[str, list[Array]]:
         return {name: _traced_curves(plane, families[name]) for name in traced}
@@ -100,7 +100,7 @@ def _zero_lines(
         return []
     lines = [
         line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines
-    ]  # same direction if the axes are exchanged
+    ]  # a line keeps its direction if the axes are exchanged
     low, high = np.floor(np.concatenate(lines)), np.ceil(np.concatenate(lines))
     at_low = values[tuple(low.astype(int).T)] > 0
     places = values_at(narrow(is_above, at_low, low, high, TRISECTIONS), axes)

@@ -41,7 +41,7 @@ def in_latex(text: str) -> str:
     """A text in which formulas become LaTeX between dollars; single letters, Greek letters and functions belong to formulas."""
     text = re.sub(r"sqrt\((\w+)\)", r"√\1", re.sub(r"\b([A-Za-z]+)(\d)-dot", r"\1_dot\2", text))
     text = re.sub(r"sqrt\(([^()]+)\)", r"(\1)^½", text)
-    pieces: list[tuple[bool, str]] = []  # (is part of a formula, text)
+    pieces: list[tuple[bool, str]] = []  # (whether it is part of a formula, text)
     bars = 0
     tokens = TOKEN.findall(text)
 
@@ -89,7 +89,7 @@ FORMULAS = ("conditions", "printed", "true", "ours")
 
 
 def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> str:
-    """Rows as a longtable of LaTeX; columns: name -> heading of each column shown; a list becomes several lines in a cell."""
+    """Rows as a longtable of LaTeX; columns: name -> heading of each column shown; a cell that is a list becomes several lines."""
     width = rf"p{{\dimexpr{1 / len(columns):.3f}\linewidth-2\tabcolsep\relax}}"
     heads = " & ".join(columns.values())
     lines = [r"% needs \usepackage{amsmath, longtable}", rf"\begin{{longtable}}{{{width * len(columns)}}}"]

@@ -28,13 +28,13 @@ from ..variables import POINT, data_variables, proofs_of_labels
 
 MAX_FLAGS = 128  # largest number of flags of a variable: int8 has the numbers 0 to 127
 TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
-# In CF's attribute cell_methods: names of dimensions, and a method whose results are not flags.
+# A part of CF's attribute cell_methods that names dimensions and a method whose results are not flags.
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
 
 
-POSITIONS = "atlas_positions"  # attribute of a variable of positions in a list: names of -1 and of the others
+POSITIONS = "atlas_positions"  # attribute of a variable that holds positions in a list: two names, for -1 and for positions
 
 
 def system_of(ds: xr.Dataset) -> System:
@@ -63,7 +63,7 @@ def number_attribute(ds: xr.Dataset, name: str) -> float:
 
 
 def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
-    """The scene of an atlas, None for points without a scene; BadInput if the scene is needed and lost."""
+    """The scene of an atlas, None for points without a scene; BadInput if the scene is needed but was lost."""
     if "atlas_parts" in ds.attrs:
         from ..store.joined import part_of
 
@@ -93,7 +93,7 @@ def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
     return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
-# Coordinates count as equal within this relative difference, or within so many machine epsilons of their type.
+# Coordinates count as equal if their relative difference is below the first number, or below SPACINGS machine epsilons of their type.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
 MAX_COMPARED = 400  # number of points at which coordinates are compared
 CHANGED = (
@@ -105,7 +105,7 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
     """The scene by which a part of an atlas can be computed again, None for points without a scene.
 
     BadInput unless the coordinates equal those of the scene to rounding, at evenly chosen points (corners and middles of a lazy
-    part). An axis may have some of the scene's values or, after a join of atlases that differ only in this axis, all and more.
+    part). An axis may have some of the scene's values or, after a join of atlases that differ only in this axis, all of them and others.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
@@ -153,14 +153,14 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Values of a coordinate; each that equals a value of the scene's axis to rounding is replaced by that value."""
+    """Values of a coordinate, replaced by values of the scene's axis where both are equal to rounding."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal others to rounding: relative, and near 0 absolute, to 1e-15."""
+    """Whether values of a coordinate equal `own`, those of the scene, to rounding, or differ by less than 1e-15 near 0."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
@@ -249,7 +249,7 @@ def _registry(system: System) -> Mapping[str, Variable]:
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Names of -1 and of the others of a variable of positions, by its attribute POSITIONS or `Variable.positions`, else None."""
+    """Names for -1 and for positions, if a variable holds positions in a list, from its attribute POSITIONS or `Variable.positions`."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -259,8 +259,8 @@ def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
 def has_flags(array: xr.DataArray) -> bool:
     """Whether a variable has flags: Booleans, or flag_meanings with the name of a flag variable or a long_name of its own.
 
-    Differences of flags inherit attributes: the long_name of a flag variable under another name means numbers. Floats under
-    the name of a flag variable are averages of flags, even without attributes.
+    Differences of flags inherit attributes: a variable with the long_name of a flag variable, but another name, holds numbers.
+    Floats under the name of a flag variable are averages of flags, even without attributes.
     """
     if array.dtype.kind == "b":
         return True
@@ -310,13 +310,13 @@ def is_averaged(array: xr.DataArray) -> bool:
         return False
     texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
     names = re.findall(r"[\w.+-]+", " ".join(texts))
-    # NCO also writes a method on data that it only joined; their dimensions still exist.
+    # NCO also writes a method on data that it only joined; the dimensions of such data still exist.
     gone = any(n not in {*array.dims, *array.coords} or array[n].size < 2 for n in names)
     return gone or array.dtype.kind not in "biu"
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """The dataset; if `variable` has positions in a list, they become flags: none, then one flag for each position."""
+    """The dataset; if `variable` holds positions in a list, they become flags: one for no position, then one for each position."""
     names = _positions(ds, variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds

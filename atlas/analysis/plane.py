@@ -30,7 +30,7 @@ IN_SPACE = " in space"
 class Predictions:
     """Predictions of theory at points of a plane; arrays of shape (points,)."""
 
-    exists: Mask  # whether the scene has a motion there
+    exists: Mask  # whether the scene has a motion at the point
     stable: np.ndarray  # linear stability, values of Stability
     # Frame ("" or IN_SPACE) -> label of the exact motion (values of Label), and psi' ("n") and phi' ("m") in rad per time unit
     frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
@@ -42,7 +42,7 @@ class Plane:
 
     scene: Scene  # the scene of the atlas
     extent: Mapping[str, tuple[float, float]]  # dimension of the atlas -> lowest and highest value, x first
-    fixed: Mapping[str, float]  # other dimension -> value
+    fixed: Mapping[str, float]  # every other dimension -> its value
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:

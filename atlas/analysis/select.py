@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_PANELS = 12
-# Largest number of values of an axis on a map, about the dots of a printer; from a longer axis every k-th value is taken.
+# Largest number of values of an axis on a map, about as many as a printer can show; from a longer axis every k-th value is taken.
 MAX_CELLS = 2000
 
 
@@ -126,7 +126,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
-    # NCO writes cell_methods even on data that it only joined; without the dimension these would look like averages.
+    # NCO writes cell_methods even on data that it only joined; without the dimension such data would look like averages.
     sound = {n for n, a in ds.data_vars.items() if "cell_methods" in a.attrs and not is_averaged(a)}
     for name, value in values.items():
         if name not in axes:

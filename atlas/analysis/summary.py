@@ -16,7 +16,7 @@ from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
 MAX_NEAREST = 10_000  # largest number of drifting points that are compared with families
-# Name among the largest values of `Tally` -> meaning of an error estimate above 1.
+# Key of `Tally.largest` -> what it means if this error estimate is above 1.
 _UNKNOWN = {
     "unstable": "an instability has amplified errors until the final state is unknown",
     "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",

@@ -1,4 +1,4 @@
-"""Lines between classes of points on a plane: samples are refined where a class changes, vertices narrowed, lines cached."""
+"""Lines between classes of points on a plane, traced on samples that are refined where the class changes, and kept in the cache."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .plane import SAMPLES, Plane
 Lines = dict[str, list[np.ndarray]]  # kind -> lines, each (vertices, axes)
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # folder in the cache, and number of planes kept there
-WORTH_KEEPING = 0.1  # lines are kept if tracing takes more seconds
+WORTH_KEEPING = 0.1  # lines are kept if tracing takes longer, in seconds
 TRACING_ANEW = "tracing lines of theory anew"  # for messages, if the cache is not used
 
 
@@ -117,7 +117,7 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines between samples on both sides of a level, and the samples below and above each vertex; all as indices (vertices, axes).
+    """Lines that separate samples above a level from the others, and the two samples beside each vertex, as indices (vertices, axes).
 
     Vertices are found by trisection. A stretch that is not straight within FLATNESS is halved; only the ends of stretches are
     vertices.
@@ -186,7 +186,7 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 
 
 def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
-    """Samples of cells divided into DIVISION x DIVISION, and whether each sample was evaluated or copied from the nearest.
+    """Samples of cells divided into DIVISION x DIVISION, and whether each sample was evaluated, or else copied from the nearest one.
 
     All samples are evaluated in cells with a change, and in neighbouring cells as far as a line continues.
     """
@@ -242,7 +242,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
         line = np.insert(line, i + 1, crossing, axis=0)
     shown = np.all((line >= low) & (line <= high), axis=1)
     parts = shown_parts(line, shown)
-    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line that begins inside
+    if len(parts) > 1 and shown[0] and (line[0] == line[-1]).all():  # a closed line from inside
         parts[0] = np.concatenate([parts.pop(), parts[0][1:]])
     return [part for part in parts if len(part) > 1 or line.shape[1] == 1]
 
@@ -259,7 +259,7 @@ def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
 
 
 def lines_at(values: Array, level: float) -> list[Array]:
-    """Lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes); nan cuts them."""
+    """Lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes); nan interrupts the lines."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if not ((above == 0).any() and (above == 1).any()):
         return []

@@ -29,7 +29,7 @@ BOX = 4  # number of points along each side of a box whose entropy is taken
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """Uncertainty of a map at several resolutions and the fraction of borders it misses; see `Atlas.trust`."""
+    """Uncertainty of a map at several resolutions, and the fraction of cells with a missed border; see `Atlas.trust`."""
     check_not_empty(ds)
     grid = flag_variable(ds, variable).to_dataset()
     dims = [dim for dim in neighbour_axes(grid.assign_attrs(ds.attrs)) if grid.sizes[dim] >= MIN_VALUES]
@@ -159,7 +159,7 @@ def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
-    """The name, if it is an axis of a flag variable, else BadInput."""
+    """The given name; BadInput unless it is an axis of a flag variable."""
     if name not in (dims := [str(dim) for dim in flag_variable(ds, variable).dims]):
         raise BadInput(
             f"{option} = {shown(name)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"

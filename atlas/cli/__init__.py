@@ -52,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return STOPPED
     except KeyboardInterrupt:
         code, message = outcome()
-        with suppress(OSError):  # a terminal that hung up
+        with suppress(OSError):  # the terminal may have hung up
             say(message, file=sys.stderr)
         return code
     except BrokenPipeError:

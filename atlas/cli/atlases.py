@@ -88,7 +88,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     from ..analysis.summary import summary
 
     duration: float | str = options.duration
-    with suppress(ValueError):  # such as 20 orbits
+    with suppress(ValueError):  # a text such as 20 orbits stays a text
         duration = float(options.duration)
     same = ("transient", "step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     arguments = {name: getattr(options, name) for name in same}
@@ -157,7 +157,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **option
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
-    """The motion at values of the axes of a scene, or of an atlas' scene; of an atlas without a scene, of the nearest point."""
+    """The motion at values of the axes of a scene, or of the scene of an atlas; for an atlas without a scene, that of the nearest point."""
     from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene

@@ -84,7 +84,7 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Names and settings of an argument for `Parser.add_argument`, with `help` a Text, and `lowest` the least allowed number."""
+    """Names and settings of an argument for `Parser.add_argument`, where `help` is a Text and `lowest` is the least allowed number."""
     return names, settings
 
 

@@ -2,8 +2,8 @@
 
 from ...extension import Extension
 
-# Longest run for which errors of the paper's solution are computed, in rad of the fastest frequency: an integration of some
-# seconds for a chunk of points.
+# Longest run for which errors of the paper's solution are computed, as duration times fastest frequency in rad: some seconds of
+# integration for a chunk of points.
 MAX_RADIANS = 1000.0
 
 EXTENSION = Extension(

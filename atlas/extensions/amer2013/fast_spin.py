@@ -10,8 +10,8 @@ tau = r0 t. In the complex form w = p1 + i q1, G = g1 + i g1', mu = (l1 + i l2) 
     G'   = -i r1 G + i eps w g1''
     r1'  = eps^2 a Im(w conj(mu)),      g1''' = eps Im(w conj(G))
 
-so that w turns at the rate Omega = A1 + s (exactly at eps = 0) about mu / Omega. This term is not small, and missing
-from the paper's (19), (20) and (33).
+so that w turns at the rate Omega = A1 + s (exactly at eps = 0) about mu / Omega. The term mu / Omega is not small; the
+paper's (19), (20) and (33) lack it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ...systems.fixed_point import equations, initial
 from ...systems.fixed_point.initial import bodies, initial_state
 from . import MAX_RADIANS
 
-# Data of section VI: moments of the two bodies, and the rest in SI units.
+# Data of section VI in SI units; PAPER_BODIES has the moments A and C of the two bodies.
 PAPER_BODIES = {"A < C": (22.49, 35.6), "A > C": (50.32, 33.4)}
 PAPER_ROTORS = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
 PAPER_DATA = {"r0": 1000.0, "R": 2000.0, "lambda": 0.6, "M": 30.0, "z0": 5.0, "gamma0": 0.352}
@@ -146,7 +146,7 @@ def integrals(spin: FastSpin, y: Array) -> Array:
 
 
 def p2_gamma2(spin: FastSpin, y: Array) -> tuple[Array, Array]:
-    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0, from y; or p2' and gamma2' from dy/dtau."""
+    """p2 = p1 - eps chi1 gamma2 and gamma2 = g1 - eps nu p2, (10) with chi = 0; for dy/dtau in place of y: p2' and gamma2'."""
     gamma2 = (y[3] - spin.eps * spin.nu * y[0]) / (1 - spin.eps**2 * spin.nu * spin.chi1)
     return y[0] - spin.eps * spin.chi1 * gamma2, gamma2
 
@@ -255,7 +255,7 @@ def integrate(spin: FastSpin, y0: Array, tau: Array, **options: Any) -> Array:
 
 
 def paper_body(name: str, rotor: float | Array) -> FastSpin:
-    """A body of section VI: name of PAPER_BODIES and l1 = l2 = l3 = rotor, N m s, a number or an array."""
+    """A body of section VI with l1 = l2 = l3 = rotor, N m s, a number or an array; name: key of PAPER_BODIES."""
     A, C = PAPER_BODIES[name]
     d = PAPER_DATA
     weight = d["M"] * d["lambda"] / d["R"] ** 2 * d["z0"]
@@ -275,7 +275,7 @@ def paper_start(spin: FastSpin) -> Array:
 
 
 def random_spin(rng: np.random.Generator, **given: float) -> FastSpin:
-    """A random body with strong fields and a moderate spin; given: fields of FastSpin."""
+    """A random body in strong fields of force with a moderate spin; given: chosen values of attributes of FastSpin."""
     values = {
         "A": 1.0, "C": rng.uniform(1.2, 1.8), "weight": rng.uniform(1, 2), "N": rng.uniform(2, 4),
         "l1": rng.uniform(0.5, 1), "l2": rng.uniform(0.5, 1), "l3": rng.uniform(0.5, 1),
@@ -289,7 +289,7 @@ def paper_spin(rng: np.random.Generator) -> FastSpin:
     return _paper_spin(str(rng.choice(list(PAPER_BODIES))), rng.uniform(10, 25))
 
 
-_paper_spin = cache(paper_body)  # one object for each seed, so that results for its motion can be cached
+_paper_spin = cache(paper_body)  # one object for each body, so that results for its motion can be cached
 
 
 def true_rate(spin: FastSpin, y: Array) -> Array:
@@ -329,7 +329,7 @@ def errors(
     solution: Callable[[FastSpin, Array], Array],
     pause: Callable[[], None] = lambda: None,
 ) -> tuple[Array, Array]:
-    """Largest errors of a solution (spin, tau) -> y of (1) over a run: of gamma (rad if small), and of p + i q over its maximum.
+    """Largest errors of a solution of (1), (spin, tau) -> y, in a run: of gamma (rad if small), and of p + i q relative to its maximum.
 
     nan where the run is longer than MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the
     initial value of the solution, with r0 and gamma0'' of the point, so that the error is due to the formula. DOP853 takes
@@ -367,7 +367,7 @@ def radians(points: Points, duration: Array) -> Array:
 def _full(spin: FastSpin, y0: Array, end: Array, pause: Callable[[], None]) -> Array:
     """y of the full equations (1) at SAMPLES instants up to tau = end, for many points: (6, SAMPLES, points)."""
     shape = y0.shape
-    # p and q may be 1e3 or 1e-6: each point has its own level of rounding errors.
+    # p and q may be as large as 1e3 or as small as 1e-6: each point has its own level of rounding errors.
     size = np.ones(shape)
     size[:2] = np.abs(spin.forced) + np.abs(spin.eps * spin.chi1) * spin.M3
     evaluations = 0

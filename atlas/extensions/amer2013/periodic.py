@@ -7,7 +7,7 @@ matrix minus 4. The solution is stable where rho is on the unit circle.
 
 Without a field the solution is known: p1 + i q1 rests at mu / Omega and gamma turns about the axis of rotation, so that the
 period is 2 pi / |w|. `follow` raises the field from 0 to its value at constant l / (A r0), which is the same as raising eps from
-0; a solution is found if this path does not end before.
+0; a solution is found if this path does not end before the field has its value.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STEPS = 24  # steps of rk8 in a period, along the path of solutions
 FINE = 48  # steps in a period at the end of the path: errors are of the size of rounding
 # Largest correction of each unknown; a larger one may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # shortest step of the path, as a share of the field; if it fails, the path has a fold
+LEAST_STEP = 0.005  # shortest step of the path, as a fraction of the field; if it fails, the path has a fold
 DEFECT = 1e-5  # largest defect before the last correction of a periodic solution
 MARGIN = 1e-7  # distance of |trace| from 2 below which rounding decides on stability
 
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and the defect before the last correction, which about squares it."""
+    """Unknowns after corrections by Newton's method, and the defect before the last correction; a correction about squares the defect."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])
@@ -107,7 +107,7 @@ def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> t
 
 
 def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Array, Mask]:
-    """Unknowns of the periodic solutions, (4, points), and where they are reached; the fields of spin are (points,)."""
+    """Unknowns of the periodic solutions, (4, points), and which of them are reached; the attributes of spin have the shape (points,)."""
     free = spin.eps * spin.forced
     angle = np.arcsin(np.clip(free.imag / spin.M3, -1, 1))
     x = np.array([free.real, free.imag, angle, 2 * np.pi / np.sqrt(1 + np.abs(free) ** 2)])
@@ -140,7 +140,7 @@ def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
 
 
 def solutions(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> Periodic:
-    """Periodic solutions by `follow`; the fields of spin are (points,)."""
+    """Periodic solutions by `follow`; the attributes of spin have the shape (points,)."""
     with np.errstate(all="ignore"):
         x, reached = follow(spin, pause)
         x, _ = correct(spin, np.where(reached, x, np.nan), 2, FINE)

@@ -40,7 +40,7 @@ def formulas(values: Values, *names: str) -> Array:
     return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
 
 
-@lru_cache(maxsize=8)  # every step of an integration needs them
+@lru_cache(maxsize=8)  # every step of an integration needs the coefficients
 def coefficients(spin: FastSpin) -> Values:
     """The numbers of a body with chi, chi1 and nu of (10), X, chi2 and nu2 of (11); BadInput where they divide by zero."""
     values = numbers(spin)
@@ -118,7 +118,7 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
     return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
 
 
-# Errors of both readings of a formula against the equations of motion.
+# Errors of formulas, as printed and as true, against the equations of motion.
 
 Formula = Callable[[FastSpin, Array], Array]
 
@@ -163,7 +163,7 @@ def _coupling_residual(
 
 
 def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
-    """p2'' (index 1) or gamma2'' (3) of the full motion minus the reduced equation, over the forced term."""
+    """p2'' (index 1) or gamma2'' (3) of the full motion minus its value from the reduced equation, divided by the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
     exact = fast_spin.p2_gamma2(spin, true_acceleration(spin, y))[index // 2]
     term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real

@@ -1,6 +1,6 @@
 """Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
-Each row tests one equation: k, the frequency, chi, chi1, nu and X have their true values (X = 1 / Omega, chi = 0) in both
+Each row tests one equation. Here k, the frequency, chi, chi1, nu and X have their true values (X = 1 / Omega, chi = 0) in both
 readings, and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected; S11 to S22 are (13),
 corrected, without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the two
 readings, or to the exact value where the readings are equal; the true reading of an expansion in eps has a residual of order eps.
@@ -127,7 +127,7 @@ def variables(x0: Array, x: Array) -> Values:
     )
 
 
-# Functions (random generator, entry) -> values of the names of a row, by the key `at` of the row.
+# Functions (random generator, entry) -> values by name for the expressions of an entry; AT has them by the key `at` of the entry.
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
@@ -166,7 +166,7 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Two random states at eight values of eps, k and rotor fixed, and the exact p2'', gamma2'': errors as series in eps."""
+    """Two random states and the exact p2'' and gamma2'' at eight values of eps, for fixed k and rotor: they give errors as series in eps."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
@@ -207,7 +207,7 @@ def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
     if "order" in entry:  # a coefficient of the series in eps
         powers = np.vander(values["eps"], increasing=True)
         results = [np.linalg.solve(powers, each + 0 * values["eps"])[entry["order"]] for each in results]
-    elif "mean" in entry:  # over all phases
+    elif "mean" in entry:  # the mean over all phases
         results = [np.mean(each) for each in results]
     exact, printed, true = results
     size = np.abs(printed - true).max() if "terms_printed" in entry else max(np.abs(exact).max(), 1e-3)

@@ -43,7 +43,7 @@ def principal(tensor: ArrayLike, order: str = "nearest") -> tuple[dict[str, Any]
     Parameters
     ----------
     tensor : array_like, shape (3, 3) or (points, 3, 3)
-        About the centre of mass, or the fixed point of a top, in the given axes of the body. The elements off the diagonal are minus
+        Tensor about the centre of mass, or the fixed point of a top, in given axes of the body. The elements off the diagonal are minus
         the integrals of x y, y z and z x over the mass. If your products of inertia are these integrals themselves, change their
         signs: a wrong sign cannot be detected.
     order : str, optional
@@ -83,7 +83,7 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Moments (points, 3) and axes as rows (points, 3, 3), in the order and with the signs of the smallest rotation."""
+    """Moments (points, 3) and axes as rows (points, 3, 3), in the order and with the signs that make the rotation smallest."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
     # So that the solver's signs do not matter, the largest component (the first of equal ones) is made positive.
@@ -141,7 +141,7 @@ def start(
     rates : array_like, shape (3,) or (points, 3)
         Components of the angular velocity.
     frame : str, optional
-        Of a satellite "orbital" (radius, velocity, orbit normal; the default), "lvlh" (velocity, minus the normal, nadir) or
+        For a satellite "orbital" (radius, velocity, orbit normal; the default), "lvlh" (velocity, minus the normal, nadir) or
         "inertial" (the orbital axes at the start); about a fixed point "space", with the vertical, down, as its third axis.
     rates_in : str, optional
         Axes of the components of `rates`: "body" or "frame".
@@ -187,7 +187,7 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """Values of STARTS; attitude: of the principal axes in the system's frame; rates: along them; turning: rate of the frame."""
+    """Values of STARTS; attitude: of the principal axes in the system's frame; rates: components along these axes; turning: rate of the frame."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
     total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi, psi - phi
@@ -236,7 +236,7 @@ def attitude(
     Dataset
         `quaternion` (time, component), scalar last, the rotation from components along body axes to components in the
         frame; `rates` (time, axis) along body axes, for a satellite relative to the orbital frame; with `euler` also
-        `angles` (time, angle), the third angle 0 if the first and the third rotation have the same axis.
+        `angles` (time, angle), where the third is 0 if the first and the third rotation have the same axis.
     """
     system, motion = system_of(ds), in_rad(ds)
     (frame, to_own), body = _frame(system, frame), _rotation("axes", np.eye(3) if axes is None else axes)
@@ -256,7 +256,7 @@ def attitude(
     if frame == "inertial" and frame != system.frame:
         turn = Rotation.from_rotvec(np.outer(orbit * motion["time"].values, [0, 0, 1])) * turn
     quaternion = turn.as_quat()
-    jumps = (quaternion[1:] * quaternion[:-1]).sum(1) < 0  # both signs are the same rotation
+    jumps = (quaternion[1:] * quaternion[:-1]).sum(1) < 0  # q and -q are the same rotation
     quaternion[1:] *= np.where(np.cumsum(jumps) % 2, -1.0, 1.0)[:, None]
     words = f"rotation from the body to the {frame} frame"
     relative = ", relative to the orbital frame" if system.frame == ORBITAL else ""

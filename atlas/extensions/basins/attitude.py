@@ -18,10 +18,10 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Texts of legends by the names of flags; an equilibrium has one if all points that end in it have the same attitude.
+    """Texts of legends by the names of flags; an equilibrium has a text if all points that end in it have the same attitude.
 
     The first axis is named where the third does not tell two equilibria apart. The text of points without an end gives the
-    share of undecided points in all points.
+    fraction of undecided points among all points.
     """
     undecided = float((ds["settled_by"] == SettledBy.UNDECIDED).mean()) if "settled_by" in ds else 0.0
     without = {"not_settled": f"not settled ({100 * undecided:.2g} % undecided)"} if undecided else {}

@@ -16,11 +16,11 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, in errors of the energy
+MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, divided by the energy's error
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
 # Largest error (rad, and in units of rates) of a motion before it settles; a larger one may cross the border of a basin.
 LARGEST_ERROR = 0.01
-LEVELS = 6  # minima of a body whose time of settling is measured, from the lowest potential upwards
+LEVELS = 6  # largest number of minima, the lowest ones, with a time of settling
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy below which the body is settled at its equilibrium
 START = "ends:start"  # measurement: the energy at the start, with its margin
@@ -101,13 +101,13 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Points with an end, unless it is certain because the energy at the start is below all equilibria but minima."""
+        """Points with an end, unless the end is certain because the energy at the start is below that of all equilibria but minima."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
-        """Points whose proved end an error at the start, as large as the tolerance, may change.
+        """Points with a proved end that an error at the start, as large as the tolerance, may change.
 
         A proved end is certain if the motion starts below the rim of its well, which it then never leaves.
         """

@@ -16,7 +16,7 @@ from ...scene.checks import positive, texts
 from ...store.dataset import TRANSIENT, log_warnings
 from ...systems.base import Array
 
-CELLS = 4  # per tolerance, in each feature; one motion of a cell is compared, because a cell may hold many
+CELLS = 4  # cells per tolerance in each feature; one motion of each cell is compared, because a cell may hold many
 
 
 def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mapping[str, float]) -> xr.Dataset:
@@ -35,9 +35,9 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     -------
     Dataset
         `end`, int16, over the dimensions of the atlas: the position along `which`, or -1 where the status is not ok or no other
-        motion has the same end. Motions that differ by at most the tolerance, to a quarter of it, have the same end, directly
-        or through a chain of motions. Along `which`, in the order of the first feature: count, the number of motions; each
-        feature, its median; spread, the largest difference over the tolerance, above 1 for chains, which a warning names.
+        motion has the same end. Motions that differ by at most the tolerance, to within a quarter of it, have the same end, directly
+        or through a chain of motions. Along `which`, in the order of the first feature: count, the number of motions; the
+        median of each feature; spread, the largest difference / tolerance, above 1 for chains, which a warning names.
 
     Raises
     ------

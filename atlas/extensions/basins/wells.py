@@ -3,7 +3,7 @@
 With a torque of -D u, u the angular velocity relative to the frame, the energy J = u.I u / 2 + W falls at the rate D u.u, so
 that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every motion in it
 ends there (LaSalle). As the level rises, the first other equilibrium that joins the component is one from which descent of W
-reaches the minimum: the rim of the well is the lowest potential of all equilibria from which it does.
+reaches the minimum: the rim of the well is the lowest potential of all equilibria from which descent reaches it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
 from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
-# Largest distance of a settled body from its equilibrium: in rad, and as a share of the frame's rate, or, if that is 0, of the natural rate.
+# Largest distance of a settled body from its equilibrium: in rad, and as a fraction of the frame's rate, or, if this is 0, of the natural rate.
 SETTLED = 1e-3
-_FLAT = 1e-6  # eigenvalue of the Hessian that counts as 0, over the largest one of the body's equilibria
+_FLAT = 1e-6  # largest eigenvalue of the Hessian that counts as 0, divided by the largest eigenvalue at any equilibrium of the body
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
 _SADDLE = 1e-6  # angle from a saddle or maximum within which a descent ends there, rad
 # Steps of a descent: between two searches for the nearest equilibrium, and in all.
@@ -35,12 +35,12 @@ _BLOCK = 4096  # attitudes that are compared together
 
 @dataclass(frozen=True)
 class Wells:
-    """The equilibria of some bodies, in the places of `System.equilibria_of_bodies`; arrays (bodies, places), nan if unused."""
+    """The equilibria of some bodies, in the places of `System.equilibria_of_bodies`; arrays (bodies, places), nan in unused places."""
 
     body: Body
     rate: Array  # unit of rates, (bodies,)
     single: bool  # whether the frame has one direction, gamma, about which attitudes may turn
-    frames: Array  # alpha, beta, gamma in body axes, 0 where there is none, (bodies, places, 3, 3)
+    frames: Array  # rows alpha, beta and gamma in body axes, 0 if the frame has no alpha and beta, (bodies, places, 3, 3)
     axis: Array  # body axis about which a circle of equilibria turns, else nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
@@ -64,7 +64,7 @@ class Wells:
             part = slice(first, first + _BLOCK)
             own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
             trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # of a circle the nearest member counts
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # the nearest member of a circle counts
             s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
             along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
             across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
@@ -101,8 +101,8 @@ class Wells:
     def find_rims(self, bodies: Places) -> None:
         """Compute the rims of the wells of some bodies.
 
-        An equilibrium whose descent reaches no other counts for every rim; one whose descent reaches a saddle counts for none,
-        because the saddle is lower and in the same component.
+        An equilibrium from which descent reaches no other one counts for every rim. An equilibrium from which it reaches a saddle
+        counts for no rim, because the saddle is lower and in the same component.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -116,7 +116,7 @@ class Wells:
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
-        """Place of the minimum in which each motion of at most this energy must end, or -1.
+        """Place of the minimum in which each motion must end whose energy is at most the given one, or -1.
 
         place: of the nearest equilibrium; settled: whether the attitude is within SETTLED of that equilibrium.
         """

@@ -81,6 +81,8 @@ REPLACED = {
         kernel.ensemble.np kernel.numeric_bound.OVERTONE label.theory.rounding_limit measure.circle.is_steady
         measure.circle.label_of_third_axis runs.memory.evaluate_at scene.grid.possible_body
         systems.gyrostat.floquet._MAX_STEPS systems/test_observables.py:?.frequency_bound
+        extensions.periodic.families.ANGLE
+        extensions.periodic.families.GROWTH
         extensions.periodic.families.LONGEST
     """,
     "a failure or an error of a known size that no input brings about": """

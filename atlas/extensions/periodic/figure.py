@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import Any
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
@@ -65,33 +66,31 @@ def periodic_diagram(
     values = (ds["theta_max"] - ds["theta_min"] if y == "amplitude" else ds[y]).values
     stable, arcs = ds["orbit_stable"].values == OrbitStability.STABLE, ds["arc"].values
     kinds = ds["event_kind"].values if "event_kind" in ds else np.zeros((len(arcs), 0), int)
+    names, colours = [*FamilyEnd.meanings()], np.resize(COLOURS, len(arcs)).tolist()
     entries: Entries = {}
-    names, ends = [*FamilyEnd.meanings()], flags_of(ds, "end", len(FamilyEnd))
-    for k, colour in zip(range(len(arcs)), np.resize(COLOURS, len(arcs)), strict=True):
-        end = names[ends[k]].replace("_", " ")
-        entries[rf"$\omega$ = {ds['frequency'].values[k]:.4g}: {end}"] = Line2D([], [], color=str(colour))
-    styles: dict[PeriodicEvent, dict[str, Any]] = {
-        kind: {"marker": marker, "color": "black", "linestyle": "", "markersize": 3.5}
-        for kind, marker in MARKERS.items()
+    for frequency, end, colour in zip(
+        ds["frequency"].values, flags_of(ds, "end", len(names)), colours, strict=True
+    ):
+        text = names[end].replace("_", " ")
+        entries[rf"$\omega$ = {frequency:.4g}: {text}"] = Line2D([], [], color=colour)
+    marks = {
+        kind: partial(Line2D, color="black", linestyle="", marker=MARKERS[kind], markersize=3.5, zorder=7)
+        for kind in MARKERS
+        if kind in kinds
     }
-    for kind in (each for each in MARKERS if each in kinds):
-        entries[kind.name.lower().replace("_", " ")] = Line2D([], [], **styles[kind])
+    entries |= {kind.name.lower().replace("_", " "): mark([], []) for kind, mark in marks.items()}
     with rc_context(STYLE) if ax is None else nullcontext():
         sheet = Sheet(MapOptions(ax=ax, title=title, legend=legend, width=width))
         figure, (axes,) = sheet.figure(entries, [])
-        for k, colour in zip(range(len(arcs)), np.resize(COLOURS, len(arcs)), strict=True):
+        for k, colour in enumerate(colours):
             exists = np.isfinite(arcs[k])
-            arc, value, flag = arcs[k][exists], values[k][exists], stable[k][exists]
-            for run in np.split(np.arange(len(arc)), np.flatnonzero(np.diff(flag[:-1].astype(int))) + 1):
-                part = slice(run[0], run[-1] + 2) if len(run) else slice(0)
-                axes.plot(
-                    arc[part],
-                    value[part],
-                    color=str(colour),
-                    linestyle="-" if flag[run[:1]].all() else DASHED,
-                )
-            for kind in MARKERS:
-                at = ds["event_arc"].values[k][kinds[k] == kind] if kind in kinds[k] else []
-                axes.plot(at, np.interp(at, arc, value), zorder=7, **styles[kind])
+            arc, value, flags = arcs[k][exists], values[k][exists], stable[k][exists]
+            starts = [0, *np.flatnonzero(np.diff(flags[:-1])) + 1, len(arc) - 1]
+            for first, last in pairwise(starts):
+                part = slice(first, last + 1)
+                axes.plot(arc[part], value[part], color=colour, linestyle="-" if flags[first] else DASHED)
+            for kind, mark in marks.items():
+                at = ds["event_arc"].values[k][kinds[k] == kind]
+                axes.add_line(mark(at, np.interp(at, arc, value)))
         sheet.label_axes([axes], [["arc length from the birth", LABELS[y]]], entries)
     return figure

@@ -21,7 +21,6 @@ from ...kernel.ensemble import Ensemble
 from ...kernel.tableaux import TANGENT_METHOD
 from ...kernel.tangent import Growth
 from ...measure.tangent_runs import TangentArrays
-from ...systems import vectors
 from ...systems.base import Array, Points
 from ...systems.gyrostat import Gyrostat
 
@@ -31,13 +30,14 @@ RADIANS = 0.3  # largest step times the frequency bound: errors of a period are 
 
 def cross(a: Array, b: Array) -> Array:
     """Vector product of (..., 3); for few vectors NumPy's takes ten times as long."""
-    return np.moveaxis(vectors.cross(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 def turn(chi: float) -> Array:
     """R(chi) for the components of changes."""
-    c, s = np.cos(chi), np.sin(chi)
-    return np.kron(np.eye(2), [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    c, s, matrix = np.cos(chi), np.sin(chi), np.eye(SIZE)
+    matrix[:2, :2] = matrix[3:5, 3:5] = [[c, -s], [s, c]]
+    return matrix
 
 
 @cache
@@ -118,9 +118,17 @@ class Flow:
 
     def symmetry(self, states: Array) -> Array:
         """Derivatives of R(chi) y by chi; 0 of a body without symmetry."""
+        if not self.symmetric:
+            return np.zeros((len(states), SIZE))
         v, axis = self.vectors(states), np.array([0.0, 0.0, 1.0])
         attitude = np.broadcast_to(-axis, (len(v), 3)) if self.rotates else cross(axis, v[:, 1])
-        return self.symmetric * np.hstack([cross(axis, v[:, 0]) / self.rate, attitude])
+        return np.hstack([cross(axis, v[:, 0]) / self.rate, attitude])
+
+    def speeds(self, states: Array) -> Array:
+        """Lengths of changes per time, up to turns about the axis of symmetry."""
+        slopes, along = self.slopes(states), self.symmetry(states)
+        shares = (slopes * along).sum(1) / np.maximum((along * along).sum(1), 1e-12)
+        return np.linalg.norm(slopes - shares[:, None] * along, axis=1)
 
     def turned(self, states: Array, chi: float) -> Array:
         """R(chi) y."""

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg.lapack import dgels
 
 from ...systems.base import Array
 from .flow import SIZE, Flow, turn
 
 ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
-NEWTON, CONVERGED, TOO_FAR = 9, 1e-11, 3.0  # steps of Newton's method, the last of them, and one that is none
+# Steps of Newton's method, the last of them, the largest that rounding may cause where orbits are nearly singular, and one that is none.
+NEWTON, CONVERGED, ROUNDED, TOO_FAR = 8, 1e-12, 1e-6, 3.0
 SINGULAR, CLOSED = 1e-14, 1e-13
 # Multipliers that take digits from others, and the ratio from which on those follow alone.
 LARGE, SEPARATE = 1e6, 1e4
@@ -41,6 +42,16 @@ class Orbit:
     chi: float
     bound: float  # of the fastest frequency
     tangent: Array  # unit vector, (6 m + 2,)
+
+
+class Solution(NamedTuple):
+    """A periodic motion with the direction of its family, from Newton's method."""
+
+    orbit: Orbit
+    matrices: Array  # of changes over the segments, (m, 6, 6)
+    closing: float  # largest error of the segments
+    iterations: int
+    distance: float  # from the guess
 
 
 def across(rows: Array) -> Array:
@@ -111,20 +122,21 @@ class Family:
         """Residuals, those of the segments first; their derivatives by the unknowns in their units; matrices of the segments."""
         flow, m, n = self.flow, len(orbit.states), SIZE * len(orbit.states)
         ends, matrices = flow.run(orbit.states, orbit.period / m, orbit.bound)
-        slopes, back = flow.slopes(ends), turn(-orbit.chi)
-        ends[-1:], slopes[-1] = flow.turned(ends[-1:], -orbit.chi), back @ slopes[-1]
-        matrices[-1] = back @ matrices[-1]
+        ends[-1:], matrices[-1] = flow.turned(ends[-1:], -orbit.chi), turn(-orbit.chi) @ matrices[-1]
+        slopes, along = (
+            each(np.concatenate([orbit.states, ends[-1:], ends[:-1]]))
+            for each in (flow.slopes, flow.symmetry)
+        )
         jacobian = np.zeros((n + len(flow.held) + 2, n + 2))
         blocks, i, j = jacobian[:n, :n].reshape(m, SIZE, m, SIZE), np.arange(m), (np.arange(m) + 1) % m
         blocks[i, :, i] = matrices
         blocks[i, :, j] -= np.eye(SIZE)
-        jacobian[:n, -2] = slopes.ravel() / m
-        jacobian[n - SIZE : n, -1] = -flow.symmetry(ends[-1:])[0]
+        jacobian[:n, -2] = np.roll(slopes[m:], -1, 0).ravel() / m
+        jacobian[n - SIZE : n, -1] = -along[m]
         jacobian[n:-2, :SIZE] = flow.gradients(flow.held, orbit.states[0])
-        along = flow.symmetry(orbit.states)
-        velocity = flow.slopes(orbit.states) - orbit.chi / orbit.period * along
-        jacobian[-2, :n] = velocity.ravel() / np.linalg.norm(velocity)
-        jacobian[-1, :n] = along.ravel() / max(float(np.linalg.norm(along)), 1e-300)
+        velocity = slopes[:m] - orbit.chi / orbit.period * along[:m]
+        for row, phase in enumerate((velocity, along[:m]), -2):
+            jacobian[row, :n] = phase.ravel() / max(float(np.linalg.norm(phase)), 1e-300)
         jacobian[-1, -1] = not flow.symmetric
         residual = flow.difference(ends, orbit.states[j]).ravel()
         held = [flow.value(name, orbit.states[0]) for name in flow.held]
@@ -143,35 +155,50 @@ class Family:
         row[:SIZE] = self.flow.gradients([self.flow.energy], orbit.states[0])[0] * np.sqrt(len(orbit.states))
         return row
 
-    def corrected(self, guess: Orbit, energy: float | None = None) -> tuple[Orbit, int, float] | None:
-        """The periodic motion beside a guess, across its tangent or of an energy; steps, and the distance; None if lost."""
+    def corrected(self, guess: Orbit, energy: float | None = None) -> Solution | None:
+        """The periodic motion beside a guess, across its tangent or of an energy; None if lost."""
         orbit, last, total = guess, np.inf, np.zeros_like(guess.tangent)
-        for count in range(1, NEWTON + 1):
-            residual, jacobian, _ = self.equations(orbit)
-            # Nearly singular equations go no further.
-            if count > 5 and last < 1e-4 and np.abs(residual).max() < CLOSED:
-                return orbit, count, float(np.linalg.norm(total))
+        for iteration in range(NEWTON):
+            residual, jacobian, matrices = self.equations(orbit)
             row, value = guess.tangent, 0.0
             if energy is not None:
                 row, value = self.energy_row(orbit), self.energy(orbit) - energy
-            step = _solve(np.vstack([jacobian, row]), -np.append(residual, value))
+            right = np.zeros((2, len(residual) + 1))
+            right[0, :-1], right[0, -1], right[1, -1] = -residual, -value, 1.0
+            step, tangent = _solve(np.vstack([jacobian, row]), right.T).T
             size = float(np.linalg.norm(step))
             if not size < TOO_FAR:
                 return None
-            orbit, total = self.moved(orbit, step), total + step
+            rounding = np.abs(right[0]).max() < CLOSED or size > 0.1 * last
+            if size < CONVERGED or (size < ROUNDED and rounding):
+                tangent *= np.sign(tangent @ guess.tangent) / np.linalg.norm(tangent)
+                closing = float(np.abs(residual[: SIZE * len(orbit.states)]).max())
+                return Solution(
+                    replace(orbit, tangent=tangent),
+                    matrices,
+                    closing,
+                    iteration,
+                    float(np.linalg.norm(total)),
+                )
+            orbit, total, last = self.moved(orbit, step), total + step, size
             if not orbit.period > 0:
                 return None
-            if size < CONVERGED or (size < 1e-9 and size > 0.1 * last):
-                return orbit, count, float(np.linalg.norm(total))
-            last = size
         return None
 
-    def with_tangent(self, orbit: Orbit, jacobian: Array) -> Orbit:
-        """The orbit with the direction of the family, that of the tangent before; nan where it is singular."""
-        tangent = _solve(np.vstack([jacobian, orbit.tangent]), np.append(np.zeros(len(jacobian)), 1.0))
-        return replace(
-            orbit, tangent=tangent / np.linalg.norm(tangent) if np.isfinite(tangent[0]) else np.nan * tangent
-        )
+    def steady_state(self, orbit: Orbit, place: int) -> Array | None:
+        """The steady motion near a state of a periodic one: it closes after any time."""
+        time = 0.5 / orbit.bound
+        chi = orbit.chi * time / orbit.period
+        short = replace(orbit, states=orbit.states[place : place + 1], period=time, chi=chi)
+        for _ in range(20):
+            residual, jacobian, _ = self.equations(short)
+            step = np.linalg.lstsq(np.delete(jacobian[:-2], -2, 1), -residual[:-2], rcond=1e-10)[0]
+            if not np.abs(step).max() < TOO_FAR:
+                break
+            short = self.moved(short, np.insert(step, -1, 0.0))
+            if np.abs(step).max() < 1e-11:
+                return short.states[0]
+        return None
 
     def meshed(self, orbit: Orbit, m: int) -> Orbit:
         """The same orbit and tangent with another number of states."""
@@ -196,7 +223,10 @@ class Family:
             return across(np.vstack([flow.gradients(names, y[0]), flow.slopes(y), flow.symmetry(y)]))
 
         first = basis(0)
-        matrix = first.T @ np.linalg.multi_dot([*matrices[::-1], first])
+        matrix = first
+        for part in matrices:
+            matrix = part @ matrix
+        matrix = first.T @ matrix
         large = float(np.abs(matrix).max(initial=0.0)) > LARGE
         if large:
             # Products of orthogonal and triangular factors, whose first directions become those of the largest multipliers.
@@ -223,8 +253,10 @@ class Family:
 
 def _solve(matrix: Array, right: Array) -> Array:
     """Least squares by orthogonal and triangular factors; infinite where the matrix is singular."""
-    orthogonal, upper = scipy.linalg.qr(matrix, mode="economic", check_finite=False)
-    diagonal = np.abs(np.diag(upper))
-    if not diagonal.min() > SINGULAR * diagonal.max():
-        return np.full(matrix.shape[1], np.inf)
-    return scipy.linalg.solve_triangular(upper, orthogonal.T @ right, check_finite=False)
+    factors, solution, _ = dgels(matrix, right)
+    diagonal, size = np.abs(np.diag(factors)), matrix.shape[1]
+    return (
+        solution[:size]
+        if diagonal.min() > SINGULAR * diagonal.max()
+        else np.full((size, right.shape[1]), np.inf)
+    )

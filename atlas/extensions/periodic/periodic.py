@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from ... import systems
@@ -245,11 +246,11 @@ def _family_values(
     values: dict[str, Any] = {
         "frequency": family.birth.frequency, "birth_period": family.unit, "birth_energy": family.birth_energy,
         "birth_slope": slope_at_birth(family, members), **momenta,
-        **dict(zip(("end", "end_period", "end_energy"), path.end, strict=True)),
+        **dict(zip(("end", "end_period", "end_energy"), path.end[:3], strict=True)),
     }  # fmt: skip
     if events:
         found, values["complete"] = path.events()
-        rows = np.reshape([(*event, arc) for arc, event in found], (-1, 4))
+        rows = np.reshape(found, (-1, 4))
         values |= dict(zip(("event_kind", "event_period", "event_energy", "event_arc"), rows.T, strict=True))
     if above is not None:
         energy = [each + family.birth_energy for each in above]
@@ -267,7 +268,7 @@ def _family_values(
         "energy": [each.energy for each in members], "theta_min": [each[0] for each in extremes],
         "theta_max": [each[1] for each in extremes], "multiplier_real": mu.real, "multiplier_imag": mu.imag,
         "orbit_stable": np.where(stable, OrbitStability.STABLE, OrbitStability.UNSTABLE),
-        "closing": [each.closing for each in members], "arc": [each.arc for each in members],
+        "closing": [each.solution.closing for each in members], "arc": [each.arc for each in members],
     }  # fmt: skip
 
 
@@ -282,38 +283,35 @@ def slope_at_birth(family: Family, members: Sequence[Member]) -> float:
 
 def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
     """Least and largest theta along an orbit, and the state at the largest, or near it where that is on the vertical."""
-    orbit, found = each.orbit, []
-    states = flow.nodes(orbit.states, orbit.period / len(orbit.states), orbit.bound)
-    step, states = (
-        orbit.period / len(orbit.states) / (states.shape[1] - 1),
-        states[:, :-1].reshape(-1, len(flow.start)),
-    )
+    orbit, duration, extremes = each.orbit, each.orbit.period / len(each.orbit.states), []
+    paths = flow.nodes(orbit.states, duration, orbit.bound)
+    step, states = duration / (paths.shape[1] - 1), paths[:, :-1].reshape(-1, len(flow.start))
+
+    def after(time: float, state: Array) -> Array:
+        return flow.nodes(state[None], time, 0.0, 1)[0, 1]
+
+    def rise(time: float, state: Array) -> float:
+        """Rate of the cosine of theta after a time."""
+        y = after(time, state)
+        u1, u2, _, g1, g2, _ = flow.equations.frame_motion(y, flow.constants[:, 0])
+        return float(g1 * u2 - g2 * u1)
+
     for sign in (1, -1):
-        first = int(np.argmax(sign * states[:, -1]))
-        state = states[first - 1 if sign * _rise(flow, states[first]) < 0 else first]
-        times = [0.0, step]
-        rises = [_rise(flow, state), _rise(flow, flow.nodes(state[None], step, 0.0, 1)[0, 1])]
-        while len(times) < 6 and rises[-1] != rises[-2]:  # secants
-            times.append(times[-1] - rises[-1] * (times[-1] - times[-2]) / (rises[-1] - rises[-2]))
-            rises.append(_rise(flow, flow.nodes(state[None], times[-1], 0.0, 1)[0, 1]))
-        inside = 0 <= times[-1] <= step and rises[0] * rises[1] < 0
-        found.append(
-            flow.nodes(state[None], times[-1], 0.0, 1)[0, 1] if inside and times[-1] else states[first]
+        place = int(np.argmax(sign * states[:, -1]))
+        state = states[place - int(sign * rise(1e-9 * step, states[place]) < 0)]
+        ends = 1e-9 * step, step
+        turns = rise(ends[0], state) * rise(ends[1], state) < 0
+        extremes.append(
+            after(brentq(rise, *ends, args=(state,), xtol=1e-15), state) if turns else states[place]
         )
     (low, high), sines = (
-        (np.arctan2(np.hypot(y[-3], y[-2]), y[-1]) for y in found),
+        (np.arctan2(np.hypot(y[-3], y[-2]), y[-1]) for y in extremes),
         np.hypot(*states[:, -3:-1].T),
     )
     if np.sin(high) < POLE < sines.max():
         states = states[sines > 0.1 * sines.max()]
-        found[1] = states[np.argmin(states[:, -1])]
-    return float(low), float(high), found[1]
-
-
-def _rise(flow: Flow, state: Array) -> float:
-    """Rate of the cosine of theta."""
-    u1, u2, _, g1, g2, _ = flow.equations.frame_motion(state, flow.constants[:, 0])
-    return float(g1 * u2 - g2 * u1)
+        extremes[1] = states[np.argmin(states[:, -1])]
+    return float(low), float(high), extremes[1]
 
 
 def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from functools import partial
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -37,6 +38,9 @@ LATER = 3.0  # times so much may multipliers change in a step beyond
 # A function below this part of its values may have a pair of zeros; orbits that are looked at for it; it touches zero by rounding.
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # of a step: events that are one
+RETURNED = (
+    0.01  # of the size of an orbit: the distance from where it was, after a part of the period, that is none
+)
 # A zero is on the polynomial of so many members if one is as near, of a step, and the function there as small, of its values.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
 SHARES = (0.1, 0.23, 0.36, 0.5, 0.64, 0.77, 0.9)  # of a distance, where members beside a singular orbit are
@@ -89,7 +93,7 @@ def member(family: Family, solution: Solution, arc: float) -> Member:
     return Member(orbit, arc, family.energy(orbit), mu, angles, tests, solution)
 
 
-Value = Callable[[Member], float]
+Value = Callable[[Member], Any]
 
 
 def test(kind: PeriodicEvent) -> Value:
@@ -122,14 +126,17 @@ class Section:
     def nearest(self, arc: float) -> list[Member]:
         return sorted(self.members, key=lambda each: abs(each.arc - arc))[:KNOWN]
 
-    def polynomial(self, value: Value, arc: float, others: Sequence[Member] = ()) -> Polynomial:
-        """A function of members near an arc length, of the distance from there."""
+    def coefficients(self, value: Value, arc: float, others: Sequence[Member] = ()) -> tuple[Array, float]:
+        """Of a polynomial through members near an arc length, in the distance from there over the unit that follows."""
         near = [*self.nearest(arc), *others]
         distances = np.array([each.arc - arc for each in near])
-        width = np.abs(distances).max()
-        matrix = np.vander(distances / width, increasing=True)
-        coefficients = np.linalg.lstsq(matrix, [value(each) for each in near], rcond=1e-14)[0]
-        return Polynomial(coefficients, domain=[-width, width])
+        unit = np.abs(distances).max()
+        matrix = np.vander(distances / unit, increasing=True)
+        return np.linalg.lstsq(matrix, [value(each) for each in near], rcond=1e-14)[0], unit
+
+    def polynomial(self, value: Value, arc: float, others: Sequence[Member] = ()) -> Polynomial:
+        coefficients, unit = self.coefficients(value, arc, others)
+        return Polynomial(coefficients, domain=[-unit, unit])
 
     def estimate(self, value: Value, low: Member, high: Member) -> float:
         """Arc length between two members at which the polynomial of a function vanishes."""
@@ -155,7 +162,7 @@ class Section:
 
     def event(self, kind: Flag, arc: float) -> Event:
         period, energy = (
-            float(self.polynomial(attrgetter(name), arc)(0.0)) for name in ("orbit.period", "energy")
+            float(self.coefficients(attrgetter(name), arc)[0][0]) for name in ("orbit.period", "energy")
         )
         return Event(kind, period, energy, arc)
 
@@ -275,7 +282,7 @@ class Path:
             gaps = np.abs(np.subtract.outer(*places))
             if gaps.min() < SAME * section.length:
                 place = places[0][int(np.argmin(gaps.min(1)))]
-                return section.event(self._kind_of_return(section.nearest(place)[0].orbit), place)
+                return section.event(self._kind_of_return(section, place), place)
         if new.orbit.period > self.longest:
             return self._at_steady_motion(1e-3) or self._left(FamilyEnd.PERIOD_LIMIT)
         long = speeds.min() < SLOW * speeds.max() and new.orbit.period > 1.5 * unit
@@ -293,23 +300,33 @@ class Path:
         near = near and speeds.min() < 0.2 * speeds.max() and np.ptp(energies[-3:]) < 0.01 * np.ptp(energies)
         return Event(FamilyEnd.ASYMPTOTIC, np.inf, energy, new.arc) if near else None
 
-    def _kind_of_return(self, orbit: Orbit) -> Flag:
+    def _kind_of_return(self, section: Section, arc: float) -> Flag:
         """Where a family comes back on itself."""
-        flow, first, m = self.family.flow, orbit.states[:1], len(orbit.states)
+        flow, orbit = self.family.flow, section.nearest(arc)[0].orbit
         if flow.speeds(orbit.states).max() < 0.05 * self.fastest:
             return FamilyEnd.STEADY_MOTION
+        times = orbit.chi * np.arange(len(orbit.states)) / len(orbit.states)
         others = np.concatenate(
-            [flow.turned(y[None], -orbit.chi * i / m) for i, y in enumerate(orbit.states)]
+            [flow.turned(y[None], -chi) for y, chi in zip(orbit.states, times, strict=True)]
         )
-        size = np.linalg.norm(flow.difference(others, first), axis=1).max()
-        for k in range(2, 9):
-            later = flow.run(first, orbit.period / k, orbit.bound)[0]
-            for j in range(k if flow.symmetric else 1):
-                back = flow.turned(later, -(orbit.chi + 2 * np.pi * j) / k)
-                # The difference vanishes at half a turn as well.
-                near = (flow.vectors(back)[:, 1:] * flow.vectors(first)[:, 1:]).sum(-1).min() > 0
-                if near and np.linalg.norm(flow.difference(back, first)) < 0.03 * size:
-                    return FamilyEnd.MULTIPLE
+        size = np.linalg.norm(flow.difference(others, orbit.states[:1]), axis=1).max()
+
+        def after(k: int, turns: int, each: Member) -> Array:
+            """The state after a part of the period, turned back."""
+            orbit = each.orbit
+            later = flow.run(orbit.states[:1], orbit.period / k, orbit.bound)[0]
+            return flow.turned(later, -(orbit.chi + 2 * np.pi * turns) / k)[0]
+
+        for k, turns in [(k, turns) for k in range(2, 9) for turns in range(k if flow.symmetric else 1)]:
+            states = [
+                section.coefficients(value, arc)[0][:1]
+                for value in (partial(after, k, turns), lambda each: each.orbit.states[0])
+            ]
+            # The difference vanishes at half a turn as well.
+            later, first = (flow.vectors(y)[:, 1:] for y in states)
+            near = (later * first).sum(-1).min() > 0
+            if near and np.linalg.norm(flow.difference(*states)) < RETURNED * size:
+                return FamilyEnd.MULTIPLE
         return FamilyEnd.MIRROR
 
     def events(self) -> tuple[list[Event], bool]:

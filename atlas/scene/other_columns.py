@@ -1,4 +1,4 @@
-"""Columns that are no parameters: probably mistyped parameters are refused."""
+"""Check of the columns that are no parameters: a probably mistyped parameter is refused."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..errors import BadInput, shown
 
 MAX_FIELDS, MAX_NAME = 10_000, 100  # fields of a column and characters of a name that are examined
 REMEDY = "rename it, or keep it as it is by keep"
-# Separators of two names, or of two values, that were read as one column.
+# Separators between two names, or two values, that were read as one column.
 _BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
-# Products of units, such as kg m^2, rad/s, A.m2 or Nms; possessive, because a text like mmmm has many readings.
+# Products of units, such as kg m^2, rad/s, A.m2 or Nms; quantifiers are possessive, because mmmm has many readings.
 _UNITS = (
     r"(?:1?/)?(?:(?:(?i:kg|mg|lbm?|slugs?|[cmkuµμ]m|ms|min|hr?s?|hours?|sec|days?|[mµμ]?rad|deg(?:rees?)?|arcmin|arcsec|rp[ms]|rev|turns?"
     r"|orbits?|k?hz|[mk]N|[munµμ]T|gauss)|[gmshNTAJWVG°%])(?:\*\*|\^)?[-+]?\d*[\s*·.⋅/-]*)++"
@@ -90,7 +90,7 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether a text is nearly a number, or several such numbers with a decimal point among them."""
+    """Whether a text is a number by `_is_nearly_number`, or several of them, at least one with a decimal point."""
     parts = re.split(r"[\s,;|/&]+", field)  # not at colons, which occur in times of day
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 

@@ -20,10 +20,10 @@ from .tables import CsvColumns
 from .text import read_text
 
 SAMPLES = ("latin_hypercube", "sobol")
-# Most points, and most numbers (points times ranges), of a sample.
+# Largest number of points of a sample, and of its numbers (points times ranges).
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
-MAX_COLUMNS = 100  # of a table or file of points
-# Most bytes of a points file, and most CSV fields: more than numbers, because some columns may name points.
+MAX_COLUMNS = 100  # columns of a table or file of points
+# Largest points file, in bytes and in CSV fields (more fields than numbers, because some columns may name points).
 MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
 RANGES = checks.Check(
@@ -61,7 +61,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """Table [points] with numbers in place of a file name, and its columns by name; folder None: a file is refused."""
+    """Table [points], with the numbers of a file in place of its name, and the columns by name; folder None: files are refused."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
@@ -105,7 +105,7 @@ def read_points(
 
 
 def file_of(scene: Path) -> list[Path]:
-    """A list of the points file that a scene file names, which need not exist; empty if it names none."""
+    """A list of one path, the points file that a scene file names, even if it is missing; empty if the scene names none."""
     if not scene.is_file():  # a pipe could not be read again
         return []
     try:
@@ -161,7 +161,7 @@ def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
 def _listed_column(
     system: System, name: str, values: Any, location: Callable[[int], str] | None
 ) -> PointColumn:
-    """Checked column of a file or a list; location: gives file and line of a point."""
+    """Checked column of a file or a list; location: point -> file and line."""
     key = f"points.values.{checks.identifier('points', name)}"
     tables.check_written(key, values)
     try:

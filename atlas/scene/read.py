@@ -50,7 +50,7 @@ MAX_TIE_CHARACTERS = 10_000  # of all ties together
 MAX_AXES = 32
 MAX_AXIS_COUNT = 10**7
 MAX_POINTS = 10**11
-# Most points of the finest grid of a refined scene; theory predicts the label of each.
+# Largest number of points in the finest grid of a refined scene; theory predicts the label of each point.
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
@@ -128,7 +128,7 @@ def parse_scene(
 ) -> Scene:
     """Scene from TOML text; BadInput names path, line and key.
 
-    folder: where a points file is read from, None: nowhere; of_atlas: outputs that nothing installed computes are dropped.
+    folder: where a points file is read from, None: nowhere; of_atlas: drop outputs that no installed package computes.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
@@ -464,7 +464,7 @@ def _check_ties(
     *,
     is_refined: bool,
 ) -> None:
-    """Raise BadInput for ties that use solved parameters, offsets of unsolved ones, and draws numbered by a refined axis."""
+    """Raise BadInput for a tie that uses a solved parameter, an offset of an unsolved one, or a refined axis that numbers draws."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
@@ -571,7 +571,7 @@ def parse_transient(system: System, value: object, key: str, names: Collection[s
 
 
 def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:
-    """Raise BadInput for arithmetic in names other than these and natural_rate."""
+    """Raise BadInput for arithmetic that uses other names than `names` and natural_rate."""
     known = {*names, NATURAL_RATE}
     for name in sorted(Expression(key, amount).names - known if isinstance(amount, str) else ()):
         raise BadInput(

@@ -73,7 +73,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    # Lazy tables have no length, and may warn on access to `columns`; beside `column_names`, `columns` may not be names.
+    # Lazy tables have no length, and may warn on access to `columns`; if a table has `column_names`, its `columns` may be arrays.
     if hasattr(source, "__len__") and hasattr(source, "columns") and not hasattr(source, "column_names"):
         values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
@@ -334,7 +334,7 @@ def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
 
 SEPARATORS = ("\t", ";", ",", " ")  # separators of fields in order of precedence; the line of names decides
 INDEX = "index"  # name given to an unnamed first column, the index in files of pandas
-# Most characters of a line (a file that is no table may be a single line) and of a table (a pipe may have no end).
+# Longest line (a file that is no table may be a single line) and longest table (a pipe may have no end), in characters.
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
 MAX_COMMENTS = 20  # last comments before the first point that are searched for names of columns
 
@@ -355,7 +355,7 @@ class CsvColumns(dict[str, Any]):
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
     """Columns of a CSV file, nan for empty fields of `numeric` columns; BadInput with file and line.
 
-    The first line, or a comment before it as numpy.savetxt writes, names the columns.
+    The first line, or a comment before it such as numpy.savetxt writes, names the columns.
     """
     number = size = 0  # number of the last line read; characters read
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)
@@ -437,7 +437,7 @@ def _rows(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
 
 
 def _names_held(comment: str, first: str, numeric: Collection[str]) -> int:
-    """Number of `numeric` names in a comment, or 0 if the first line of numbers has another number of fields."""
+    """Number of `numeric` names in a comment, or 0 if the comment has not as many names as the first line of numbers has fields."""
     separator = _separator(comment)
     try:
         names, fields = (next(_rows([line], separator), []) for line in (comment, first))
@@ -455,7 +455,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(field: str) -> float:
-    """The number in a field, nan if it is empty; ValueError for other texts, also for 1_000, a number in Python alone."""
+    """The number in a field, nan if it is empty; ValueError for other texts, also for 1_000, which is a number only in Python."""
     if "_" in field:
         raise ValueError
     return float(field.strip() or "nan")

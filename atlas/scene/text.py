@@ -62,7 +62,7 @@ class Source:
     text: str
 
     def located(self, error: BadInput) -> BadInput:
-        """The error with file and line in front; the line is that of the key with which its message begins."""
+        """The error with file and line in front: the line of the key with which the message begins."""
         message = str(error)
         if message.startswith(self.path):
             return error

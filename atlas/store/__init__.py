@@ -1,1 +1,1 @@
-"""One way to keep a run, in a folder or on an object store, and the finished atlas."""
+"""Storage of runs and of finished atlases, in folders and on object stores."""

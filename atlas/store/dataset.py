@@ -23,7 +23,7 @@ from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables, is_measured
 
 # Attributes of an atlas
-HISTORY = "atlas_history"  # numbers of points that earlier atlases gave
+HISTORY = "atlas_history"  # numbers of points taken from each earlier atlas
 HASH = "atlas_sha256"  # hash of the content of a finished atlas, written last
 VERSION = "atlas_version"
 TRANSIENT = "atlas_transient"  # the transient, absent if there is none
@@ -113,7 +113,7 @@ def with_parameters(
 
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
-    """Numbers of the axes on which a fixed or tied parameter depends, and its values along these axes; chunks: see `dataset`."""
+    """Indices of the axes on which a fixed or tied parameter depends, and its values along these axes; chunks: see `dataset`."""
     names, pending = {name}, {name}
     while pending:
         sources = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
@@ -150,7 +150,7 @@ def without_fill_values(ds: xr.Dataset) -> xr.Dataset:
 
 
 def classic(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes for the classic forms of NetCDF and for R: integers have 32 bits, or become floats if one of them is larger."""
+    """Attributes that classic NetCDF and R can read: integers of 32 bits, or floats where an integer is larger."""
     values = {name: np.asarray(value) for name, value in attributes.items()}
     large = {name: value for name, value in values.items() if value.dtype == np.int64}
     kinds = {name: np.int32 if (abs(v) < 2**31).all() else np.float64 for name, v in large.items()}
@@ -164,7 +164,7 @@ def log_warnings(warnings: list[str]) -> None:
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute HISTORY from numbers of points by earlier atlas; empty if `reused` is empty."""
+    """The attribute HISTORY; reused: earlier atlas -> number of points taken from it; no attribute if `reused` is empty."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
 
@@ -173,7 +173,7 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
     title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Attributes of an atlas, of CF, of ACDD-1.3 and its own, for a scene, or for points with a title and outputs.
+    """Attributes, by CF, by ACDD-1.3 and of this package, for the atlas of a scene or of points with a title and outputs.
 
     timing: number of points and wall-clock time in seconds, if known.
     """

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .dataset import Block
 
 FILE, STORE = ".nc", ".zarr"
-# Suffix -> module of the `FORMAT`, imported on use, and the purpose of the suffix. Extensions add formats of one file.
+# Suffix -> module of the `FORMAT`, imported on use, and the purpose of the suffix. Extensions add formats of single files.
 FORMATS = {FILE: ("netcdf", "for one file"), STORE: ("zarr_store", "for a Zarr store")}
 METADATA = "zarr.json"  # root metadata of a Zarr store
 

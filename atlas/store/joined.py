@@ -116,7 +116,7 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
 
 
 def subject_of(ds: xr.Dataset) -> xr.Dataset:
-    """The dataset to which methods of `ds.atlas` apply: a part of joined atlases, points along "point", or the same dataset."""
+    """The dataset that methods of `ds.atlas` use: `ds`, a part of joined atlases as `part_of`, or points renamed to "point"."""
     ds = part_of(ds)
     dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
     if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):

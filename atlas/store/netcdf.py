@@ -30,7 +30,7 @@ from .tiling import Tiling
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
 ROW_VALUES = 1 << 16  # values read at a time from a variable without chunks
-MAX_ROW_VALUES = 1 << 23  # values of a row of chunks that is read at once
+MAX_ROW_VALUES = 1 << 23  # largest number of values in a row of chunks that is read at once
 # The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
 NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
@@ -87,7 +87,7 @@ def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
                 lengths[first + 1 :] = (max(n, 1) for n in shape[first + 1 :])
             if by_chunks or math.prod(lengths) <= MAX_ROW_VALUES:
                 blocks = Tiling(shape, tuple(lengths))
-            else:  # a row too large for memory: its chunks are read once for every MAX_ROW_VALUES
+            else:  # a row too large for memory: chunks are read again for each block of MAX_ROW_VALUES
                 blocks = Tiling.of(shape, MAX_ROW_VALUES)
         _limit_cache(variable)
         for box in blocks:

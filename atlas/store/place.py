@@ -1,6 +1,6 @@
 """Places of runs and atlases: contents by name in a folder of the file system, or below an address of an object store.
 
-Both have the same methods. A content appears whole or not at all. `create` never replaces a content, which claims need.
+Both have the same methods. A content appears whole or not at all. `create` never replaces a content, as claims require.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class Folder:
 
 @lru_cache
 def _store(address: str) -> Any:
-    """The object store at an address, one in a process; without retries, because `Objects._answer` repeats requests."""
+    """The object store at an address, made once in each process; without retries, because `Objects._answer` repeats requests."""
     try:
         from obstore.store import MemoryStore, from_url
     except ImportError:
@@ -146,7 +146,7 @@ def _store(address: str) -> Any:
         if address.startswith("memory://"):
             return MemoryStore()
         return from_url(address, retry_config={"max_retries": 0})
-    except Exception as error:  # of several kinds
+    except Exception as error:  # obstore raises several types of errors
         raise BadInput(f"{address}: no address of an object store ({one_line(error)})") from None
 
 
@@ -192,7 +192,7 @@ class Objects:
             self._answer("delete", name)
 
     def clear(self, *, but: str = "") -> None:
-        """Remove all contents, except one by its name."""
+        """Remove all contents but the one with the name `but`."""
         if names := [self.prefix + name for name in self.walk() if name != but]:
             self._answer(lambda path, obstore: obstore.delete(self.store, names))
 

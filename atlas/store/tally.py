@@ -22,8 +22,8 @@ class Tally:
     """Counts of flags and of errors, and largest values."""
 
     def __init__(self) -> None:
-        # Numbers of points by flag variable and flag, or by group of GROUPS and bin of errors. Largest errors by group and for
-        # motions that theory finds unstable and for others, and the largest integral_drift.
+        # counts: number of points for each flag of a variable, and for each bin of errors of a group in GROUPS; largest: the largest
+        # error of each group, of "unstable" motions (by theory) and of "others", and the largest integral_drift.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
@@ -65,9 +65,9 @@ class Totals:
 
     points: int = 0
     seconds: float = 0.0
-    by: Counter[str] = field(default_factory=Counter)  # numbers of tiles by process
-    cpu: Counter[str] = field(default_factory=Counter)  # numbers of tiles by type of processor
-    reused: Counter[str] = field(default_factory=Counter)  # numbers of points by earlier atlas
+    by: Counter[str] = field(default_factory=Counter)  # process -> number of its tiles
+    cpu: Counter[str] = field(default_factory=Counter)  # type of processor -> number of tiles
+    reused: Counter[str] = field(default_factory=Counter)  # earlier atlas -> number of points taken from it
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:

@@ -34,7 +34,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# computed: number of points with a motion; by and cpu: process and processor; reused: numbers of points by earlier atlas.
+# computed: number of integrated points; by, cpu: process, processor; reused: earlier atlas -> number of points taken from it.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
@@ -98,7 +98,7 @@ class Tiles:
     tiling: Tiling
     points: np.ndarray | None = None  # flat indices in the grid, if the tiles cover a part of it
     level: int = LEVEL  # compression level of zlib
-    listing: tuple[int, set[int]] | None = None  # number of the folder last listed, and the tiles in it
+    listing: tuple[int, set[int]] | None = None  # number of the folder listed last, and its tiles
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
         """Name of a tile, or of its claim."""
@@ -106,7 +106,7 @@ class Tiles:
         return f"{folder}{tile:08d}{suffix}"
 
     def indices(self, tile: int) -> np.ndarray:
-        """Flat indices in the grid of the points of a tile."""
+        """Indices of a tile's points in the flat grid."""
         indices = self.tiling.indices(tile)
         return indices if self.points is None else self.points[indices]
 

@@ -1,7 +1,7 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
 Each object has a CRC-32C, which any reader compares. The attribute HASH is written last, so that an unfinished store is never taken
-for an atlas. It has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other objects and
+for an atlas. HASH has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other objects and
 their names, compared by `verify`, because a reader takes a lost object for fill values and a misplaced object for data.
 """
 
@@ -52,8 +52,8 @@ except ImportError:
 # Names in a store; version 0.1.0 wrote the group `atlas`.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
-MAX_WHOLE = 1 << 20  # most values of a coordinate in one object: one object opens faster than many
-# Codecs that do not compress (version 0.1.0 wrote shards), and compressors whose unpacked size can be found before unpacking.
+MAX_WHOLE = 1 << 20  # values up to which a coordinate is one object, which opens faster than many
+# Codecs that do not compress (version 0.1.0 wrote shards), and compressors for which the unpacked size is found before unpacking.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
@@ -75,7 +75,7 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        self.is_whole, self.has_checksums = is_whole, has_checksums  # objects are complete, have checksums
+        self.is_whole, self.has_checksums = is_whole, has_checksums  # objects are all there; have checksums
         self.stamp = stamp  # stamp of the metadata of a whole store
         # Array -> codec that compresses its objects, and the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed
@@ -283,7 +283,7 @@ class Zarr(Format):
             if claimed > MIN_CLAIM and isinstance(place, Folder):
                 stored = 0
                 for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                    if stored * MAX_RATIO >= claimed:  # a large store has many files
+                    if stored * MAX_RATIO >= claimed:  # enough: a large store has many files to count
                         break
                 check_claim(claimed, stored)
             own = _Store.open_group(store, mode="r", consolidated=is_consolidated)
@@ -302,7 +302,7 @@ class Zarr(Format):
         return without_fill_values(ds)
 
     def verify(self, path: Path | str) -> None:
-        with self.open_dataset(path) as ds:  # compares its metadata
+        with self.open_dataset(path) as ds:  # compares the hash of the root metadata
             expected, place = ds.encoding[HASH], place_at(path)
         if expected is None:
             raise BadInput(
@@ -337,7 +337,7 @@ class Zarr(Format):
         place, contents = place_at(path), place_at(path).walk()
         is_own = not contents or f"atlas/{METADATA}" in contents
         with suppress(FileNotFoundError, ValueError):
-            # A search in the bytes finds this attribute in damaged metadata, too.
+            # A search for VERSION in the bytes also works if the metadata are damaged.
             is_own = VERSION.encode() in place.read(METADATA)
         if not is_own or not all(
             OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents

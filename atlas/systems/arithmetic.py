@@ -19,7 +19,7 @@ import numpy as np
 
 from ..errors import BadInput, allowed_text, shown
 
-# Name in equations -> NumPy function, of arrays and, in kernels, of numbers.
+# Name in equations -> name of the NumPy function, which takes arrays, in kernels numbers.
 FUNCTIONS = {
     "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tan": "tan", "asin": "arcsin", "acos": "arccos", "atan": "arctan",
     "sinh": "sinh", "cosh": "cosh", "tanh": "tanh", "exp": "exp", "log": "log",
@@ -68,7 +68,7 @@ def function_trees(equations: Any) -> dict[str, ast.FunctionDef]:
 
 
 def _used(equations: Any, observables: Collection[str]) -> dict[str, ast.FunctionDef]:
-    """Syntax trees of the functions that belong to the equations; a module may contain others."""
+    """Syntax trees of the functions that belong to the equations; a module may contain other functions."""
     used = {"rhs", "frame_motion", "axis_in_frame", "scaled", "unscaled", *observables}
     used |= {name for name in getattr(equations, "INTEGRALS", ()) if isinstance(name, str)}
     used |= {name for name in getattr(equations, "LOSSES", {}).values() if isinstance(name, str)}
@@ -113,7 +113,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
         given = len(names["CONSTANTS"])
         names["CONSTANTS"] = (*names["CONSTANTS"], TIME_UNIT)
         names["ONES"], names["INTEGRALS"] = (), dict.fromkeys(names["INTEGRALS"], 0)
-        # number of leading components that are rates; None: all
+        # function -> number of leading components that are rates; None: all
         rates = {"rhs": None, "frame_motion": 3} | dict.fromkeys(names["LOSSES"].values())
         nodes = {name: _with_time_unit(node, given, rates) for name, node in nodes.items()}
         states, constants = ", ".join(names["STATE"]), ", ".join(names["CONSTANTS"])
@@ -129,7 +129,7 @@ def completed(equations: Any, observables: Collection[str]) -> ModuleType:
 
 
 def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, str]) -> ModuleType:
-    """Module of equations with these names in capital letters and the functions of these sources."""
+    """Module of equations with `names`, such as STATE, and the functions compiled from `sources`."""
     module = ModuleType(getattr(equations, "__name__", "equations"), getattr(equations, "__doc__", None))
     namespace: dict[str, Any] = dict(numpy_functions())
     for name, text in sources.items():
@@ -241,7 +241,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
 def _check_function(
     key: str, node: ast.FunctionDef, state: Sequence[str], constants: Sequence[str], components: int | None
 ) -> None:
-    """Raise BadInput unless a function is plain arithmetic; components: of its result, 0: a number, None: any tuple."""
+    """Raise BadInput unless a function is plain arithmetic; components: length of its result, 0: a number, None: any tuple."""
     names, returned = {*FUNCTIONS}, None
     targets: list[ast.expr]
     for statement in node.body:

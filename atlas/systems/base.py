@@ -89,12 +89,12 @@ class Observable:
     name: str
     unit: str  # UDUNITS spelling; "1" for pure numbers
     long_name: str  # description in a few words
-    # Largest standard deviation with which it counts as constant, in its unit; None: the scene's rate_tolerance, inf: its
+    # Largest standard deviation with which the observable counts as constant, in its unit; None: the scene's rate_tolerance, inf: its
     # variation is ignored. The table labels.std_tolerance of a scene replaces this value.
     tolerance: float | None = None
     symbol: str = ""  # mathematical form for axis labels, e.g. r"$x$"
-    # Period of measurement in time units, a number or arithmetic in pi and constants of the equations, such as "2*pi/w": it is
-    # measured at the start and after each period, and runs last whole periods. None: measured at all times.
+    # Period of measurement in time units, a number or arithmetic in pi and constants of the equations, such as "2*pi/w": the
+    # observable is measured at the start and after each period, and runs last whole periods. None: measured at all times.
     every: str | float | None = None
 
 
@@ -106,7 +106,7 @@ class Condition:
     residual: Callable[[Points], Array]
 
 
-# Prefix of a name in Family.several: key in points of the value to which the solution is nearest.
+# If a scene wants the solution nearest to a value, points hold the value under NEAR + name, name a key of Family.several.
 NEAR = "near "
 
 
@@ -115,14 +115,14 @@ class Family:
     """A family of exact motions: theta = theta0, psi' = n, phi' = m, the same about other axes, or in a plane."""
 
     name: str
-    flag: int = 0  # value of the dataset variable `family`, from 1; see numbered
+    flag: int = 0  # value of the dataset variable `family`, from 1; see `numbered`
     title: str = ""
     equations: str = ""  # numbers of the equations in the paper, or another source
     conditions: tuple[Condition, ...] = ()
     # parameter -> formula for its value on the family, nan where there is none; formulas are used in this order
     solve: Mapping[str, Callable[[Points], Array]] = field(default_factory=dict)
     # parameter with several solutions, or rate from which start values are solved -> text of the default solution. If a scene
-    # wants the solution nearest to a value, points have it under the name and under NEAR + name; inf: the largest of several
+    # wants the solution nearest to a value, points hold the value under the name and under NEAR + name; inf: the largest solution
     several: Mapping[str, str] = field(default_factory=dict)
     # points -> (flags.Stability, growth rate in rad per time unit), see System.linear_stability and `rough_stability`
     stability: Callable[[Points], tuple[Flags, Array]] | None = None
@@ -151,7 +151,7 @@ def numbered(families: Iterable[Family], after: Collection[str] = ()) -> dict[st
 class PublishedEquation:
     """One equation or statement of the system's paper, as printed and as corrected.
 
-    The residual at random parameters is near 0 for a true reading; None: it cannot be measured.
+    The residual at random parameters is near 0 if the equation is true; None: there is no measure.
     """
 
     number: str
@@ -182,9 +182,9 @@ class DerivedVariable:
     comment: str = ""
     # raises BadInput for points and durations at which the variable is undefined or takes too long
     check: Callable[[Points, Array], object] = lambda points, duration: None
-    # of int8 flags: name -> sentence, in the order of the values 0, 1, 2, ...
+    # for int8 flags: name -> sentence, in the order of the values 0, 1, 2, ...
     flags: Mapping[str, str] | None = None
-    from_start: bool = False  # whether it describes the motion from its start: refused with a transient
+    from_start: bool = False  # for the motion from the start only; refused with a transient
     # Values of several variables by name; variables that share intermediate results have the same function here.
     group_values: GroupValues | None = None
 
@@ -438,7 +438,7 @@ class System(ABC):
 
     @_or_extension
     def equilibria(self, body: Mapping[str, float]) -> Mapping[str, NDArray[Any]]:
-        """All relative equilibria or permanent rotations of one body, by default by the method of an extension, else BadInput.
+        """All relative equilibria or permanent rotations of one body; by default an extension computes them, else BadInput.
 
         Parameters
         ----------
@@ -591,7 +591,7 @@ def families_of(system: System) -> Mapping[str, Family]:
 
 
 def extensions_of(system: System, variables: Iterable[str]) -> list[extension.Extension]:
-    """Extensions that define one of these variables, or a family of the system, on which any start may be."""
+    """Extensions that define one of these variables, or a family of the system, because any start may be on such a family."""
     families = families_of(system).keys() - system.families.keys()
     return extension.used([name for name in variables if name not in system.derived], families)
 

@@ -1,4 +1,4 @@
-"""Systems that installed packages name in the group of entry points `atlas.systems`."""
+"""Systems of other installed packages, from their entry points in the group `atlas.systems`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Origin:
     """Origin of a system that is not built in."""
 
     package: str  # name and version of the installed package; empty: registered in this process
-    # hash, at registration, of its source files, or of its bytecode if it has no files
+    # hash, at registration, of the source files, or of the bytecode of a system without files
     code: str
     files: tuple[Path, ...]  # its source files
 

@@ -15,7 +15,7 @@ from .vectors import cross, dot, length, principal
 
 # Largest rounding error of a sum, relative to the magnitudes of its terms, if each term has fewer than 40 roundings.
 TERM_ROUNDING = 64 * 2.0**-53
-# Residual of the equations, over the squared frequency bound, that no rounding explains: such a start is no steady motion.
+# Residual of the equations, divided by the squared frequency bound, above which a start is no steady motion in spite of rounding.
 GATE = 1e-6
 
 
@@ -69,7 +69,7 @@ def polynomial_degree(system: System) -> int | str:
 
 @np.errstate(all="ignore")
 def growth_about_vertical(system: System, points: Points) -> Array:
-    """Growth rate, (points,), of the angle about the third axis while this axis is exactly on the vertical, where no tilt grows.
+    """Growth rate, (points,), of the angle about the third axis while this axis stays exactly on the vertical.
 
     The angle obeys delta'' = a delta + b delta' with derivatives a, b of the equations; where the rate is 0, rounding decides no
     label. nan off the vertical, and for systems to which the theorem does not apply.
@@ -101,7 +101,7 @@ def growth_about_vertical(system: System, points: Points) -> Array:
 def lacks_theory(system: System, points: Points) -> Mask:
     """Whether a start may be on a family of an extension that is not installed, (points,).
 
-    Only these starts can: the third axis stays on the vertical at first while the rate about it changes.
+    It may be where the third axis stays on the vertical at first while the rate about the vertical changes.
     """
     is_complete = reserved_families(system.name).keys() <= families_of(system).keys()
     if is_complete or isinstance(polynomial_degree(system), str):

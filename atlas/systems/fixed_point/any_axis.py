@@ -1,10 +1,10 @@
 """Regular precessions and permanent rotations of the gyrostat about other axes than the third and the vertical.
 
 A motion w = n nu + m s has an axis s at rest in the body and an axis nu at rest in space; theta1 is the angle between them,
-kappa the angle from nu to the vertical g. Its equations are linear in the body, that is in I, l and the weight Mg r_c. Written as
+kappa the angle from nu to the vertical g. The equations are linear in I, l and the weight Mg r_c. Written as
 harmonics of the angles n t and m t they allow, with n, m, sin theta1 not 0:
 
-- kappa not 0 and N not 0: the harmonic 2 n + 2 m and then 2 n + m (n - m in place of n + m if their signs differ)
+- kappa not 0 and N not 0: the harmonic 2 n + 2 m and then 2 n + m (with n - m for n + m if n and m differ in sign)
   leave a spherical body, on which the field has no effect, without weight (next item): `free_precession`;
 - kappa not 0, N = 0 and Mg r_c not 0: the harmonics n + m and n - m of the weight need |n| = |m| and theta1 = pi/2; what
   remains is `grioli`. Without weight the body is symmetric about s: `free_precession`;
@@ -54,7 +54,7 @@ from .initial import VECTORS, bodies, constants, initial_state, vertical
 
 OFFSETS, ROTORS = ("x0", "y0", "z0"), ("l1", "l2", "l3")
 
-# Start of Grioli's motion for the last body, (shape, bytes) -> state: six formulas share it.
+# Grioli's start for the last body, (shape, bytes of the body) -> state, because six formulas share this state.
 _LAST_START: dict[tuple[tuple[int, ...], bytes], Array] = {}
 
 
@@ -95,7 +95,7 @@ class Start(motions.Start):
     def solve_rotor(
         cls, line: Callable[[Any], tuple[Array | float, Array]], name: str, points: Points
     ) -> Array:
-        """One component of a rotor on the line base + lambda direction, from another component."""
+        """One component of a rotor base + lambda direction, with lambda from another component; line: start -> base, direction."""
         start = cls(points)
         return along(ROTORS.index(name), start.rotor, *line(start))
 
@@ -257,7 +257,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_offset(cls, name: str, points: Points) -> Array:
-        """One coordinate of a centre of mass on a normal of a circular section, from another one, with its given sign."""
+        """One coordinate of a centre of mass on a normal of a circular section, from another coordinate; the given sign stays."""
         offset = np.array([points[name] for name in OFFSETS])
         value = along(OFFSETS.index(name), offset, 0.0, section_normals(cls(points).inertia))
         return np.copysign(value, points[name])

@@ -49,7 +49,7 @@ def steady_rates(points: Points) -> tuple[Array, Array, Array]:
 
 
 def squared_rate(points: Points) -> Array:
-    """Largest squared rate of the start: |w0|^2, and the torques of fields and rotor over the least moment."""
+    """Largest squared rate of the start: |w0|^2, or a torque of fields or rotor divided by the least moment."""
     inertia, rotor, weight, N = bodies(points)
     turn, least = (initial_state(points)[:3] ** 2).sum(0), inertia.min(0)
     torque = np.maximum(length(weight), np.abs(N) * (inertia.max(0) - least))
@@ -76,7 +76,7 @@ def _torque(points: Points) -> Array:
 
 
 def _fast_torque(points: Points) -> Array:
-    """Unit of torques with n and m, which exceed w in a fast precession beside the vertical."""
+    """Unit of torques, at least A n^2 and A m^2: near the vertical n and m may be much larger than w, in which they nearly cancel."""
     return np.fmax(_torque(points), points["A"] * np.square(rates(points)[1:]).max(0))
 
 
@@ -105,7 +105,7 @@ def _upright(points: Points) -> Array:
 
 
 def _turning_torque(points: Points) -> Array:
-    """Torque that tilts a resting third axis while the body turns about it, over all phi; 0 if m = 0."""
+    """Bound, for all phi, of the torque that tilts a resting third axis while the body turns about this axis; 0 if m = 0."""
     inertia, rotor, weight, N = bodies(points)
     _, _, m = rates(points)
     gradient = N * np.abs(inertia[0] - inertia[1])
@@ -147,8 +147,8 @@ def _solve_n(points: Points) -> Array:
 def _solve_permanent(name: str, points: Points) -> Array:
     """One parameter of a permanent rotation, nan where the components of the torque contradict each other.
 
-    l1, x0 and l2, y0 follow from the second and the first component alone, so that one of each pair may be solved
-    together: the third component then vanishes if cos theta0 does not.
+    l1 or x0 follows from the second component alone, l2 or y0 from the first, so that both may be solved together: the third
+    component then vanishes too, unless cos theta0 = 0.
     """
     component = {"l1": 1, "x0": 1, "l2": 0, "y0": 0}.get(name)
     if component is not None:
@@ -158,7 +158,7 @@ def _solve_permanent(name: str, points: Points) -> Array:
 
 
 def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array:
-    """theta0 or phi0 of the permanent rotation nearest to the start, by the angle between the verticals.
+    """theta0 or phi0 of the permanent rotation whose vertical, in the body, is nearest to the vertical of the start.
 
     phi0 prefers the rotations whose theta is theta0 already, so that both may be solved together; nan where there is none.
     """
@@ -176,7 +176,7 @@ def _solve_direction(angle: str, points: Points, resting: bool = False) -> Array
 
 
 def _solve_rest(angle: str, points: Points) -> Array:
-    """theta0 or phi0 of a resting third axis: closed form if the body is symmetric about it, else the nearest."""
+    """theta0 or phi0 of a resting third axis: a closed form if the body is symmetric about this axis, else the nearest solution."""
     closed = _solve_theta(points, 0.0) if angle == "theta0" else points["phi0"]
     if angle == "theta0" and f"{NEAR}theta0" in points:  # a third axis on the vertical is at rest too
         poles = np.broadcast_to(np.array([0.0, np.pi]).reshape(2, *(1,) * closed.ndim), (2, *closed.shape))
@@ -317,5 +317,5 @@ ORDER = (
 
 
 def identify_family(points: Points) -> tuple[Flags, Array]:
-    """Flag and residual of the family about the third axis and the vertical of the motion from each start."""
+    """For each start, flag and residual of its family of motions about the third axis and the vertical."""
     return identify(points, ORDER)

@@ -209,7 +209,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
     w = initial_state(points)[:3]
     zero = np.zeros_like(points["A"])
     largest = inertia.max(0)
-    # Largest change of the kinetic energy by the fields; terms that are 0 at the start may grow to this size.
+    # Largest change of the kinetic energy by the fields; terms of the energy that are 0 at the start may grow to this size.
     potential = length(weight) + 0.5 * np.abs(N) * (largest - inertia.min(0))
     momentum = length(inertia * w) + np.sqrt(2 * largest * potential)
     no_weight, no_rotor = (weight == 0).all(0), (rotor == 0).all(0)
@@ -230,7 +230,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 
 @shared
 def frequency_bound(points: Points) -> Array:
-    """Upper bound of the fastest frequency, as Body.frequency_bound; r is constant where C r + l3 is."""
+    """Upper bound of the fastest frequency, as Body.frequency_bound, with constant r where C r + l3 is conserved."""
     inertia, rotor, weight, N = bodies(points)
     A, B, C = inertia
     state = initial_state(points)
@@ -238,7 +238,7 @@ def frequency_bound(points: Points) -> Array:
     fixed, damping = conserves_axial_momentum(points), points["damping"]
     moment = length(weight)
 
-    # U - min U is at most the sum over terms of U of start value minus minimum, which bounds 2 T, or its part in p and q.
+    # 2 T, or its part in p and q, grows by at most `gain`, twice the sum over the terms of U of start value minus minimum.
     quadratic = (inertia * gamma**2).sum(0)
     gradient = np.where(N > 0, quadratic - inertia.min(0), inertia.max(0) - quadratic)
     gain = 2 * (moment - (weight * gamma).sum(0)) + np.abs(N) * gradient

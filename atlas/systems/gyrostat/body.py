@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
-# Moments, momenta and torques below this share of their scale are rounding; its root is below every growth rate that counts.
+# Fraction of their scale below which moments, momenta and torques are rounding; its square root is below all growth rates that count.
 NEGLIGIBLE = 1e-13
-# Rates of frame and fields below this share of the rate of the free body are ignored in the natural rate.
+# Fraction of the rate of the free body below which rates of frame and fields are ignored in the natural rate.
 SLOW = 1e-4
-_DOUBLE = 8 * np.finfo(float).eps  # relative discriminant up to which two roots are equal up to rounding
+_DOUBLE = 8 * np.finfo(float).eps  # largest relative discriminant with which two roots count as equal
 
 
 class Direction(NamedTuple):
@@ -49,7 +49,7 @@ class Body(NamedTuple):
         return Body(inertia, rotor, turn, alpha, beta, gamma, damping)
 
     def scaled(self, rate: Array) -> Body:
-        """The bodies in units of their largest moments of inertia and of these rates."""
+        """The bodies in units of their largest moments of inertia and of `rate`."""
         moment = self.inertia.max(-1)
         torque = (moment * rate**2)[..., None]
         each = (self.alpha, self.beta, self.gamma)
@@ -61,7 +61,7 @@ class Body(NamedTuple):
         )  # fmt: skip
 
     def rate(self, w: Array) -> Array:
-        """Unit of rates for a motion with the angular velocity w: a sum of its rates, or 1 where that is 0."""
+        """Unit of rates for a motion with the angular velocity w: a sum of all rates, or 1 where this sum is 0."""
         squares = [
             np.abs(d.gradient) + length(d.field) / self.inertia.max(-1)
             for d in (self.alpha, self.gamma, self.beta)
@@ -72,7 +72,7 @@ class Body(NamedTuple):
         return np.where(rate == 0, 1.0, rate)
 
     def natural_rate(self, w: Array) -> Array:
-        """|Omega|, or without it the frequency of the fields; the free body's rate where these are below SLOW of it; else 1."""
+        """|Omega|, or the fields' frequency if Omega = 0; the free body's rate if more than 1 / SLOW times larger; 1 if all are 0."""
         moment = self.inertia.max(-1)
         squares = sum(
             length(d.field) / moment + np.where(self.spherical(), 0.0, np.abs(d.gradient))
@@ -97,7 +97,7 @@ class Body(NamedTuple):
     def symmetric_about(self, i: int, rate: Array | float = 0.0) -> Mask:
         """Where turning the body about its i-th axis changes nothing: equal moments, rotor and fields along it.
 
-        rate: unit of rates; where it is above 0, differences at rounding level of its momentum and torque are ignored.
+        rate: unit of rates; where it is above 0, differences from symmetry that may be rounding errors are ignored.
         """
         j, k = (i + 1) % 3, (i + 2) % 3
         limit = np.where(rate > 0, NEGLIGIBLE, 0.0) * self.inertia.max(-1)
@@ -126,7 +126,7 @@ class Body(NamedTuple):
         return sum(parts).sum(-1)  # type: ignore[union-attr]
 
     def gradient(self, alpha: Array, gamma: Array) -> tuple[Array, Array]:
-        """Gradient, minus the torque at rest, and Hessian of W under rotations; where the torque is 0 the Hessian is symmetric."""
+        """Gradient of W under rotations, which is -1 times the torque at rest, and Hessian, symmetric where this torque is 0."""
         return self._variations(self.amended(), alpha, gamma)
 
     def hessian(self, alpha: Array, gamma: Array) -> Array:
@@ -238,7 +238,7 @@ class Body(NamedTuple):
 def gyration(inertia: Array, rotor: Array, max_rates: Array, third_alone: Mask | bool = False) -> Array:
     """Bound of the norm of sqrt(I) I^-1 ((I w + k) x . - w x I .) sqrt(I)^-1, as sqrt(norm_1 norm_inf).
 
-    third_alone: bodies whose w is along e3.
+    third_alone: where w is along e3.
     """
     rows, columns = np.zeros_like(inertia), np.zeros_like(inertia)
     for i, j, axis in ((0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)):

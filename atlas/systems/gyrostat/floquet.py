@@ -34,12 +34,12 @@ from .fundamental import of_harmonics
 # Largest error of |s| - 2 and (s1 - s2)^2 / 4, s = multiplier + 1/multiplier, from rounding and integration: where multipliers
 # collide at +-1, a shift of s by 1e-7 appears as growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
-_STEP = 1.4  # length of a step times the norm of the system: errors of about 1e-7
-_MIN_STEPS, _MAX_STEPS = 64, 8192  # per period; where more are needed, the adiabatic approximation is used
+_STEP = 1.4  # largest product of step and norm of the system, with errors of about 1e-7
+_MIN_STEPS, _MAX_STEPS = 64, 8192  # steps of a period or run; longer periods have the adiabatic approximation
 _ADIABATIC_PHASES = 256
 # Logarithm of the growth over a period above which the adiabatic value, wrong by a few units, means instability.
 _ADIABATIC_GROWTH = 10.0
-# Distance of frozen exponents from a collision, over the rate of rotation, above which nothing grows.
+# Distance of frozen exponents from a collision, divided by the rate of rotation, above which nothing grows.
 _ADIABATIC_MARGIN = 4.0
 _STEPS_PER_NORM = 2  # steps per unit of norm x period along a closed form: errors of the trace below 1e-7
 _MIN_STEPS_CLOSED = 32
@@ -68,14 +68,14 @@ def log_growth(body: Body, w: Array, alpha: Array, gamma: Array, duration: Array
 
 
 class _Periodic:
-    """Periodic linear systems by a mean and two harmonics; steps: their number over a span, infinite: not integrated."""
+    """Periodic linear systems from a mean and two harmonics; steps: number of steps in each span, infinite: not integrated."""
 
     def __init__(self, harmonics: NDArray[np.complex128], period: Array, span: Array, steps: Array):
         self.harmonics, self.period, self.span = harmonics, period, span
         self.steps = 2.0 ** np.ceil(np.log2(steps))
 
     def over_spans(self, result: Array, of: Callable[[Array, Array], Array]) -> Array:
-        """Result, filled with a function of the fundamental matrices over the spans at the points that are integrated."""
+        """`result` with values of `of`, a function of the fundamental matrices over the spans, at the points that are integrated."""
         for count in np.unique(self.steps[np.isfinite(self.steps)]):
             members = np.flatnonzero(self.steps == count)
             part = self.harmonics[:, members], self.period[members], self.span[members]
@@ -83,7 +83,7 @@ class _Periodic:
         return result
 
     def by_multipliers(self, ones: int = 0) -> tuple[Flags, Array]:
-        """Stability, and the logarithm of the largest multiplier over the period; nan where it is not integrated.
+        """Stability, and the logarithm of the largest multiplier over the period; nan where the system is not integrated.
 
         ones: number of multipliers that are always 1.
         """
@@ -110,7 +110,7 @@ class _Rotation(_Periodic):
         matrices = body.across_rotation(u + body.turn[:, None] * gamma, u, alpha, gamma)
         harmonics, period = np.fft.rfft(matrices, axis=0) / 5, 2 * np.pi / size
         span = period if duration is None else duration * self.rate
-        # Root mean square over the period of the system's norm, in units of xi and p that make it least.
+        # Norm of the system, root mean square over the period, in those units of xi and p in which it is least.
         square = (np.abs(harmonics) ** 2 * np.array([1, 2, 2])[:, None, None, None]).sum(0)
         square = square.reshape(-1, 2, 2, 2, 2).sum((2, 4))
         product = np.sqrt(square[:, 0, 1] * square[:, 1, 0])
@@ -119,7 +119,7 @@ class _Rotation(_Periodic):
         self.steps[self.steps > _MAX_STEPS] = np.inf
 
     def adiabatic_exponent(self, members: NDArray[np.int64]) -> Array:
-        """Logarithm of the growth over a period much longer than the oscillations; nan where it is uncertain.
+        """Logarithm of the growth over a period much longer than the oscillations; nan where the growth is uncertain.
 
         It is the integral of the largest real part of the frozen exponents, roots of lambda^4 + P lambda^2 + Q = 0. Where all
         are imaginary and far from a collision, the actions of both oscillations are adiabatic invariants and nothing grows.

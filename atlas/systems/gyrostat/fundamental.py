@@ -1,4 +1,4 @@
-"""Fundamental matrices of linear systems, of many points side by side, from a mean and two harmonics or matrices at nodes.
+"""Fundamental matrices of linear systems for many points side by side, from a mean and two harmonics or matrices at nodes.
 
 Magnus' series of order 6, symplectic where the system is Hamiltonian. The exponential is a Pade approximation, squared twice:
 the multipliers of a stable motion stay on the unit circle. S. Blanes et al., Phys. Rep. 470 (2009) 151.
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ..base import Array
 
-# Most points integrated side by side by vector instructions, and the multiple to which fewer are padded.
+# Largest number of points that vector instructions integrate side by side; fewer points are padded to a multiple of GROUP.
 LANES, GROUP = 64, 8
 GAUSS = np.sqrt(0.15)  # distance of the outer Gauss nodes from the middle of a step, in steps
 RESCALING = 16  # steps after which matrices are rescaled, to avoid overflow, and phases are recomputed
-STEPS = 4096  # most steps of a call, some tenths of a second without interruption; a multiple of RESCALING
+STEPS = 4096  # largest number of steps in a call (some tenths of a second); a multiple of RESCALING
 
 
 def of_harmonics(
@@ -252,5 +252,5 @@ def integrate(parts, turn, begin, end, result, log_scale):
                 result[lane, i, j] = matrix[i, j, lane]
 
 
-# In machine code: callees first.
+# Functions to compile, callees first.
 _FUNCTIONS = (combine, multiply, solve, add, at_nodes, exponential, rescale, integrate)

@@ -47,7 +47,7 @@ def about_axis(s: Array, w: Array, gamma: Array) -> TwoAxes:
     return TwoAxes(s, dot(w - n * gamma, s), gamma, n)
 
 
-# Family.stability_text of several families.
+# The stability_text of several families.
 NEUTRAL = "Stability, as Family.stability, of motions near which no distance grows faster than t."
 
 
@@ -70,13 +70,13 @@ class Start(ABC):
 
     @property
     def squared_rate(self) -> Array:
-        """Largest squared rate: of frame or body, or torque of fields or rotor divided by the moment."""
+        """Largest squared rate: of the frame, of the body, or a torque of fields or rotor divided by `moment`."""
         square = np.maximum((self.w**2).sum(0), np.square(self.turn))
         torque = np.maximum(self.field_torque, length(self.rotor) * np.sqrt(square))
         return np.maximum(square, torque / self.moment)
 
     def residual(self, torque: Array) -> Array:
-        """Dimensionless residual of a torque, vector or magnitude: divided by the moment and the largest squared rate."""
+        """Residual of a torque (vector or magnitude): the torque divided by `moment` and by the largest squared rate."""
         size = np.abs(torque) if torque.ndim < self.w.ndim else length(torque)
         return ratio(size / self.moment, self.squared_rate)
 
@@ -113,9 +113,9 @@ def motion_of(
     directions: Callable[[Points], tuple[Array, ...]],
     turn: Callable[[Points], Array] | None = None,
 ) -> Callable[[Points, Array], Array]:
-    """Closed form of a family, as Family.motion, of a system whose state is w and the directions at rest in its frame.
+    """Function for Family.motion: the closed form of a family, for a system whose state is w, then the directions fixed in the frame.
 
-    directions: points -> the directions at the start, each (3, points), the vertical last; turn: rate of the frame about it.
+    directions: points -> these directions at the start, each (3, points), the vertical last; turn: rate of the frame about it.
     """
 
     def motion(points: Points, t: Array) -> Array:

@@ -61,8 +61,8 @@ class Equilibria(NamedTuple):
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array, from_space: bool = True) -> Equilibria:
         """The equilibria among some motions; w, alpha, gamma: at the start, (points, 3).
 
-        from_space: whether the frame, for an axis of symmetry on the vertical where nothing acts along alpha, is at rest in
-        space; else its rate makes both oscillations of the axis equally fast, which gives the energy its largest minimum.
+        from_space: whether the frame is at rest in space where the axis of symmetry is on the vertical and nothing acts along alpha;
+        else the frame turns so that both oscillations of the axis are equally fast, which gives the energy its largest minimum.
         """
         body, w, alpha, gamma = _redrawn(body, w, alpha, gamma)
         rate = body.rate(w)
@@ -202,7 +202,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
     any_frame = ~body.acts_across()
     free = any_frame & ~body.acts_along(body.gamma)
     with np.errstate(all="ignore"):
-        # If nothing acts across gamma: at fixed momentum about gamma, in the frame that turns at w.gamma.
+        # Hessian of W; where nothing acts across gamma, at fixed momentum about gamma in the frame that turns at w.gamma.
         turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
         force = np.cross(body.gyroscopic(turn[:, None] * gamma), gamma)
         kept = np.where(any_frame & (body.damping == 0), 1.0 / (body.inertia * gamma**2).sum(-1), 0.0)
@@ -212,7 +212,7 @@ def energy_minima(body: Body, w: Array, alpha: Array, gamma: Array) -> Flags:
         vertical = np.where(any_frame[:, None], gamma, 0.0)
         hat = cross_matrix(vertical)
         turns = np.where(axes & ~(any_frame[:, None] & (length(hat) <= _PARALLEL))[:, None], np.eye(3), 0.0)
-        # If nothing acts: at fixed angular momentum M, where the energy is (M - k).I^-1 (M - k) / 2.
+        # Where nothing acts: Hessian of the energy (M - k).I^-1 (M - k) / 2 at fixed angular momentum M.
         momentum = body.inertia * w + body.rotor
         square = (momentum**2).sum(-1)
         share = np.where(square > 0, (w * momentum).sum(-1) / square, 0.0)
@@ -249,7 +249,7 @@ def _verdict(least: Array) -> Flags:
 
 
 def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Array, Array, Array]:
-    """Body and motion, for spherical bodies in new axes: the first along rotor and fields, or without them across w."""
+    """Body and motion, for spherical bodies in new axes, the first along rotor and fields, or across w if there are none."""
     spheres = body.spherical()
     if not spheres.any():
         return body, w, alpha, gamma
@@ -275,7 +275,7 @@ def _redrawn(body: Body, w: Array, alpha: Array, gamma: Array) -> tuple[Body, Ar
 def _turn_and_axis(
     body: Body, w: Array, gamma: Array, rate: Array, any_frame: Mask, from_space: bool
 ) -> tuple[Array, NDArray[np.int64], Mask]:
-    """Rate of a frame in which the body rests or turns about an axis of symmetry, that axis (-1: none), whether one exists."""
+    """Rate of a frame in which the body rests or turns about an axis of symmetry, index of this axis or -1, where a frame exists."""
     turn = np.where(any_frame, (w * gamma).sum(-1), body.turn)
     axis, exists = np.full(rate.shape, -1), np.zeros(rate.shape, bool)
     tolerance = FAMILY_TOLERANCE * rate

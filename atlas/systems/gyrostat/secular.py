@@ -9,7 +9,7 @@ from ..base import Array, Mask
 from ..vectors import length, unit
 from .body import Body
 
-PLACES = 12  # most directions of a body
+PLACES = 12  # largest number of directions of a body
 NEARLY = np.int8(-2)  # `dimension` of a direction near which two complex solutions almost coincide
 
 
@@ -35,7 +35,7 @@ class SecularEquation:
         return np.where(self.d == origin, np.abs(self.b), 0.0).max(0)
 
     def root(self, near: Array, far: Array, origin: Array) -> Array:
-        """Bisection in the logarithm of the distance from the pole: the sum is above 1 at near, below it at far."""
+        """Shift of a root from the pole `origin`, by bisection of its logarithm; the sum is above 1 at near, below 1 at far."""
         side = np.sign(far)
         near, far = np.abs(near), np.abs(far)
         for _ in range(64):
@@ -80,7 +80,7 @@ def directions(
 ) -> tuple[Array, NDArray[np.int8]]:
     """All directions of the vertical in the body at which the body can rest in the frame, where nothing acts along alpha.
 
-    As `critical_directions`, with d = (n^2 - N) I and b = n l + Mg r_c of a body about a fixed point.
+    As `critical_directions`; for a body about a fixed point d = (n^2 - N) I and b = n l + Mg r_c.
     """
     d = (body.turn**2 - body.gamma.gradient) * body.inertia.T
     return critical_directions(d, body.turn * body.rotor.T - body.gamma.field.T, towards, nearly)
@@ -94,7 +94,7 @@ def critical_directions(
     g = -b / (d - L), and L a root of the secular equation sum b_i^2 / (d_i - L)^2 = 1, which has one root outside each end pole
     and none or two between neighbours; a component with b_i = 0 also allows L = d_i with g_i free.
 
-    towards: directions (3, points); of a circle of solutions the member nearest to them is returned. Returns g, (3, 12, points),
+    towards: directions (3, points); from a circle of solutions the one nearest to `towards` is taken. Returns g, (3, 12, points),
     nan in unused columns, and the dimension of the set of solutions around each g, (12, points): 0 isolated, 1 a circle, 2 every
     direction, -1 unused, with nearly also NEARLY.
     """

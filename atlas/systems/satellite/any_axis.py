@@ -1,8 +1,8 @@
 """Spherical satellites, which the gravity gradient does not turn: motions about any axis of the body and the normal.
 
 With the rotor and the magnet along an axis s of the body and without drag or a field along the radius the body is a spherical
-top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s, in the orbital frame its rate about the normal g
-is N - Omega. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
+top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s; in the orbital frame its rate about the normal
+g is N - Omega. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
 space. A rotor and any other start precess about the angular momentum, which is at rest in space but not in the orbital frame.
 """
 
@@ -30,19 +30,19 @@ class Start(motions.Start):
         self.field_torque = field_torque(points)
 
     def axes(self) -> TwoAxes:
-        """s is along the rotor, else the magnet, else the angular velocity."""
+        """Axes and rates; s is along the rotor, without rotor along the magnet, without both along w."""
         s = np.where(length(self.magnet) > 0, self.magnet, self.w)
         s = unit(np.where(length(self.rotor) > 0, self.rotor, s), self.gamma)
         axes = about_axis(s, self.w, self.gamma)
         return axes._replace(precession_rate=axes.precession_rate - self.turn)
 
     def across_axis(self) -> Array:
-        """Torques of the parts of rotor and magnet across s."""
+        """Bound of the torque of the parts of rotor and magnet across s."""
         s = self.axes().spin_axis
         return length(cross(self.rotor, s)) * length(self.w) + length(cross(self.magnet, s))
 
     def imbalance(self) -> Array:
-        """Torque across s and the normal."""
+        """Magnitude of the torque that is normal to s and to the vertical."""
         s, m, _, n = self.axes()
         balance = (n + self.turn) * (self.moment * m + dot(self.rotor, s)) - dot(self.magnet, s)
         return np.abs(balance) * length(cross(s, self.gamma))

@@ -25,7 +25,7 @@ STATE = ("w1", "w2", "w3", "a1", "a2", "a3", "g1", "g2", "g3")
 FRAME_VECTORS = (("a1", "a2", "a3"), ("g1", "g2", "g3"))
 # Body and fields, then combinations of them in the right-hand side: D1 = (B - C)/A and so on, N = 3 Omega^2 for
 # an a of length 1, the reciprocal lengths of a and g (h1, Omega and h3 are divided by those lengths, drag by
-# both), and components of rotor, magnet and drag and the damping over a moment of inertia.
+# both), and components of rotor, magnet, drag and the damping, divided by a moment of inertia.
 CONSTANTS = (
     "A", "B", "C", "Omega", "k1", "k2", "k3", "mu1", "mu2", "mu3", "h1", "h3",
     "D1", "D2", "D3", "N", "a_inv", "g_inv", "k2_A", "k3_A", "k3_B", "k1_B", "k1_C", "k2_C",
@@ -33,7 +33,7 @@ CONSTANTS = (
     "drag3_A", "drag2_A", "drag1_B", "drag3_B", "drag2_C", "drag1_C", "drag1", "drag2", "drag3",
     "damping_A", "damping_B", "damping_C",
 )  # fmt: skip
-# Constants that belong to the identity of a point only where they are not 0.
+# Constants that identify a point only where they are not 0.
 OPTIONAL = tuple(name for name in CONSTANTS if name.startswith("drag"))
 # Constants that are 1 in the kernels' units.
 ONES = ("N", "Omega")

@@ -78,7 +78,7 @@ def _roots(function: Callable[[Points], Array], name: str, p: Points) -> Array:
     harmonics = np.moveaxis(np.fft.fft(values, axis=0)[[-2, -1, 0, 1, 2]], 0, -1)
     companion = np.zeros((*p[name].shape, 4, 4), complex)
     companion[..., [1, 2, 3], [0, 1, 2]] = 1.0
-    with np.errstate(all="ignore"):  # a polynomial of lower degree
+    with np.errstate(all="ignore"):  # divides by 0 if the degree is lower
         companion[..., 3] = -harmonics[..., :4] / harmonics[..., 4:]
     finite = np.asarray(np.isfinite(companion).all((-2, -1)))
     roots = np.linalg.eigvals(np.where(finite[..., None, None], companion, 0.0))
@@ -164,7 +164,7 @@ _TABLE = (
         equations="(27), (28) at theta0 = pi; otherwise derived from (1)-(3)",
         conditions=(the.NO_ROTATION, the.NO_TORQUE_ABOUT_NORMAL, the.NO_TORQUE_ACROSS_NORMAL),
         solve={
-            # -n cos theta0 on the normal; elsewhere 0, and only if n = 0
+            # -n cos theta0 if the third axis is on the normal; else 0 if n = 0; otherwise there is no solution
             "m": lambda p: np.where((tilt(p)[0] == 0) | (p["n"] == 0), -p["n"] * tilt(p)[1], np.nan),
             **the.NO_TORQUE_ABOUT_NORMAL.solve("h1"),
             **each(partial(_k_along, _rotor_at_rest), "k3", "k1", "k2"),
@@ -241,7 +241,7 @@ _TABLE = (
         ),
         solve={
             "psi0": _psi_on_velocity,
-            # sin psi0 h1 (Omega + m c) = m s h3 with sin psi0 = +-1: both pairs have a solution k1, k2
+            # If sin psi0 h1 (Omega + m c) = m s h3, sin psi0 = +-1, the same k1 and k2 solve both pairs of equations.
             **linear(
                 lambda p: (
                     node(p)[0] * p["h1"] * (p["Omega"] + p["m"] * tilt(p)[1]) - p["m"] * tilt(p)[0] * p["h3"]
@@ -266,7 +266,7 @@ _TABLE = (
         solve={
             "m": lambda p: -p["Omega"] * tilt(p)[1],
             **the.FIELD_ACROSS.solve("h1", "h3"),
-            # the oblique relation; free, and kept, where cos psi0 = 0
+            # from the oblique relation; where cos psi0 = 0 mu3 is free and keeps its value
             "mu3": lambda p: np.where(node(p)[1] == 0, p["mu3"], the.OBLIQUE_BALANCE.solve("mu3")["mu3"](p)),
             **the.NODE_PAIR.solve("k1", "k2"),
             **the.TILT_BALANCE.solve("k3"),

@@ -123,7 +123,7 @@ def integral_scales(points: Points) -> dict[str, Array]:
 def frequency_bound(points: Points) -> Array:
     """Upper bound of the fastest frequency, as Body.frequency_bound, in rad per time unit.
 
-    Damping D adds D I^-1, of norm D over the least moment, to the block of w, and D Omega I^(-1/2) to the block of gamma.
+    Damping D adds D I^-1, whose norm is D / least moment, to the block of w, and D Omega I^(-1/2) to the block of gamma.
     """
     inertia, k, mu = body_vectors(points)
     (A, B, C), Omega = inertia, np.abs(points["Omega"])
@@ -133,7 +133,7 @@ def frequency_bound(points: Points) -> Array:
     field = np.hypot(points["h1"], points["h3"])
     moment, rotor, drag = length(mu), length(k), drag_vector(points)
 
-    # U - min U is at most the sum over terms of U of start value minus minimum.
+    # Bound of the kinetic energy: start value plus, for each term of the potential, start value minus minimum.
     kinetic = 0.5 * (inertia * u**2).sum(0)
     gravity = 1.5 * Omega**2 * ((inertia * alpha**2).sum(0) - inertia.min(0))
     centrifugal = 0.5 * Omega**2 * (inertia.max(0) - (inertia * gamma**2).sum(0))
@@ -157,7 +157,7 @@ def frequency_bound(points: Points) -> Array:
     damping = points["damping"] / min_inertia
     differences = np.array([C - B, A - C, B - A])
     gradient = 3 * Omega**2 * np.sqrt((differences**2 / inertia).sum(0) / min_inertia)
-    # beta = gamma x alpha changes by at most the sum of the changes of both.
+    # beta = gamma x alpha changes by at most the sum of the changes of alpha and gamma.
     torque = moment * field + np.sqrt(2) * length(drag)
     stiffness = np.sqrt(2) * (gradient + torque / min_inertia + damping * Omega)
     return perron_root(gyration(inertia, k, max_rates, symmetric) + damping, max_turn + Omega, stiffness)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-# All modules from the scene to the tile, which determine points, variables and numbers; not the readers of finished tiles.
+# The modules that make tiles from a scene and so determine points, variables and numbers; not readers of finished tiles.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "theory/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/memory.py", "runs/folder.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
@@ -29,9 +29,9 @@ def read(folder: Path | None = None) -> Files:
     return files
 
 
-# The package imports this module first: other modules cannot be older than this record.
+# The package imports this module before all others, so that no loaded module is older than this record.
 AT_IMPORT = read()
-# Folder of an extension, or a room -> its files when `of_folder` was first called.
+# Folder of an extension or of a room -> its files when `of_folder` was first called.
 OF_FOLDERS: dict[Path, Files] = {}
 
 

@@ -18,7 +18,7 @@ from .systems.base import NATURAL_RATE, System, derived_variables, time_units
 
 # The instruments of the core, in the order of variables in a file; the first that measures a system is its main instrument.
 INSTRUMENTS: list[Instrument] = [Rates(), Observables(), *CIRCLES, Chaos()]
-# Dimension of points without axes.
+# Dimension of an atlas of points that are not on axes.
 POINT = "point"
 # Variables from theory alone, which also exist where a point is not integrated.
 PREDICTED = {"predicted", "predicted_inertial", "family", "stable", "growth_rate", "condition_residual"}

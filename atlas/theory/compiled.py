@@ -18,7 +18,7 @@ from ..systems.base import System
 from ..systems.steady import polynomial_degree
 from . import generated
 
-# Most points for which plain Python takes less time than loading machine code.
+# Largest number of points for which plain Python takes less time than loading machine code.
 FEW_POINTS = 100
 
 
@@ -41,7 +41,7 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
         lines = {name: repr(value) for name, value in values.items()}
         lines |= {name: f"np.{numpy_name}" for name, numpy_name in arithmetic.FUNCTIONS.items()}
         tuples = {name: each for name, each in sorted(names.items()) if hasattr(each, "_fields")}
-        # The fields of named tuples are in the text, because the cache would not see changes of them.
+        # The fields of named tuples are in the text, because the cache would not see that the fields change.
         lines |= {f"{name}_FIELDS": repr(each._fields) for name, each in tuples.items()}
         imports = [f"from {each.__module__} import {name}\n" for name, each in tuples.items()]
         text = machine_code.module_text(
@@ -54,7 +54,7 @@ def of_system(function: FunctionType, system: System, in_machine_code: bool) -> 
     namespace |= arithmetic.numpy_functions() | values
     for name, text in texts.items():
         exec(compile(text, f"<{name} of {system.name}>", "exec"), namespace)
-    # The code of each function with other globals, so that a debugger steps through its file.
+    # Copies of the functions with other globals and the same code, so that a debugger steps through their files.
     namespace |= {name: FunctionType(each.__code__, namespace, name) for name, each in objects.items()}
     return np.errstate(all="ignore")(namespace[function.__name__])
 
@@ -126,7 +126,7 @@ def _equations(system: System) -> dict[str, str]:
 
 
 class _Sum(ast.NodeTransformer):
-    """Turns differences into sums and function values into magnitudes, so that magnitudes give the sum of magnitudes of terms."""
+    """Makes sums of differences and magnitudes of function values: of magnitudes, the result is the sum of the magnitudes of terms."""
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)

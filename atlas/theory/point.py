@@ -28,7 +28,7 @@ class Body(NamedTuple):
     vectors: tuple[Vector, ...]  # at rest in the frame
     constants: tuple[float, ...]  # of the equations
     rates: Vector  # sin theta, n, m of System.steady_rates
-    bound: float  # of frequencies, rad per time unit
+    bound: float  # upper bound of frequencies, rad per time unit
     square: float  # squared unit of rates
     in_range: bool  # whether no formula of theory overflows
 
@@ -50,8 +50,8 @@ class SteadyTest(NamedTuple):
     """Test of a start by the equations, before a nudge unless a comment says otherwise."""
 
     answer: Value  # value of Existence
-    elsewhere: Value  # whether it is a steady motion about other axes than the third and the vertical
-    may_be_member: Value  # whether it may be on a family
+    elsewhere: Value  # whether the start is a steady motion about other axes than the third and the vertical
+    may_be_member: Value  # whether the start may be on a family
     kept: Value  # whether the nudged start is a steady motion as exactly as rounding allows
     pushed: Value  # whether a nudge moved the start off the motions about the third axis and the vertical
     residual: Value  # of a steady motion about the third axis and the vertical, after a nudge
@@ -88,7 +88,7 @@ def cross(a, b):
 
 
 def cross_sum(a, b):
-    """Vector product with plus signs: of magnitudes it is the sum of the magnitudes of the terms."""
+    """Vector product with plus signs; of magnitudes, the sum of the magnitudes of the terms."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
 
 

@@ -34,7 +34,7 @@ from .steady import (
     steady_motion,
 )
 
-# Largest residual (dimensionless) of a steady motion that is rounding; rounding changes a larger one by less than 1 %.
+# Largest residual (dimensionless) of a steady motion that rounding explains; rounding changes a larger one by less than 1 %.
 ROUNDING_RESIDUAL = 1e-13
 # Residual above which a start is on no family about the third axis and the vertical.
 NEARBY = 1e-6
@@ -74,8 +74,8 @@ def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks
 def residual_of(body):
     """Residual (dimensionless) of a steady motion about the third axis and the vertical, 0 on an exact one.
 
-    The larger of |u' - n m gamma x e3| over the squared unit of rates, u the angular velocity relative to the frame, and the
-    part of u - n gamma across e3 over the unit. Near the vertical a smaller residual of a rotation about e3 replaces the first.
+    The larger of |u' - n m gamma x e3| / unit^2, u the angular velocity relative to the frame, and the part of u - n gamma across
+    e3, divided by unit, the unit of rates. Near the vertical a smaller residual of a rotation about e3 replaces the first.
     """
     _, n, m = body.rates
     u, g = frame_motion(body.w, body.vectors, body.constants)
@@ -133,7 +133,7 @@ def predict(
 
 
 def label_of(test, membership, answer, exact, nudged):
-    """Label of a start in one frame, before rule 9 on growth."""
+    """Label of a start in one frame, without rule 9 on growth."""
     if answer == Existence.EXACT:
         label = after_nudge(exact, membership.stable) if test.pushed else exact
     else:
@@ -153,7 +153,7 @@ def predict_circle(test, own, exact, answer, stable, near, in_range, nudged):
     elsewhere, label = test.elsewhere and answer == Existence.EXACT, own
     if elsewhere:
         label = after_nudge(exact, stable) if nudged and not test.kept else exact
-    # Beside a stable motion about the third axis a nudge may lead to one about other axes.
+    # Beside a stable motion about the third axis a nudge may lead to a motion about other axes.
     beside = elsewhere or not nudged or stable != Stability.STABLE
     if label != Label.DRIFTING or (answer == Existence.EXACT and beside) or not in_range or not near:
         return label
@@ -168,7 +168,7 @@ def after_nudge(label, stable):
 
 
 def rounding_limit(residual, bound, rate_tolerance, angle_tolerance):
-    """Logarithm of the growth with which the residual of a steady start, at least rounding, reaches a tolerance.
+    """Logarithm of the growth with which the residual of a steady start, or rounding if larger, reaches a tolerance.
 
     Rounding errors of rates are relative to the frequency bound, errors of angles to 1.
     """

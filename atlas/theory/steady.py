@@ -61,13 +61,13 @@ from .point import (
     unit,
 )
 
-# A difference of rates below this share of its operands is rounding.
+# Fraction of its operands below which a difference of rates is rounding.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
 # Largest error of axes from derivatives, in units of rounding, by which the test of the residual is widened.
 MAX_ERROR = 1e4
-# A start is far from every steady motion where rates change to first order by more than this, in tolerances: of 30 000
-# starts beside steady motions none with a steady label changed by more than 2.4.
+# First-order change of rates, in tolerances, above which a start is far from every steady motion: among 30 000 starts beside
+# steady motions no start with a steady label had a change above 2.4.
 FAR = 5.0
 CANDIDATES = 4
 
@@ -75,8 +75,8 @@ CANDIDATES = 4
 class Existence(IntEnum):
     """Whether a start is a steady motion."""
 
-    NEAR = 0  # rounding or the tolerances of labels cannot tell it from one
-    EXACT = 1  # as exactly as rounding allows
+    NEAR = 0  # cannot be told from a steady motion within rounding or the tolerances of labels
+    EXACT = 1  # a steady motion, as exactly as rounding allows
     FAR = 2  # its rates vary by more than the tolerance
 
 
@@ -277,7 +277,7 @@ def second_derivative(start, constants):
 def departure(start, constants, motion, bound, duration, rate_tolerance, angle_tolerance):
     """First-order change of theta', psi' and phi', in tolerances; in the cone, of the tilt and the rate about the vertical.
 
-    motion: about the third axis and the vertical. A deviation x from it obeys x' = A x + f at first, and an oscillation no
+    motion: about the third axis and the vertical. A deviation x from this motion obeys x' = A x + f at first, and an oscillation no
     faster than the bound changes rates by at least |f| / bound, unless it is damped.
     """
     s, m, g, n = motion
@@ -298,7 +298,7 @@ def departure(start, constants, motion, bound, duration, rate_tolerance, angle_t
 
 
 def undamped(start, constants, duration):
-    """Square root of the share of a run before an oscillation is damped, by the divergence of the equations."""
+    """Square root of the fraction of a run before an oscillation is damped, by the divergence of the equations."""
     still = turn_all(start.vectors, (0.0, 0.0, 0.0))
     divergence = 0.0
     for i in range(3):

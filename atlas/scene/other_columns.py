@@ -90,7 +90,7 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether a text is a number by `_is_nearly_number`, or several of them, at least one with a decimal point."""
+    """Whether a text is a number as in `_is_nearly_number`, or several such numbers with a decimal point among them."""
     parts = re.split(r"[\s,;|/&]+", field)  # not at colons, which occur in times of day
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 

@@ -278,7 +278,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
 
 
 def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> tuple[str, ...]:
-    """Outputs and the variables that say where labels are proved; BadInput if no label can be proved, or with [refine]."""
+    """`outputs` and the variables that say where labels are proved; BadInput if no label can be proved, or for a refined scene."""
     if is_refined:
         raise BadInput(
             "integration.prove = true: not together with refine, whose borders are those of measured labels"
@@ -389,7 +389,7 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
 
 
 def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
-    """Name of the family, solved parameters in the order of its formulas, and the entry branch or near of [family]."""
+    """Name of the family, solved parameters in the order of its formulas, and the entry `branch` or `near` of [family]."""
     checks.check_keys(table, "family.", ("name", "solve", "branch", "near"))
     families = families_of(system)
     if "name" not in table:
@@ -464,7 +464,7 @@ def _check_ties(
     *,
     is_refined: bool,
 ) -> None:
-    """Raise BadInput for a tie that uses a solved parameter, an offset of an unsolved one, or a refined axis that numbers draws."""
+    """Raise BadInput if a tie uses a solved parameter, an axis is an offset of an unsolved one, or a refined axis numbers draws."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
@@ -503,7 +503,7 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
 def _integration(
     system: System, integration: Mapping[str, Any], labels: Mapping[str, Any], names: Collection[str]
 ) -> tuple[Duration, Duration, Settings]:
-    """Duration, transient and settings from [integration] and [labels]; names: allowed in arithmetic."""
+    """Duration, transient and settings from [integration] and [labels]; names: names allowed in arithmetic."""
     values = checks.from_table(
         checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
     )
@@ -563,7 +563,7 @@ def parse_duration(value: object, key: str = "duration", names: Collection[str] 
 
 
 def parse_transient(system: System, value: object, key: str, names: Collection[str]) -> Duration:
-    """Transient from a value as for `parse_duration`, or 0."""
+    """Transient: a duration as by `parse_duration`, or 0."""
     if value in (0, "0") and not isinstance(value, bool):
         return Duration(0.0)
     check_unit(system, transient := parse_duration(value, key, names), key)

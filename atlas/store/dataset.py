@@ -75,7 +75,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter or of its offset; of an axis that is no parameter, its name and 1."""
+    """long_name and units of a parameter or of its offset; of an axis that is no parameter, the name of the axis and 1."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -102,7 +102,7 @@ def with_parameters(
         elif array.chunks is not None or not np.isnan(array).all():
             coordinates[name] = array.dims, array.data, attributes
     ds = ds.assign_coords(coordinates)
-    # A dimension without coordinate gets the values of its only array, if that is in memory.
+    # A dimension without coordinate gets the values of its only array, if this array is in memory.
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
             case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:
@@ -136,7 +136,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
     edges = [np.cumsum([0, *along]) for along in lengths]
 
-    def chunk(block_id: Any = None) -> np.ndarray:  # dask makes block_info for all blocks at once
+    def chunk(block_id: Any = None) -> np.ndarray:  # not block_info, made for all blocks at once
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))

@@ -91,12 +91,12 @@ def is_store(path: Path | str) -> bool:
 
 
 def is_finished(path: Path | str) -> bool:
-    """Whether a path or address (a result of `located`) is a finished atlas, a file or store of any name, and not a run."""
+    """Whether a path or address (a result of `located`) is a finished atlas (a file or store of any name), not a run."""
     return (isinstance(path, Path) and path.is_file()) or METADATA in place_at(path).names()
 
 
 def format_of(path: Path | str) -> Format:
-    """The format of an atlas by its suffix; for unknown suffixes Zarr if it is a folder or address, else NetCDF."""
+    """The format of an atlas by its suffix; for unknown suffixes Zarr if the path is a folder or address, else NetCDF."""
     is_file = isinstance(path, Path) and not is_store(path) and not path.is_dir()
     suffix = path.suffix.lower() if isinstance(path, Path) and is_file else STORE
     given: Format | None = None if suffix in FORMATS else load("formats", suffix)

@@ -117,7 +117,7 @@ class Folder:
 
     def stamp(self, name: str) -> object:
         """A value that changes when a content is replaced; None if it is missing."""
-        with suppress(OSError):  # also of a path that is too long
+        with suppress(OSError):  # raised also for a path that is too long
             status = os.stat(self.path / name)
             return status.st_ino, status.st_mtime_ns
         return None

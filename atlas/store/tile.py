@@ -34,7 +34,7 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# computed: number of integrated points; by, cpu: process, processor; reused: earlier atlas -> number of points taken from it.
+# computed: number of points that have a motion; by, cpu: process, processor; reused: earlier atlas -> number of points taken from it.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip

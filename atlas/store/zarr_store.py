@@ -53,7 +53,7 @@ except ImportError:
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
 MAX_WHOLE = 1 << 20  # values up to which a coordinate is one object, which opens faster than many
-# Codecs that do not compress (version 0.1.0 wrote shards), and compressors for which the unpacked size is found before unpacking.
+# Codecs that do not compress (version 0.1.0 wrote shards), and compressors; the unpacked size is checked before unpacking.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
@@ -75,7 +75,7 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        self.is_whole, self.has_checksums = is_whole, has_checksums  # objects are all there; have checksums
+        self.is_whole, self.has_checksums = is_whole, has_checksums  # all objects exist; all have checksums
         self.stamp = stamp  # stamp of the metadata of a whole store
         # Array -> codec that compresses its objects, and the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed

@@ -141,7 +141,7 @@ def module_of(equations: Any, names: Mapping[str, Any], sources: Mapping[str, st
 
 
 def _with_time_unit(node: ast.FunctionDef, given: int, rates: Mapping[str, int | None]) -> ast.FunctionDef:
-    """A function with TIME_UNIT as last constant, which multiplies its first rates[name] components (None: all)."""
+    """A function with TIME_UNIT as last constant, by which its first rates[name] components (None: all) are multiplied."""
     unpacked = False
     for statement in node.body:
         match statement:
@@ -233,7 +233,7 @@ def _losses(key: str, equations: Any, observables: Collection[str]) -> tuple[str
                 f"{key}: LOSSES: {shown(name)} is no first integral; {allowed_text(name, integrals)}"
             )
     for name in losses.values():
-        if name in observables:  # observables are in the caller's units inside a kernel
+        if name in observables:  # kernels compute observables in the caller's units
             raise BadInput(f"{key}: LOSSES: {shown(name)} is an observable; choose another function")
     return tuple(losses.values())
 

@@ -27,7 +27,7 @@ Points = Mapping[str, Array]
 
 # Parameters above this magnitude, or positive ones below its inverse, may have overflowing products and quotients.
 MAX_MAGNITUDE = 1e60
-# Largest condition residual (dimensionless) of a start on a family, and largest sin theta on the vertical.
+# Largest condition residual (dimensionless) of a start on a family, and largest sin theta that counts as on the vertical.
 FAMILY_TOLERANCE = 1e-10
 # Name of `System.natural_rate` in arithmetic of scenes and in datasets.
 NATURAL_RATE = "natural_rate"
@@ -112,7 +112,7 @@ NEAR = "near "
 
 @dataclass(frozen=True)
 class Family:
-    """A family of exact motions: theta = theta0, psi' = n, phi' = m, the same about other axes, or in a plane."""
+    """A family of exact motions: theta = theta0, psi' = n, phi' = m, the same about other axes, or motions in a plane."""
 
     name: str
     flag: int = 0  # value of the dataset variable `family`, from 1; see `numbered`
@@ -135,7 +135,7 @@ class Family:
     paper_wording: str = ""
     exists: str = ""  # limits of existence beyond the conditions
     free: tuple[str, ...] = ()  # parameters that the conditions leave free
-    # points -> axes and rates of a motion that is about other axes than the third and the vertical; None: about these two
+    # points -> axes and rates of a motion about other axes than the third and the vertical; None: the motion is about these two
     axes: Callable[[Points], TwoAxes] | None = None
     # (points, durations) -> standard deviation, (points,), of the varying rate of a body that turns about its third axis on
     # the vertical; an infinite duration means whole periods. None: the motion is steady
@@ -155,7 +155,7 @@ class PublishedEquation:
     """
 
     number: str
-    family: str  # family that it describes; "" for the equations of motion and other formulas
+    family: str  # family that the equation describes; "" for the equations of motion and other formulas
     printed: str
     true: str
     verdict: str  # true, misprint, false, incomplete, or "true at ..., false at ..."
@@ -229,7 +229,7 @@ def _or_extension(method: _F) -> _F:
 
 
 class System(ABC):
-    """A physical system: what kernels, labels, scenes and figures use of it.
+    """A physical system, with the members that kernels, labels, scenes and figures use.
 
     A system is a subclass that defines its names, `equations`, `parameters` and `initial_state`, and either the motion of
     a body relative to a frame (``frame_motion`` of the equations) or `observables`; every other member has a default.
@@ -313,13 +313,13 @@ class System(ABC):
         return np.reshape(np.array(rows, float), (len(rows), *shape))
 
     def integral_scales(self, points: Points) -> Mapping[str, Array]:
-        """Where each first integral, with its losses, is constant, and the least scale of its relative error.
+        """Where each first integral, with its losses, is constant, and a lower bound of the scale of its error.
 
         Returns
         -------
         mapping of every name in ``equations.INTEGRALS`` to an array (points,)
             nan where the integral is not constant, even with its losses; elsewhere a lower bound, in units of the integral,
-            of the sum of the magnitudes of its terms, which divides its error. The default is 0: constant everywhere.
+            of the sum of the magnitudes of its terms, by which its error is divided. The default is 0: constant everywhere.
         """
         return {name: np.zeros(shape_of(points)) for name in self.equations.INTEGRALS}
 
@@ -499,7 +499,7 @@ class System(ABC):
 
         A motion is stable where every characteristic exponent is imaginary and simple, or the energy has a minimum; unstable
         where one has a positive real part. Zero exponents that come from a symmetry or a conserved momentum are ignored. If
-        others are zero or equal up to rounding, distances may grow like a power of time: then the stability is unknown and
+        other exponents are zero or equal up to rounding, distances may grow like a power of time: then the stability is unknown and
         the growth rate 0. The default uses the formulas of families.
 
         Parameters
@@ -603,7 +603,7 @@ def stress_cases_of(system: System) -> list[StressCase]:
 
 
 def other_families(system: System) -> list[Family]:
-    """Families about other axes than the third and the vertical, or of varying rate, also of extensions."""
+    """Families of motions about other axes than the third and the vertical, or at a varying rate, also of extensions."""
     return [family for family in families_of(system).values() if family.axes or family.rate_std]
 
 
@@ -746,7 +746,7 @@ def unsteady(system: System, flags: Flags) -> Mask:
 
 
 def rate_std(system: System, points: Points, flags: Flags, duration: Array) -> Array:
-    """Standard deviation over runs of the rate about the vertical, rad per time unit, (points,); 0 for steady motions."""
+    """Standard deviation, over each run, of the rate about the vertical, rad per time unit, (points,); 0 for steady motions."""
     result = np.zeros(flags.shape)
     for family in families_of(system).values():
         if family.rate_std and (members := np.flatnonzero(flags == family.flag)).size:

@@ -26,7 +26,7 @@ class Origin:
     files: tuple[Path, ...]  # its source files
 
     def changed(self) -> Path | None:
-        """The file, or the folder of several, if contents have changed since registration; else None."""
+        """The only file, or the folder of several files, if contents have changed since registration; else None."""
         if self.files and _hash_of_files(self.files) != self.code:
             return self.files[0].parent if len(self.files) > 1 else self.files[0]
         return None

@@ -15,7 +15,7 @@ from .vectors import cross, dot, length, principal
 
 # Largest rounding error of a sum, relative to the magnitudes of its terms, if each term has fewer than 40 roundings.
 TERM_ROUNDING = 64 * 2.0**-53
-# Residual of the equations, divided by the squared frequency bound, above which a start is no steady motion in spite of rounding.
+# Residual of the equations, divided by the squared frequency bound, above which a start is surely no steady motion.
 GATE = 1e-6
 
 
@@ -101,7 +101,7 @@ def growth_about_vertical(system: System, points: Points) -> Array:
 def lacks_theory(system: System, points: Points) -> Mask:
     """Whether a start may be on a family of an extension that is not installed, (points,).
 
-    It may be where the third axis stays on the vertical at first while the rate about the vertical changes.
+    It may be on such a family where the third axis stays on the vertical at first while the rate about the vertical changes.
     """
     is_complete = reserved_families(system.name).keys() <= families_of(system).keys()
     if is_complete or isinstance(polynomial_degree(system), str):

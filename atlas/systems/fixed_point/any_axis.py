@@ -120,7 +120,7 @@ def _with_unit_weight(points: Points) -> Points:
 
 
 def section_normals(inertia: Array) -> Array:
-    """Magnitudes of the components of the normals of the circular sections of the ellipsoid of inertia."""
+    """Normals of circular sections of the ellipsoid of inertia; of each component the magnitude, as only signs differ."""
     order = np.argsort(inertia, axis=0, kind="stable")
     low, middle, high = np.take_along_axis(inertia, order, 0)
     squares = np.array([middle - low, np.zeros_like(low), high - middle]) / (high - low)
@@ -174,7 +174,7 @@ class Precession(Start):
     """A free symmetric body that turns about its axis of symmetry and its angular momentum."""
 
     def axes(self) -> TwoAxes:
-        """G / A is the angular velocity about the angular momentum G, ((A - C) w.s - l.s) / A the rate about s."""
+        """Axes and rates: |G| / A about the angular momentum G, and ((A - C) w.s - l.s) / A about s."""
         s = self.axis_of_symmetry((2, 0, 1), self.rotor)
         momentum = self.inertia * self.w + self.rotor
         axial = dot(self.inertia * s, s)

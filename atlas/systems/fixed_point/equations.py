@@ -67,7 +67,7 @@ def frame_motion(state, constants):
     return p, q, r, g1, g2, g3
 
 
-# First integrals, each as the tuple of its terms: the change of the sum is compared with their magnitudes.
+# First integrals, each as the tuple of its terms, because the change of their sum is compared with their magnitudes.
 
 
 def energy(state, constants):

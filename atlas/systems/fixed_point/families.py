@@ -187,7 +187,7 @@ def _solve_rest(angle: str, points: Points) -> Array:
 
 
 def third_axis(points: Points) -> TwoAxes:
-    """Motion about e3 at m and the vertical at n."""
+    """Motion about e3 at the rate m and about the vertical at the rate n."""
     gamma = vertical(points)
     _, n, m = rates(points)
     return TwoAxes(principal(np.full(m.shape, 2)), m, gamma, n)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..base import Array, Mask
 
-# Fraction of their scale below which moments, momenta and torques are rounding; its square root is below all growth rates that count.
+# Moments, momenta and torques below this fraction of their scale are rounding; all growth rates that count are above its root.
 NEGLIGIBLE = 1e-13
 # Fraction of the rate of the free body below which rates of frame and fields are ignored in the natural rate.
 SLOW = 1e-4
@@ -158,7 +158,7 @@ class Body(NamedTuple):
     def _variations(
         self, directions: tuple[Direction, Direction], alpha: Array, gamma: Array
     ) -> tuple[Array, Array]:
-        """Gradient and Hessian of the potential of these directions and beta under rotations of the body."""
+        """Gradient and Hessian, under rotations of the body, of the potential of `directions` and beta."""
         gradient, hessian = np.zeros(1), np.zeros(1)
         for d, v in self._along(directions, alpha, gamma):
             slope = d.gradient[..., None] * self.inertia * v + d.field

@@ -31,7 +31,7 @@ from ..base import Array, Flags
 from .body import Body, length, quadratic_roots
 from .fundamental import of_harmonics
 
-# Largest error of |s| - 2 and (s1 - s2)^2 / 4, s = multiplier + 1/multiplier, from rounding and integration: where multipliers
+# Largest error, by rounding and integration, of |s| - 2 and (s1 - s2)^2 / 4, s = multiplier + 1/multiplier; where multipliers
 # collide at +-1, a shift of s by 1e-7 appears as growth by 3e-4 over a period.
 TRACE_TOLERANCE = 1e-7
 _STEP = 1.4  # largest product of step and norm of the system, with errors of about 1e-7
@@ -41,7 +41,7 @@ _ADIABATIC_PHASES = 256
 _ADIABATIC_GROWTH = 10.0
 # Distance of frozen exponents from a collision, divided by the rate of rotation, above which nothing grows.
 _ADIABATIC_MARGIN = 4.0
-_STEPS_PER_NORM = 2  # steps per unit of norm x period along a closed form: errors of the trace below 1e-7
+_STEPS_PER_NORM = 2  # steps per unit of norm x period on closed forms; errors of the trace are below 1e-7
 _MIN_STEPS_CLOSED = 32
 
 

@@ -35,7 +35,7 @@ def angular_velocity(points: Points, rate: Array, gamma: Array) -> Array:
 
 
 def about_third_axis(points: Points) -> TwoAxes:
-    """Motion about e3 at m and the vertical at n, of starts given by angles and rates."""
+    """Motion about e3 at the rate m and about the vertical at the rate n, for starts given by angles and rates."""
     gamma = directions(points)[1]
     return TwoAxes(principal(np.full(gamma.shape[1:], 2)), points["m"], gamma, points["n"])
 
@@ -180,12 +180,12 @@ def _solve(function: Callable[[Points], Array], keep: bool, name: str, points: P
 
 
 def each(solver: Callable[[str, Points], Array], *names: str) -> Mapping[str, Solver]:
-    """Parameter -> solver, from a function of the name of a parameter and points."""
+    """Parameter -> solver; the argument `solver` is a function of the parameter's name and points."""
     return {name: partial(solver, name) for name in names}
 
 
 def nearest_root(roots: Array, near: Array) -> Array:
-    """Root, among (roots, points), nearest to a value, or the largest of several for near = inf; nan where there is none."""
+    """The one of `roots`, (roots, points), nearest to `near`, or the largest of several for near = inf; nan where there is none."""
     finite = np.isfinite(roots)
     distance = np.where(np.isinf(near), -np.abs(roots), np.abs(roots - near))
     nearest = np.take_along_axis(roots, np.where(finite, distance, np.inf).argmin(0)[None], 0)[0]

@@ -16,7 +16,7 @@ from .oscillations import Equilibria, energy_minima
 
 FREQUENCIES = ("frequency_1", "frequency_2", "frequency_3")
 _CHUNK = 2048  # points whose exponents are computed together
-# Logarithm of the largest growth of an amplitude over a run that is no sign of an instability.
+# Logarithm of the growth over a run up to which the growth is a change of amplitude and no instability.
 _AMPLITUDE_GROWTH = 10.0
 
 
@@ -75,7 +75,7 @@ class Gyrostat(System):
         return w, others[0] if others else transverse_axes(gamma)[..., 0, :], gamma
 
     def _triples(self, states: Array) -> list[Array]:
-        """The angular velocity and the directions at rest in the frame of states (states, points), each (points, 3)."""
+        """From states (states, points) the angular velocity and the directions at rest in the frame, each (points, 3)."""
         state = dict(zip(self.equations.STATE, states, strict=True))
         names = self.rate_states, *self.equations.FRAME_VECTORS
         # Each component is contiguous in memory, which makes sums over components several times as fast.
@@ -100,7 +100,7 @@ class Gyrostat(System):
         return stable, growth
 
     def stability(self, points: Points) -> tuple[Flags, Array]:
-        """Stability and growth rate from eigenvalues or multipliers alone; the points start steady motions, (points,)."""
+        """Stability and growth rate from eigenvalues or multipliers alone, (points,); each point starts a steady motion."""
         body, start = self.body(points), self.start(points)
         stable, growth = np.zeros(body.turn.size, np.int8), np.full(body.turn.size, np.nan)
         for first in range(0, body.turn.size, _CHUNK):
@@ -148,7 +148,7 @@ class Gyrostat(System):
         return result
 
     def conservative_stability(self, points: Points, flags: Flags) -> tuple[Flags, Mask]:
-        """Stability by the energy at fixed momenta, as EnergyStability, and where it holds for a body with an axis of symmetry."""
+        """Stability by the energy at fixed momenta, as EnergyStability, and where it is YES for a body with an axis of symmetry."""
         result, members = np.zeros(flags.shape, np.int8), np.flatnonzero(flags > 0)
         symmetric, part = np.zeros(flags.shape, bool), subset(points, members)
         rest = Equilibria.of(self.body(part), *self.start(part), from_space=False)

@@ -3,7 +3,7 @@
 With the rotor and the magnet along an axis s of the body and without drag or a field along the radius the body is a spherical
 top in the field along the normal: w = N g + m s with N (C m + k.s) = h3 mu.s; in the orbital frame its rate about the normal
 g is N - Omega. Without rotor and magnet every rotation is of this kind, with N = 0 and s along w: it is a permanent rotation in
-space. A rotor and any other start precess about the angular momentum, which is at rest in space but not in the orbital frame.
+space. With a rotor alone any other start precesses about the angular momentum, which is at rest in space but not in the orbital frame.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def axis_in_frame(state, constants):
     return a3 * a_inv, (g1 * a2 - g2 * a1) * a_inv * g_inv
 
 
-# First integrals, each as the tuple of its terms: the change of the sum is compared with their magnitudes.
+# First integrals, each as the tuple of its terms, because the change of their sum is compared with their magnitudes.
 
 
 def jacobi(state, constants):

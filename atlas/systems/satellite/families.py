@@ -55,7 +55,7 @@ def nearest_pole(name: str, p: Points) -> Array:
 
 
 def _theta(p: Points) -> Array:
-    """Tilt in [0, pi] from k3 and m; where h1 mu3 sin psi0 or drag3 cos psi0 gives several, the nearest to a wanted one, else nan."""
+    """Tilt in [0, pi] from k3 and m; where h1 mu3 sin psi0 or drag3 cos psi0 gives several, the one nearest to a wanted tilt, or nan."""
     sp, cp = node(p)
     momentum = p["k3"] + p["C"] * p["m"] - relative_to(p["mu3"] * p["h3"], p["Omega"])
     cosine = ratio(momentum, p["Omega"] * flatness(p) * (1 + 3 * sp**2), np.nan)

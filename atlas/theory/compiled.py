@@ -126,7 +126,7 @@ def _equations(system: System) -> dict[str, str]:
 
 
 class _Sum(ast.NodeTransformer):
-    """Makes sums of differences and magnitudes of function values: of magnitudes, the result is the sum of the magnitudes of terms."""
+    """Replaces - by + and function values by magnitudes, so that at magnitudes the result is the sum of the magnitudes of the terms."""
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)

@@ -46,7 +46,7 @@ def find_motions(
     angle_tolerance: float,
     in_machine_code: bool = False,
 ) -> tuple[TwoAxes, SteadyTest]:
-    """Steady motion of each start, if none the motion about the third axis and the vertical, and its test by the equations.
+    """Steady motion of each start, or without one the motion about third axis and vertical, and the test of the start by the equations.
 
     base: before a nudge; points: after it, None: no nudge. Within angle_tolerance (rad) of the vertical only the tilt and the
     rate about the vertical count. The system has a `polynomial_degree`.

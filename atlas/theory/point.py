@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 Vector: TypeAlias = tuple[float, float, float]  # in body axes
-Value: TypeAlias = Any  # a number of one start, or a column of many, (points,)
+Value: TypeAlias = Any  # a number for one start, or an array (points,) for many
 
 THIRD = (0.0, 0.0, 1.0)  # the third axis
 
@@ -88,7 +88,7 @@ def cross(a, b):
 
 
 def cross_sum(a, b):
-    """Vector product with plus signs; of magnitudes, the sum of the magnitudes of the terms."""
+    """Vector product with plus signs; for magnitudes, the sum of the magnitudes of the terms."""
     return a[1] * b[2] + a[2] * b[1], a[2] * b[0] + a[0] * b[2], a[0] * b[1] + a[1] * b[0]
 
 

@@ -43,7 +43,7 @@ KEPT = 1 / 3
 
 
 def find(before, after, duration, rate_tolerance, angle_tolerance, nudged, lacks_theory):
-    """Steady motion of a start, if none the motion about the third axis and the vertical, and its test by the equations.
+    """Steady motion of a start, or without one the motion about third axis and vertical, and the test of the start by the equations.
 
     lacks_theory: whether the start may be on a family of a missing extension.
     """

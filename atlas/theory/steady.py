@@ -61,7 +61,7 @@ from .point import (
     unit,
 )
 
-# Fraction of its operands below which a difference of rates is rounding.
+# A difference of rates below this fraction of the rates is rounding.
 UNIT_ERROR = 2.0**-51
 RATIO = 1e-9
 # Largest error of axes from derivatives, in units of rounding, by which the test of the residual is widened.
@@ -81,7 +81,7 @@ class Existence(IntEnum):
 
 
 def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance, angle_tolerance):
-    """Value of Existence of a start, and its steady motion, or if none the motion about the third axis and the vertical.
+    """Value of Existence of a start, and its steady motion, or without one the motion about the third axis and the vertical.
 
     rates: (sin theta, n, m) of System.steady_rates; bound: of frequencies.
     """
@@ -94,7 +94,7 @@ def steady_motion(w, vectors, constants, rates, bound, duration, rate_tolerance,
 
 
 def exact_motion(start, constants, rates, bound):
-    """Whether a start is a steady motion to rounding, and this motion, else the one about the third axis and the vertical."""
+    """Whether a start is a steady motion to rounding, and this motion, else the motion about the third axis and the vertical."""
     about_third = motion_about_third(start, rates)
     if is_beside(start, about_third, bound) and is_steady(start, constants, about_third, bound, False):
         return True, about_third

@@ -32,15 +32,15 @@ Places = NDArray[np.int64]
 # Two solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the error of every rival.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction and by a step of Newton's method, rad
-_ROUNDS, _GOLDEN = 30, 0.618034  # divisions of an interval, at fractions that meet no special value
+_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; change of the fraction in each
 _DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # step at which Newton's method stops
-_CONVERGED = 1e-9  # largest last step of a converged value, in units of the range
-_SETTLED = 1e-6  # largest last step, rotation included; near a pitchfork each step only halves the error
+_CONVERGED = 1e-9  # largest last step at which a value has converged, in units of the range
+_SETTLED = 1e-6  # the same with the rotation; near a pitchfork each step only halves the error
 _BLOCK = 512  # intervals whose solutions are matched at once
 _SAME = 1e-3  # largest distance of coincident points
-# Relative sizes: of the eigenvalue of a degenerate solution, at most; of the derivative along the null vector at a fold, at least.
+# Largest relative eigenvalue of a degenerate solution; least relative derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 
 
@@ -72,9 +72,9 @@ class BodyFamily(NamedTuple):
     """Bodies that depend on parameters."""
 
     system: Gyrostat
-    points: Callable[[Array], Points]  # every parameter of bodies from the values (bodies, parameters)
+    points: Callable[[Array], Points]  # values (bodies, parameters) -> every parameter of these bodies
     limits: Array  # lowest and highest values of the parameters, (2, parameters)
-    upright: bool  # every solution may be turned about the vertical
+    upright: bool  # whether every solution may be turned about the vertical
     axis: int  # axis of the body about which every solution may be turned; -1: none
 
     @classmethod
@@ -99,7 +99,7 @@ class BodyFamily(NamedTuple):
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Gradient of W, Hessian plus the projector onto the cyclic directions, both over their size, and the projector."""
+        """Gradient of W, Hessian plus the projector onto the cyclic directions, both divided by their size, and the projector."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
@@ -138,7 +138,7 @@ class BodyFamily(NamedTuple):
             step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
-            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # bodies may not exist beyond
+            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # no body may exist beyond
             if (length(step) < _EXACT).all():
                 break
         return Singular(values, frames, vectors[np.arange(count), :, number], slopes, step)
@@ -149,10 +149,10 @@ class Nodes(NamedTuple):
 
     values: Array  # (nodes,)
     frames: Array  # rows alpha, beta, gamma in body axes; nan where unused, (nodes, places, 3, 3)
-    morse: NDArray[Any]  # Morse index, -1 where unused and of complex solutions, (nodes, places)
+    morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation per unit of the parameter along the branch, (nodes, places, 3)
-    distance: Array  # along the parameter to where solutions may merge, to first order, (nodes, places)
-    usable: Mask  # all listed, none degenerate, and the sum of (-1)^index is right, (nodes,)
+    distance: Array  # change of the parameter until solutions may merge, to first order, (nodes, places)
+    usable: Mask  # all solutions listed, none degenerate, sum of (-1)^index right, (nodes,)
 
 
 Solution = tuple[int, int]  # node and place
@@ -165,14 +165,14 @@ class Bifurcation(NamedTuple):
     frame: Array
     direction: Array  # rotation vector in body axes along which the solutions separate
     kind: BifurcationKind
-    error: float  # of the value: last step of Newton's method, or half of an interval
-    solutions: list[Solution]  # one of each branch that meets here
+    error: float  # error of the value: last step of Newton's method, or half of an interval
+    solutions: list[Solution]  # one solution of each branch that meets here
 
 
 def solutions_at(
     family: BodyFamily, values: Array, stability: bool = False
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """All solutions at some values, (nodes,), and the variables of `equilibria_of_bodies`; stability: also its STABILITY."""
+    """All solutions at some values, (nodes,), and the variables of `equilibria_of_bodies`; stability: whether these include STABILITY."""
     points = family.points(values[:, None])
     listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
@@ -189,7 +189,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # Change of the parameter to where an eigenvalue of a solution vanishes, or two complex solutions become one.
+    # Minus the change of the parameter after which an eigenvalue of a solution vanishes, or two complex solutions become one.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -220,7 +220,7 @@ def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Plac
 
 
 def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places) -> Places:
-    """Place at the upper end of an interval of the solution that continues each one at the lower end, -1: none."""
+    """For each solution at the lower end of an interval, the place at the upper end of the solution that continues it, -1: none."""
     followers = []
     for first in range(0, low.size, _BLOCK):
         a, b = low[first : first + _BLOCK], high[first : first + _BLOCK]
@@ -230,7 +230,7 @@ def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places)
 
 
 def unambiguous_matches(errors: Array) -> Places:
-    """Column of the least error in each row, (N, rows); -1 where it is not small or not clearly the least of its row and column."""
+    """Column of the least error in each row, (N, rows); -1 where this error is not small, or not clearly the least of its row and column."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
@@ -245,9 +245,9 @@ def bifurcations_between(
     singular: Singular,
     limits: Array,
 ) -> tuple[list[Bifurcation], bool]:
-    """The bifurcations between two nodes, and whether they explain all solutions that end or change their index there.
+    """The bifurcations between two nodes, and whether they explain every branch that ends or changes its index between the nodes.
 
-    singular: results of Newton's method from the starts; kinds: masks of the starts that end, and that change their index.
+    starts: solutions at the nodes; singular: Newton's method from each start; kinds: masks of starts whose branch ends, and whose index changes.
     """
     points: list[Bifurcation] = []
     values, places, (ends, changes) = singular.values[:, 0], family.place(singular.frames), kinds
@@ -274,7 +274,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # no solution ends or changes here: the value must be that of a point where some do
+        else:  # no branch ends or changes its index here: the value must be that of another point
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -287,7 +287,7 @@ class Branches(NamedTuple):
 
     listed: dict[str, NDArray[Any]]  # variables of `equilibria_of_bodies` at each value
     branch: Places  # number of the branch of each solution, -1: none, (values, places)
-    points: list[Bifurcation]  # in the order of their values
+    points: list[Bifurcation]  # bifurcations in the order of their values
     meeting: list[list[int]]  # branches that meet at each point
     total: int  # number of all branches, including those that exist only between two values
 
@@ -338,7 +338,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
             halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
             pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
-    # Given values at bifurcations are not usable as nodes: the nodes on both sides predict their solutions.
+    # Given values that are bifurcations cannot be nodes: their solutions are predicted from the nodes on both sides.
     every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
     low, high = nodes.values[every].T
     which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))

@@ -31,7 +31,7 @@ from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
 _MEETS_AT_0 = 1e-6  # largest squared exponent at an end of a limit of stability that counts as 0
-# Largest rates of the parameters at cusps; folds go straight on through bodies with circles of equilibria.
+# Largest rates of the parameters at a cusp; at bodies with circles of equilibria folds go straight on, at greater rates.
 _TURNS = 1e-6
 
 
@@ -81,7 +81,7 @@ class Borders(NamedTuple):
     potential: Potential
     lines: list[Curve]
     morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
-    changes: Array  # of the numbers of all and of stable solutions there, left of the curve minus right, (2, vertices)
+    changes: Array  # numbers of all and of stable solutions, left of the curve minus right, (2, vertices)
     axis: Array  # positions, along each side, of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
@@ -138,7 +138,7 @@ class Borders(NamedTuple):
         return values
 
     def polylines(self, divisions: int, chosen: Mask) -> list[Array]:
-        """Polylines of the borders from chosen vertices to the next ones, in the units of the axes; divisions: parts of a cubic."""
+        """Polylines of the borders from chosen vertices to the next ones, in the units of the axes; divisions: straight parts of a cubic."""
         lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
         for line, own in zip(self.lines, np.split(chosen, ends), strict=False):
             parts = Segments.of([line])
@@ -151,7 +151,7 @@ class Borders(NamedTuple):
 
 
 def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) -> list[Curve]:
-    """The parts of curves on which bodies are possible, cut where this ends."""
+    """The parts of curves on which bodies are possible; curves are cut at the limits of possible bodies."""
     inside = [possible(line.points) for line in lines]
     changes = [np.r_[each[1:] != each[:-1], False] for each in inside]
     parts = Segments.of(lines, changes)
@@ -185,7 +185,7 @@ def borders(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float
-        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n of the fixed_point, the
+        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
         rate of rotation.
     ranges : mapping of str to sequence of float
         Two parameters, or other names that `ties` refer to -> lowest and highest value.
@@ -199,8 +199,8 @@ def borders(
     -------
     Dataset
         Over the dimension "vertex", curve by curve: both parameters by their names; curve; kind (flags); arc, the length of the
-        curve in attitude (rad), parameters (over their ranges) and, on limits of stability, the squared double exponent (over a
-        squared rate); ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
+        curve in attitude (rad), parameters (in units of their ranges) and, on limits of stability, the squared double exponent (in
+        units of a squared rate); ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
         index_below and index_above, the Morse indices on both sides (0: minimum); count_change, stable_change, residual and
         condition. Indices and changes hold from the vertex to the next one. Over the dimension "special": parameters and angles
         of cusps and meetings as ``special_<name>``, special_curve and special_kind (flags). cells (flags), over a coarse grid
@@ -346,6 +346,6 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
     """Parameters and attitudes of points."""
     low, high = np.transpose(list(curves.plane.extent.values()))
-    values = np.clip(curves.values(points.parts[4]), low, high)  # rounding errors may lead outside
+    values = np.clip(curves.values(points.parts[4]), low, high)  # rounding may lead outside of the limits
     frames = frames_of(*curves.potential.attitudes(points.parts[0]))
     return dict(zip(curves.plane.extent, values.T, strict=True)) | attitudes(frames)

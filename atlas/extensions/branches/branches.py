@@ -42,7 +42,7 @@ def branches(
 ) -> xr.Dataset:
     """Branches of relative equilibria, or of permanent rotations about the vertical, against one parameter.
 
-    All solutions are computed at every value, and solutions of neighbouring values joined; an interval in which a solution
+    All solutions are computed at every value, and solutions of neighbouring values are joined; an interval in which a solution
     begins, ends or changes its stability is divided until each bifurcation in it follows from Newton's method.
 
     Parameters
@@ -50,7 +50,7 @@ def branches(
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float
-        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n of the fixed_point, the
+        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
         rate of rotation.
     along : mapping of str to sequence of float
         One parameter, or another name that `ties` refer to -> its values, two or more.
@@ -65,7 +65,7 @@ def branches(
         completeness (flags), equilibrium_count and index_sum, the sum of (-1)^index: 0 for a satellite without symmetry, 2 for
         one with an axis of symmetry and for permanent rotations; both are nan where they are not certain. Over the
         dimension "fold", the bifurcations in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags),
-        angles, vectors and potential as fold_theta0, ..., fold_direction, in which the solutions separate, and fold_branch, the
+        angles, vectors and potential as fold_theta0, ..., fold_direction, along which the solutions separate, and fold_branch, the
         branches that meet.
 
     Raises

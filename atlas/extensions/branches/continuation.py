@@ -16,37 +16,37 @@ from ...systems.base import Array, Mask
 from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
-_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # lengths of steps; most steps
+_FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # first, longest and shortest step; most steps
 # Length of a step across a point at which another curve crosses; limits of stability are more singular there.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain: another curve crosses
-_NONE = 1e-10  # share of the largest value that counts as 0
-_ILLINOIS, _NO_SHARE = 14, 1e-15  # of the bracketed secant method: iterations, last change
-_ITERATIONS = 10  # of least squares, where the equations are singular
+_NONE = 1e-10  # fraction of the largest value below which a value counts as 0
+_ILLINOIS, _NO_SHARE = 14, 1e-15  # bracketed secant method: most iterations, last change
+_ITERATIONS = 10  # number of iterations of least squares, where the equations are singular
 _MISSED = 3e-5  # distance of a vertex from its prediction for which the cubic errs by less than 1e-6
-_ON_CURVE = 1e-6  # distance from a vertex within which a point is the same
-_SETTLED = 1e-6  # largest last step of Newton's method; its square is the error left
+_ON_CURVE = 1e-6  # distance from a vertex within which a point counts as the vertex
+_SETTLED = 1e-6  # largest last step of Newton's method, whose square is about the remaining error
 # Number of points near a vertex among which the next one is sought, and the length after which they are chosen anew.
 _NEIGHBOURS, _LOOK = 32, 0.2
-_ASTRAY = 0.1  # least distance from the cubic, over the distance of its vertices, of a point that is on another curve
-# Least product of successive unit null vectors of one curve: with nearly equal moments another curve is close.
+_ASTRAY = 0.1  # distance from the cubic / distance of its vertices above which a point is on another curve
+# Least scalar product of successive unit null vectors of one curve; with nearly equal moments another curve may be close.
 _SAME_VECTOR = 0.3
-_BACK = 1e-6  # least -product of the parameters' rates at both vertices of a turn, over their squares
-# Limits of stability shorter than this, and their vertices closer than this, in ranges and in length, are dropped: near ends their
-# equations are nearly singular.
+_BACK = 1e-6  # between vertices with parameter rates a and b, a curve turns if -a.b > _BACK (a.a + b.b)
+# Limits of stability that span less than this in the ranges of the parameters are dropped, and vertices of limits nearer than this
+# to others or to ends: near ends the equations of limits are nearly singular.
 _SAME_END = 2e-5
-_OBLIQUE = 0.3  # distance of the next point from the tangent, over its distance along it
+_OBLIQUE = 0.3  # largest distance of the next point from the tangent / its distance along the tangent
 
 
 class Piece(NamedTuple):
-    """Part of a curve between two points; point i has the ends 2 i ahead and 2 i + 1 behind; -1: side of the box, -2: lost."""
+    """Part of a curve between two ends; point i has the ends 2 i ahead and 2 i + 1 behind, a side of the box is -1, a lost end -2."""
 
     length: float
     first: int
     last: int
-    mirrored: bool  # whether it leads to the mirror image of the last point
-    unknowns: Array  # of the vertices, (vertices, unknowns)
+    mirrored: bool  # whether the piece leads to the mirror image of the last point
+    unknowns: Array  # unknowns of the vertices, (vertices, unknowns)
     tangents: Array
 
 
@@ -59,12 +59,12 @@ class Curve(NamedTuple):
     lost: bool  # whether an end is not on the border of the box
 
     def sound(self) -> Mask:
-        """Which vertices are on the curve and not between pitchforks at which nothing bifurcates."""
+        """Which vertices are on the curve, and are not pitchforks without bifurcating solutions between two more of these."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
     def runs(self, kept: Mask) -> list[Curve]:
-        """The parts of two or more successive vertices that are kept."""
+        """The parts of the curve with two or more successive vertices in `kept`."""
         if kept.all():
             return [self]
         cuts = np.flatnonzero(np.diff(kept)) + 1
@@ -99,7 +99,7 @@ def curves(points: Degenerate, tangents: Array) -> list[Curve]:
 
 
 def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
-    """Indices of the points, without those a short way ahead of or behind another one on the same curve."""
+    """Indices of the points, without points that are a short way ahead of or behind another point on the same curve."""
     count, place, along = len(tangents), points.place, _of_place(points, tangents)
     targets, _ = _with_images(points, tangents)
     near = _nearest(place, targets)
@@ -115,7 +115,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether the seeds `near` each point (numbers beyond their count: mirror images) have its kind and its null vector."""
+    """Whether the seeds `near` each point have its kind and its null vector; numbers beyond the count of seeds mean mirror images."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -123,7 +123,7 @@ def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Ma
 
 
 def _along_and_across(gap: Array, along: Array) -> tuple[Array, Array]:
-    """Components of vectors along unit tangents, and the squares of those across."""
+    """Components of vectors along unit tangents, and squared distances of the vectors from the tangents."""
     ahead = np.einsum("nki,ni->nk", gap, along)
     return ahead, (gap**2).sum(-1) - ahead**2
 
@@ -140,7 +140,7 @@ def _of_place(points: Degenerate, rows: Array) -> Array:
 
 
 def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
-    """x, position and s of points and then of their mirror images, and the tangents along these."""
+    """x, position and s of points and then of their mirror images, and the components of the tangents along x, position and s."""
     place, along = points.place, _of_place(points, tangents)
     if not points.potential.mirrored:
         return place, along
@@ -156,7 +156,7 @@ def _in_unknowns(points: Degenerate, rows: Array) -> Array:
 
 
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
-    """The parts of curves that begin at some ends of points."""
+    """The parts of curves that begin at `ends` of the seeds, numbered as in `Piece`."""
     targets, target_along = _with_images(seeds, seed_tangents)
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
@@ -186,8 +186,8 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a point may be on the side
-        meets = (to_target <= 1.2 * arc) & ~leaves  # else the next step may begin at a point, not before it
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target may be on the side
+        meets = (to_target <= 1.2 * arc) & ~leaves  # else the next step may begin at the target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
         row = _in_unknowns(now, along)
@@ -205,7 +205,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         accepted &= (sign == orientation[active]) | (
             arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
         )
-        first = ~bend[active].any(1)  # on a first step the prediction is of lower order
+        first = ~bend[active].any(1)  # on the first step from an end the prediction is of lower order
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED
         angle = np.arccos(cosine)
@@ -239,7 +239,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
 
 
 def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
-    """Curves from pieces, which `of_end` has under both of their ends."""
+    """Curves from pieces; `of_end` has each piece under both of its ends."""
     flip, left = seeds.potential.mirror(), set(of_end)
     for seed in sorted({end // 2 for end in of_end}):
         if not left & {2 * seed, 2 * seed + 1}:
@@ -285,16 +285,16 @@ class Segments(NamedTuple):
     """Parts of curves between two vertices."""
 
     curve: NDArray[np.int64]  # number of the curve
-    vertex: NDArray[np.int64]  # at which it begins
+    vertex: NDArray[np.int64]  # number of the vertex at which the segment begins
     start: Degenerate
     end: Degenerate
     slopes: tuple[
         Array, Array
-    ]  # derivatives of the unknowns at both ends by the share of the way, from the tangents
+    ]  # derivatives of the unknowns by the fraction of the way, at both ends, from the tangents
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
-        """The segments that begin at chosen vertices of each curve, by default at all but its last."""
+        """The segments that begin at chosen vertices of each curve, by default at all vertices but the last."""
         chosen = chosen or [np.ones(len(line.tangents) - 1, bool) for line in lines]
         where = [np.flatnonzero(mask) for mask in chosen]
         number = np.repeat(np.arange(len(lines)), [k.size for k in where])
@@ -308,7 +308,7 @@ class Segments(NamedTuple):
         return cls(number, np.concatenate(where), start, end, (size * rows[0], size * rows[1]))
 
     def cubic(self, share: Array) -> Degenerate:
-        """Points at these shares of the way, by the cubic through both ends with their tangents."""
+        """Points at fractions `share` of the way, by the cubic through both ends with their tangents."""
         w, (first, last) = share[:, None], self.slopes
         unknowns = (1 + 2 * w) * (1 - w) ** 2 * self.start.unknowns + w * (1 - w) ** 2 * first
         return self.start._replace(
@@ -316,7 +316,7 @@ class Segments(NamedTuple):
         )
 
     def at(self, share: Array) -> tuple[Degenerate, Array]:
-        """Points of the curves at these shares of the way (of the cubics, if no curve is near), and their unit tangents."""
+        """Points of the curves at fractions `share` of the way (of the cubics, if no curve is near), and their unit tangents."""
         guess, chord = self.cubic(share), self.end.place - self.start.place
         reach, directions = _ASTRAY * length(chord), self._directions(share)
         points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
@@ -333,7 +333,7 @@ class Segments(NamedTuple):
         return points, tangents
 
     def inserted(self, lines: Sequence[Curve], share: Array) -> list[Curve]:
-        """The curves with more vertices, one on each of these segments at a share of the way."""
+        """The curves with one more vertex on each of these segments, at a fraction `share` of the way."""
         points, tangents = self.at(share)
         uncertain = ~(points.condition(tangents) < _SINGULAR)
         tangents[uncertain] = self._directions(share)[uncertain]
@@ -344,7 +344,7 @@ class Segments(NamedTuple):
         ]
 
     def _directions(self, share: Array) -> Array:
-        """Unit tangents of the cubics at these shares of the way."""
+        """Unit tangents of the cubics at fractions `share` of the way."""
         w, (first, last) = share[:, None], self.slopes
         rows = 6 * w * (1 - w) * (self.end.unknowns - self.start.unknowns)
         rows += (1 - w) * (1 - 3 * w) * first + w * (3 * w - 2) * last
@@ -366,7 +366,7 @@ def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
 def with_zeros(
     lines: Sequence[Curve], function: Callable[[Degenerate], Array]
 ) -> tuple[list[Curve], list[Mask]]:
-    """Curves with vertices also where a function changes its sign, and which vertices are its zeros."""
+    """Curves with vertices also where a function changes its sign, and masks of the vertices that are zeros of the function."""
     if not lines:
         return [], []
     values = [function(line.points) for line in lines]
@@ -389,7 +389,7 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves with vertices also where limits of stability turn back: at a pitchfork limits of mirror images are one curve."""
+    """Curves with vertices also where limits of stability turn back: the limits of mirror images are one curve, which turns at a pitchfork."""
     if not lines:
         return []
     every = Segments.of(lines)
@@ -401,13 +401,13 @@ def with_turns(lines: Sequence[Curve]) -> list[Curve]:
     parts = Segments.of(lines, chosen)
     chord = (parts.end.unknowns - parts.start.unknowns)[:, -3:-1]
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
-    middle = 2 * a + b - 3 * c  # the derivative of the cubic along back is 0
+    middle = 2 * a + b - 3 * c  # at `share` the derivative of the cubic along `back` is 0
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
     return parts.inserted(lines, share)
 
 
 def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves without limits of stability shorter than _SAME_END, and without their vertices within _SAME_END of others or of ends."""
+    """Curves without limits of stability shorter than _SAME_END, and without vertices of limits within _SAME_END of others or of ends."""
     result = []
     for line in lines:
         if line.points.limit[0]:
@@ -415,7 +415,7 @@ def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
                 continue
             arc, tangents = lengths(line), line.tangents.copy()
             after, before = np.searchsorted(arc, [_SAME_END, arc[-1] - _SAME_END])
-            tangents[[0, -1]] = tangents[[after - 1, before]]  # those at the ends are least certain
+            tangents[[0, -1]] = tangents[[after - 1, before]]  # tangents at the ends are least certain
             kept = np.r_[True, np.diff(arc) > _SAME_END]
             kept[:after] = kept[before:] = False
             kept[[0, -1]] = True

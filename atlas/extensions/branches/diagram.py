@@ -44,7 +44,7 @@ MARKERS: dict[BifurcationKind, Style] = {
     for kind, marker, face in zip(BifurcationKind, ("$?$", "o", "D", "x"), ("k", "k", "w", "k"), strict=True)
 }
 
-# Borders by their kind, and where a minimum ends: text and line; special points: text and marker.
+# Text and line of each kind of border, and of borders where a minimum ends; text and marker of special points.
 MINIMUM = 0
 BORDER_TEXTS = {
     MINIMUM: "a minimum ends",
@@ -64,7 +64,7 @@ SPECIAL: dict[int, tuple[str, Style]] = {
     )
 }  # fmt: skip
 
-# Bifurcations at which a branch ends with a vertical tangent, and steps between neighbouring points of a branch.
+# Bifurcations at which a branch ends with a vertical tangent; number of steps drawn between neighbouring points of a branch.
 TURNS, SUBDIVISION = (BifurcationKind.FOLD, BifurcationKind.PITCHFORK), 12
 
 
@@ -184,7 +184,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
 
 
 def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np.ndarray]]:
-    """Smooth lines by stability: parameter and variable, or vectors, of each branch between bifurcations and changes."""
+    """Stability -> smooth lines (parameter and variable, or vectors), which end at bifurcations and at changes of stability."""
     every, of_folds = ds[variable].values, ds.get(f"fold_{variable}")
     folds = np.full((ds.sizes["fold"], *every.shape[2:]), np.nan) if of_folds is None else of_folds.values
     lines: dict[int, list[np.ndarray]] = {}
@@ -213,7 +213,7 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
 def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_last: bool) -> np.ndarray:
     """Parameter and values, or unit vectors, of a branch with SUBDIVISION steps between its points and no corners.
 
-    At an end where the branch turns back, values change as the square root of the distance, over which they are interpolated.
+    At an end where the branch turns back, values change as the square root of the distance from it, and are interpolated in this root.
     """
     nodes = np.arange(len(position))
     steps = np.linspace(0, nodes[-1], nodes[-1] * SUBDIVISION + 1)

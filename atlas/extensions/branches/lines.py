@@ -22,13 +22,11 @@ from .borders import Borders
 from .starts import Cell
 
 CHANGE = "change of the number"
-COUNT_TRISECTIONS = 4  # of the distance between two neighbouring points of the atlas
-# The number of minima changes only where minima merge with others; that of stable equilibria also at limits of stability.
+COUNT_TRISECTIONS = 4  # number of trisections of the distance between two neighbouring points of the atlas
+# The number of minima changes only where minima merge with others, the number of stable equilibria also at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
-MANY_COUNTS = 300  # vertices whose tracing takes more than a second
-BETWEEN = (
-    6  # straight lines for the cubic between two vertices of a border, at most 1e-5 of the plane from it
-)
+MANY_COUNTS = 300  # number of vertices whose tracing takes more than a second
+BETWEEN = 6  # number of straight parts that replace a cubic of a border, within 1e-5 of the plane
 
 
 def count_lines(count: str, plane: Plane, ds: xr.Dataset) -> Lines:
@@ -48,8 +46,8 @@ of_all, of_stable, of_minima = (
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
     """Lines, under CHANGE, between the regions of a plane where a count has different values.
 
-    The lines are the borders of `Borders` if the bodies depend smoothly on the plane; for stable equilibria only on two axes,
-    and if the borders explain all counts. Otherwise they are traced between the points of the atlas: regions narrower than a
+    The lines are those of `Borders` if the bodies depend smoothly on the plane; lines of stable equilibria also need two axes, and
+    borders that explain all counts. Other lines are traced between the points of the atlas: regions narrower than a
     cell are missed, and a count that jumps over values gives several lines.
     """
     name = str(counts.name)

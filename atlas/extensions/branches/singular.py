@@ -32,20 +32,20 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, length, transverse_axes
 from ..equilibria.algebra import body_at_rest
 
-# Numbers of interpolation nodes along each axis, tried in turn; relative sizes of the last terms, at most, and of terms to drop.
+# Numbers of interpolation nodes along each axis, tried in turn; largest relative sizes of the last terms and of terms to drop.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # relative damping of least squares
-_WEIGHT = 100.0  # in least squares: multipliers and null vectors may change by so much more than x
-_MAX_TURN = 0.3  # of a step of Newton's method, in rad and ranges
-# Iterations from a start; largest last step of those that converge, if slowly, as at pitchforks; force along the null vector below
-# which a point may be a pitchfork; least relative singular value of regular points; their largest last step and force at pitchforks.
+_WEIGHT = 100.0  # in least squares multipliers and null vectors may change by this factor more than x
+_MAX_TURN = 0.3  # largest step of Newton's method, in rad and ranges
+# Number of iterations from a start; largest last step if they converge, slowly at pitchforks; force along the null vector below which
+# a point may be a pitchfork; least relative singular value of a regular point; largest residual, last step or force that counts as 0.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
-_VANISHES = 1e-7  # coefficient of the characteristic polynomial that counts as 0, over the largest one
-# Rounding error of the discriminant over the sum of its terms: two exponents may be equal along a whole curve.
+_VANISHES = 1e-7  # coefficient of the characteristic polynomial / largest one, below which it counts as 0
+# Rounding error of the discriminant divided by the sum of its terms: two exponents may be equal along a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
 # Distance from a pitchfork at which solutions are compared, iterations to reach them, and distances to search extrema of the momentum.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
-_ON_SIDE = 5  # iterations onto a side of the box
+_ON_SIDE = 5  # number of iterations onto a side of the box
 # Quadratic forms of two and of three orthonormal vectors.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
@@ -85,15 +85,15 @@ class Potential(NamedTuple):
 
     terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
     forms: Array  # E_k, (m, n, n)
-    axis: int  # of symmetry of all bodies; -1: none
-    upright: bool  # nothing acts along alpha and beta
-    mirrored: bool  # alpha -> -alpha leaves all potentials the same
+    axis: int  # axis of symmetry of all bodies; -1: none
+    upright: bool  # whether nothing acts along alpha and beta
+    mirrored: bool  # whether alpha -> -alpha leaves all potentials the same
     # Coefficients of I, k, Omega (2 I - tr I), Q and c along alpha, beta and gamma, and of their derivatives, (a, b, 81).
     bodies: Array
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
-        """The potentials of bodies whose parameters are functions of positions (N, 2); BadInput where these are not smooth."""
+        """The potentials of bodies whose parameters are functions of positions (N, 2); BadInput where the parameters are not smooth."""
         for count in _NODES:
             nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
@@ -204,7 +204,7 @@ class Potential(NamedTuple):
         return B, _solved(B @ np.swapaxes(B, 1, 2), B)
 
     def none(self) -> Degenerate:
-        """No point."""
+        """An object without points."""
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
@@ -405,7 +405,7 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l); derivatives by both parameters of the gradient, (N, n, 2); those of the solutions (x, l)."""
+        """Second derivatives in (x, l); derivatives by both parameters of the gradient, (N, n, 2); and of the solutions (x, l)."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
@@ -427,7 +427,7 @@ class Degenerate(NamedTuple):
     def stable_change(self) -> NDArray[np.int64]:
         """Change of the number of stable solutions across curves whose margins are positive, (N,).
 
-        One of two merging solutions is stable; with a cyclic angle both are, whose exponents vanish at extrema of the momentum.
+        One of two merging solutions is stable. With a cyclic angle both are, and their exponents vanish at extrema of the momentum.
         """
         change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
@@ -435,7 +435,7 @@ class Degenerate(NamedTuple):
         return change
 
     def _change_at_pitchforks(self) -> NDArray[np.int64]:
-        """Stable solutions gained on the side of a pitchfork with more solutions, from one solution beside the pitchfork, (N,)."""
+        """Change of the number of stable solutions to the side of a pitchfork with more solutions, from one solution beside it, (N,)."""
         _, _, toward = self.character()
         toward = toward / np.maximum(length(toward), np.finfo(float).tiny)[:, None]
         _, rates = self.values_and_rates()
@@ -456,7 +456,7 @@ class Degenerate(NamedTuple):
         return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
 
     def largest_square(self) -> Array:
-        """At limits of stability the largest square of the exponents, apart from a pair that vanishes, -inf elsewhere, (N,)."""
+        """Largest square of the exponents at limits of stability, apart from a pair that vanishes; -inf elsewhere, (N,)."""
         limits, result = self.take(self.limit), np.full(len(self.kind), -np.inf)
         x, _, _, _, position, s = limits.parts
         (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
@@ -511,7 +511,7 @@ class Degenerate(NamedTuple):
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
     def condition(self, rows: Array) -> Array:
-        """Condition numbers of the equations bordered by rows, (N,)."""
+        """Condition numbers of the equations' derivatives with one more row from `rows`, (N,)."""
         return np.linalg.cond(np.concatenate([self.equations()[1], rows[:, None]], 1), 1)
 
     def onto_sides(self) -> tuple[Degenerate, Array]:
@@ -551,7 +551,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Unknowns at critical points (near complex ones if not `solves`) with an eigenvalue that vanishes within a reach, to first order."""
+        """Unknowns at critical points (not `solves`: near complex ones) where an eigenvalue vanishes within `reach`, to first order."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -581,7 +581,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Unknowns at solutions that are stable, or nearly, and lose their stability at a limit within a reach to first order."""
+        """Unknowns at stable, or nearly stable, solutions that lose their stability at a limit within `reach`, to first order."""
         now, *_ = potential.at(position)
         _, onto = potential.constraints(x)
         l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
@@ -607,9 +607,9 @@ class Degenerate(NamedTuple):
         return Degenerate.joined([Degenerate(self.potential, unknowns, kind) for unknowns in sides])
 
     def settled(self, reach: float) -> Degenerate:
-        """Points of curves in the box to which Newton's method converges from these points, within a reach."""
+        """Points of curves in the box to which Newton's method converges from these points, at most `reach` away."""
         points, step = self.nearest(_ITERATIONS)
-        beyond = np.flatnonzero(~points.inside())  # their curves may be inside in part
+        beyond = np.flatnonzero(~points.inside())  # a curve may be inside in part
         onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
         near = step < _NEAR

@@ -18,17 +18,15 @@ from .singular import BorderKind, Degenerate, Potential
 
 # Lines along each axis, samples on each line, and size of the grid on which zeros of a component are traced.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # stands for a component 0 of c on its line of zeros, where folds are limits of others
-_ON_SPHERE = 8  # iterations of Newton's method
+_ZERO = 1e-20  # replaces a component of c where it is 0; folds there are limits of other folds
+_ON_SPHERE = 8  # number of iterations of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
-CELLS = (
-    13  # of the coarse grid, along each axis: odd, since the middle of ranges is often a plane of symmetry
-)
+CELLS = 13  # cells of the coarse grid along each axis: odd, since bodies in the middle are often symmetric
 _RIM = 0.004  # distance of the outermost lines from the border of the box, where bodies are often symmetric
-# Distance from the middle of one more line of the grid: between corners on both sides of a plane of symmetry, mirrored curves cancel.
+# The grid has one more line at this distance from the middle: between corners on both sides of a symmetry, mirrored curves cancel.
 _BESIDE_MIDDLE = 5e-4
 REACH = 2.0  # distance from an equilibrium within which curves are sought, in cells
-# Further searches, points on an interval in each, and divisions of the segments of curves.
+# Number of further searches, of points on an interval in each search, and of divisions of a segment of a curve.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
@@ -101,9 +99,9 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Solutions, also nearly real, that may be degenerate within a reach; solutions near limits of stability; and counts.
+    """Unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and numbers of solutions.
 
-    The counts, (2, bodies), are of all and of stable solutions, nan where not certain; without `stability` no limits are sought.
+    The first include nearly real solutions. The numbers are of all and of stable solutions, (2, bodies), nan where not certain.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
@@ -210,7 +208,7 @@ def _margin(condition: int) -> Callable[[Degenerate], Array]:
 
 
 def _crossing(points: Degenerate) -> Array:
-    """A function that vanishes where limits of stability cross, because the covector does, or have cusps."""
+    """A function that vanishes where limits of stability cross, because the covector vanishes, or have cusps."""
     _, (bend, _), covector = points.character()
     return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 
@@ -221,9 +219,9 @@ def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """The lower Morse index of the solutions beside segments, and differences of their numbers, left minus right.
+    """The lower Morse index of the solutions beside segments, and how many more solutions are left than right of the segments.
 
-    The differences are of all and of stable solutions, (2, segments).
+    The latter numbers are of all and of stable solutions, (2, segments).
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
     fork = middle.pitchfork  # off the curve, solutions may seem to bifurcate to the wrong side
@@ -238,7 +236,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """Differences of the numbers of all and of stable solutions between neighbours of a grid, along each axis, by the curves."""
+    """How the numbers of all and of stable solutions change from each node of a grid to the next, as curves predict; one array for each axis."""
     result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result

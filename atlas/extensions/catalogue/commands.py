@@ -18,7 +18,7 @@ from ...errors import BadInput, say, text_table
 from ...files import atomic_write, writable
 
 OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
-# First column of the rows -> columns of the table for a paper and their headings.
+# Name of the first column of rows -> columns of the table for a paper, each with its heading.
 PAPER = {
     "family": {"family": "family", "motion": "motion", "conditions": "conditions", "errata": "errata"},
     "equation": {"equation": "equation", "family": "family", "printed": "as printed", "true": "as true"},

@@ -45,7 +45,7 @@ def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
 
 
 def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
-    """Sum of `value` over the terms of an equation in a reading; terms given as a number are the true terms of that equation."""
+    """Sum of `value` over the terms of an equation in a reading; for terms given as an equation's number, over its true terms."""
     terms = entry.get(f"terms_{reading}") or entry["terms_true"]
     return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
 
@@ -53,7 +53,7 @@ def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callab
 def rows(
     content: Mapping[str, Any], measures: Mapping[str, EntryMeasure | None]
 ) -> tuple[PublishedEquation, ...]:
-    """Rows of the catalogue of a paper; measures: number or key -> function, None if the extension of this name is missing."""
+    """Rows of the catalogue of a paper; measures: equation or key -> function, None if the extension named by the key is missing."""
     made = []
     for entry in content["equation"]:
         key = next((key for key in measures if key == entry["number"] or key in entry), "")

@@ -11,7 +11,7 @@ from ...theory.point import Vector, larger, smaller
 
 BOUND = "proof_bound"
 PROOFS_OF = {"label": "label_proof", "label_inertial": "label_inertial_proof"}
-KEPT = 1e-9  # safety margin, as a share of a tolerance
+KEPT = 1e-9  # safety margin, as a fraction of a tolerance
 # In `reach`: halvings of the limit that bracket the distance, then bisections of the bracket.
 DOWN, WITHIN = 40, 34
 

@@ -31,11 +31,11 @@ from ...theory.point import (
 )
 from .bounds import Bounds, Direction, reach, sine_range, unknown
 
-STEPS = 5  # of Newton's method; without a minimum nothing is proved
-FLAT = 1e-6  # least eigenvalue of the Hessian over the size; below it Newton's method takes a gradient step
-EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient of W, over the size
+STEPS = 5  # steps of Newton's method; if they do not reach a minimum, nothing is proved
+FLAT = 1e-6  # least eigenvalue of the Hessian / `size`; below it Newton's method takes a gradient step
+EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient of W, divided by `size`
 TINY = 2.0**-1022  # makes a Hessian of zeros invertible
-SWEEPS = 6  # of Jacobi's method
+SWEEPS = 6  # sweeps of Jacobi's method
 
 
 def in_space(body, w, gamma):
@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # At the best n the minimum has the momentum of the start: J - W* is least.
+        if step < 2:  # J - W* is least for the n at which the minimum has the momentum of the start
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -108,7 +108,7 @@ def attitude(body, w, alpha, gamma):
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
-    # Keeps the Hessian invertible, also without torque.
+    # Added to the Hessian, this keeps it invertible, also without torque.
     drag = length(body.beta.field)
     regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):
@@ -183,7 +183,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Upper bound of J - W(a, g), which includes the rounding error, and the size."""
+    """Upper bound of J - W(a, g), rounding errors included, and `size`."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -251,7 +251,7 @@ def minimum(Q, c, z):
 
 
 def solved(Q, c, z, vector):
-    """The inverse Hessian on the sphere times a vector; where the Hessian is not positive, the size replaces it."""
+    """The inverse Hessian on the sphere times a vector; a Hessian that is not positive is replaced by size times the identity."""
     first, second = across_axes(z)
     v1, v2 = dot(first, vector), dot(second, vector)
     size = greatest(magnitude(Q)) + length(c)

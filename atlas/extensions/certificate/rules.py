@@ -45,7 +45,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
     """Proofs for a body in a frame of two directions."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
-        # The energy does not change with the turn about the axis, so no minimum is isolated, as the other rules require.
+        # The other rules need an isolated minimum; here the energy does not change with a turn about the axis.
         bounds = symmetric(body, w, alpha, gamma)
         return with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
     if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
@@ -57,7 +57,7 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the rates at the start are small enough for limits within the tolerance, which hold at the start too."""
+    """Whether the rates at the start allow limits within the tolerance, because limits of rates hold at the start too."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 

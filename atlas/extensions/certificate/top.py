@@ -76,7 +76,7 @@ def top(body, w, gamma, tolerances):
 
 
 def top_end(f, errors, sine2, x0, sign):
-    """Bound of the change of cos(theta) to the side `sign`."""
+    """Bound of the change of cos(theta) in the direction `sign`."""
     limit = sine2 / (1 + abs(x0)) if sign * x0 > 0 else 1 + abs(x0)
     sided = (
         f[0] + errors[0], sign * f[1] + errors[1], f[2] + errors[2], sign * f[3] + errors[3], f[4] + errors[4],

@@ -19,14 +19,14 @@ from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
 _STARTS = 200  # orientations from which the search begins
-# Eigenvalues of the Hessian over its scale, below which, in this order: two mean a surface of equilibria; an equilibrium is
+# Limits of eigenvalues of the Hessian / its scale. Below them, in this order: two mean a surface of equilibria; an equilibrium is
 # degenerate; rounding decides the sign; on circles, rounding decides the number; Newton's method may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
-_ON_CIRCLE = 1e-13  # gradient along a circle of equilibria, over the same scale
+_ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria / the same scale
 _SAME = 1e-4  # largest distance of rotation matrices that count as equal
-# Potentials are equal if they differ by less than this share of their scale, unit vectors if they agree to so many decimals.
+# Potentials are equal if they differ by less than this fraction of their scale, unit vectors if they agree to _DECIMALS decimals.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
-_MAX_SCALE = 1e60  # of units, rates and torques; products of a few of them are finite
+_MAX_SCALE = 1e60  # largest unit, rate or torque; products of a few of these are finite
 _BLOCK = 512  # bodies that are computed together
 NOT_CERTAIN = (
     "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
@@ -62,7 +62,7 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
 
 
 def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
-    """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new ones appear and the list is whole.
+    """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new equilibria appear and the list is whole.
 
     Raises BadInput where no whole list is found.
     """
@@ -175,7 +175,7 @@ def equilibria_of_bodies(
     equation. A list is complete if the sum of (-1)^index is that of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of the
     axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: near a symmetry from differences of the
     moments of 1e-12 on, near bifurcations if solutions are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and
-    solutions that merge are listed once, as degenerate. Spheres, bodies without an orbit and bodies with a lost path are
+    solutions that merge are listed once, as degenerate. Bodies with A = B = C, without an orbit and bodies with a lost path are
     searched one by one, in about 70 ms each. pause: called at least once a second; may raise an exception. stability: whether
     to compute STABILITY. ordered: see `homotopy.solve`; adds attitudes near complex solutions, with index -1. Returns arrays
     (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
@@ -203,7 +203,7 @@ def equilibria_of_bodies(
 
 
 def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
-    """Numbers of the equilibria of bodies, of the linearly stable ones and of the minima, (bodies,); nan for incomplete lists."""
+    """Counts of all equilibria, of linearly stable equilibria and of minima of each body, (bodies,); nan for incomplete lists."""
     complete = equilibria["completeness"] == Completeness.COMPLETE
     masks = {
         "equilibrium_count": equilibria["index"] >= 0,
@@ -214,7 +214,7 @@ def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
 
 
 def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
-    """Columns over all equilibria as arrays (bodies, places), unused places last; the column "row" is the body of each."""
+    """Columns over all equilibria as arrays (bodies, places), unused places last; the column "row" has the body of each equilibrium."""
     order = np.argsort(columns["row"], kind="stable")
     row = columns["row"][order]
     place = np.arange(row.size) - np.searchsorted(row, row)
@@ -230,7 +230,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Completeness of the lists (NOT_LISTED: the body has yet to be searched); body and variables of each equilibrium."""
+    """Completeness of the list of each body (NOT_LISTED: to be searched alone); body and variables of each equilibrium."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -255,7 +255,7 @@ def _at_once(
     real = np.concatenate([real[path, body], known])
     bodies, circle = bodies.subset(row), symmetric[row]
     scale, values = _scale(bodies), np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
-    # Along a circle the eigenvalue is 0 but for rounding.
+    # The eigenvalue along a circle is 0 but for rounding.
     values[circle, np.abs(values[circle]).argmin(1)] = np.inf
     least = np.abs(values).min(1) / scale
     index = np.where(real, (values < 0).sum(1), -1)
@@ -287,7 +287,7 @@ def _at_once(
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Body and frame of each solution of bodies symmetric about axis i, a critical direction on the sphere; which are real."""
+    """Body and frame of each solution of bodies symmetric about axis i, from critical directions on a sphere, and whether it is real."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
@@ -349,7 +349,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
 
 
 def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), and whether it is degenerate."""
+    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), and whether the equilibrium is degenerate."""
     values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _MISSED * scale
     if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():
@@ -357,7 +357,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
             "equilibria: this body has a surface of equilibria, not single ones or circles of them"
         )
     axis = np.take_along_axis(vectors, np.abs(values).argmin(1)[:, None, None], 2)[..., 0]
-    # A circle is the orbit of a symmetry, of the body about one of its axes or about the normal.
+    # A circle arises when a symmetry turns an equilibrium, about an axis of the body or about the normal.
     turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)
@@ -365,7 +365,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
 
 
 def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
-    """The first frame of each equilibrium and of each circle of them."""
+    """The first frame of each equilibrium, and of each circle of equilibria."""
     _, axis, _ = _classify(bodies, frames, scale)
     kept: list[int] = []
     for i, frame in enumerate(frames):

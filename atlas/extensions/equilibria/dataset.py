@@ -63,13 +63,13 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float, array_like or DataArray
-        Parameter -> number; omitted ones take their defaults. Start values have no effect, except n
+        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n
         of the fixed_point, the rate of rotation in rad per time unit (default 0: rest). For many bodies, DataArrays of
         any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, in the
         forms of points in `label_points`.
     max_equilibria : int, optional
-        Length of the dimension "equilibrium"; default: as long as these bodies need. Required for arrays of dask, of which the
-        result is lazy. A satellite without circles of equilibria has at most 24.
+        Length of the dimension "equilibrium"; default: for one body the number of its equilibria, for many 24 (satellite) or 12.
+        Required for arrays of dask, for which the result is lazy. A satellite without circles of equilibria has at most 24.
 
     Returns
     -------
@@ -77,10 +77,10 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         Dimension "equilibrium"; a circle of equilibria is listed once, by one of its members. Variables:
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable, energy_stable, stability_kind (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the
-        satellite also alpha, axis, degenerate, potential, in the order of the potential, then of the
-        components of alpha and gamma (of a circle their means); for the fixed_point dimension, in the order of theta0.
+        satellite also alpha, axis, degenerate and potential; for the fixed_point also dimension. Satellites are ordered by the
+        potential, then the components of alpha and gamma (on a circle, their means), rotations of the fixed_point by theta0.
 
-        Of many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
+        For many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
         "equilibrium". Each body uses the first places; in the others index is -1, and variables other than flags are nan.
         completeness (flags) states for each body whether all equilibria are listed. equilibrium_count,
         equilibrium_stable_count (linearly stable) and equilibrium_energy_stable_count (minima of the amended potential) are
@@ -157,7 +157,10 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of equilibria with `places` for each body, a function for dask; source: None if all bodies may be impossible."""
+    """Variables of the equilibria of bodies; `xr.apply_ufunc` calls this function, with dask for each chunk.
+
+    places: length of the dimension equilibrium, None: 24 or 12; source: table of the bodies for messages, None: all may be impossible.
+    """
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
     system.check(columns)

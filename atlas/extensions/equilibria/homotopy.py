@@ -6,10 +6,10 @@ An equilibrium is a critical point on the rotation group of
     p = h1 mu / Omega^2, r = drag / Omega^2, q = h3 mu / Omega^2 - k / Omega.
 
 For p = r = q = 0 and distinct moments these are the 24 orientations with the principal axes along the axes of the frame,
-for complex moments too. The path of each is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
+for complex moments too. The path of each orientation is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
 complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
 isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials, World
-Scientific 2005, chapters 7 and 8). General p, r and q have 24 as well: in a quaternion W is a quartic form with 40 eigenvectors
+Scientific 2005, chapters 7 and 8). For general p, r and q there are 24 solutions as well: in a quaternion W is a quartic form with 40 eigenvectors
 (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942), 16 of which are isotropic and no rotations
 (`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the equilibria of the body: if 24 different ends are
 reached, none is missed.
@@ -58,10 +58,10 @@ def solve(
     """Critical points of W of some bodies; one number added to all three moments has no effect.
 
     ordered: whether neighbouring bodies are similar, so that Newton's method may start from the complex solutions of a neighbour.
-    Returns alpha and gamma, (3, 24, bodies), unit vectors of real critical points and the real parts of others; the masks real
+    Returns alpha and gamma, (3, 24, bodies), unit vectors of real critical points and the real parts of other ones; the masks real
     and nearly (one of each nearly real conjugate pair), (24, bodies); and complete, (bodies,): whether every path ends at infinity
-    or at its own solution, clearly real or clearly not. In other bodies one of several merged solutions is real, and none is
-    real if a path is lost.
+    or at its own solution, clearly real or clearly not. In other bodies one of several merged solutions counts as real,
+    and none if a path is lost.
     """
     inertia = inertia - inertia.mean(0)
     sizes = [np.abs(vector).max(0) for vector in (inertia, p, r, q)]
@@ -95,7 +95,7 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
     alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
     starts = np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
-    # Without p and r the solutions come in pairs +-alpha, +-beta: one of each is followed.
+    # Without p and r the solutions come in pairs +-alpha, +-beta: only one of each pair is followed.
     mirrored = not (target[1].any() or target[2].any())
     paths = PATHS // 2 if mirrored else PATHS
     repeated = [np.repeat(values[:, None], paths, 1).reshape(3, -1) for values in target]
@@ -124,7 +124,7 @@ def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _all_different(ends: Complex) -> Mask:
-    """Whether all finite solutions of a body are clearly different, and each clearly real or clearly not, (bodies,)."""
+    """Whether all finite solutions of a body are clearly different, and each is clearly real or clearly not, (bodies,)."""
     distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
@@ -138,7 +138,7 @@ def _follow(
 ) -> tuple[Complex, Complex, Mask]:
     """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
     start = _START_INERTIA[:, None]
-    change = (target[0] - start, *target[1:])  # of inertia, p, r and q along the line
+    change = (target[0] - start, *target[1:])  # change of inertia, p, r and q along the line
     t, step = np.zeros(alpha.shape[1]), np.full(alpha.shape[1], _FIRST_STEP)
     active = np.arange(t.size)
     for _ in range(_MAX_STEPS):

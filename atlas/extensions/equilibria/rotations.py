@@ -14,7 +14,7 @@ from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.secular import NEARLY, PLACES, directions
 from .algebra import body_at_rest, padded, stability_at_rest
 
-_UNCERTAIN = 1e-13  # eigenvalue of the amended potential's Hessian over its size, below which rounding decides the sign
+_UNCERTAIN = 1e-13  # eigenvalue of the potential's Hessian / size, below which rounding decides the sign
 
 
 def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[str, NDArray[Any]]:

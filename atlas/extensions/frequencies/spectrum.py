@@ -1,8 +1,8 @@
 """Frequencies of one motion: the strongest lines in the spectra of its angles.
 
 Numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
-Fourier integral is refined to far below the line distance of a discrete transform, all lines so far are fitted together, and
-the next line is found in the residual. It is written here, on top of SciPy, because packages for it have restrictive licences.
+Fourier integral is refined to far below the distance of lines in a discrete transform, all lines so far are fitted together, and
+the next line is found in the residual. The method is written here, on top of SciPy, because packages for it have restrictive licences.
 """
 
 from __future__ import annotations

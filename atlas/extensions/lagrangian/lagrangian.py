@@ -85,7 +85,7 @@ def from_lagrangian(
     -------
     str
         Source of a module with ``STATE``, ``CONSTANTS``, ``INTEGRALS`` and the functions ``rhs``, the first integrals
-        and those given. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every cyclic
+        and the given `functions`. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every cyclic
         coordinate on which no force acts. Where the dissipation changes a first integral NAME, ``LOSSES`` names the
         function NAME_loss, its rate of decrease.
 
@@ -93,7 +93,7 @@ def from_lagrangian(
     ------
     BadInput
         If SymPy is not installed; if a symbol is neither coordinate, velocity nor parameter; if an expression is not
-        arithmetic; if the mass matrix is singular, or not positive definite where that prevents the solution; if a
+        arithmetic; if the mass matrix is singular, or has a leading minor 0 where it couples more than two velocities; if a
         coordinate to be omitted is not cyclic.
 
     References
@@ -120,7 +120,7 @@ class _Mechanics:
     coordinates: tuple[Expression, ...]
     velocities: tuple[Expression, ...]
     parameters: tuple[Expression, ...]
-    forces: tuple[Expression, ...]  # of each coordinate
+    forces: tuple[Expression, ...]  # force of each coordinate
     dissipation: Expression
     omit: tuple[Expression, ...]
     functions: Mapping[str, tuple[Expression, ...] | Expression] = field(default_factory=dict)
@@ -237,7 +237,7 @@ class _Mechanics:
         return matrix
 
     def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
-        """f of M v' = f, by the Lagrangian as given or by powers of the velocities, whichever is shorter."""
+        """f of M v' = f, from the Lagrangian as given or by powers of the velocities, whichever is shorter."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         total = self.total_forces()
         result = []
@@ -262,7 +262,7 @@ class _Mechanics:
         return (v.T * sympy.Matrix(matrix) * v)[0] / 2 + linear + self.lagrangian.subs(at_rest)
 
     def integrals(self) -> dict[str, tuple[str, list[Expression]]]:
-        """First integrals by name: meaning and terms, at least one for each term of the Lagrangian."""
+        """First integrals by name: meaning and terms, which come from single terms of the Lagrangian."""
         import sympy
 
         result, balances = {}, self.balances()
@@ -285,7 +285,7 @@ class _Mechanics:
         return result
 
     def balances(self) -> dict[str, Expression]:
-        """Rate at which dissipation decreases each first integral, by name; 0 where it does not."""
+        """First integral -> rate at which dissipation decreases it, 0 if it is constant."""
 
         def power(forces: Sequence[Expression]) -> Expression:
             return _simplest(sum(q * v for q, v in zip(forces, self.velocities, strict=True)))
@@ -392,7 +392,7 @@ def _is_singular(matrix: list[list[Expression]]) -> bool:
 
 
 def _simplest(expression: Expression) -> Expression:
-    """The form with the fewest functions, then the shortest, then the first."""
+    """The form with the fewest functions; of equal ones the shortest, then the first."""
     import sympy
 
     forms = [expression, sympy.expand(expression), sympy.factor_terms(expression)]
@@ -407,7 +407,7 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Numbers of multiple angles and tangents, functions, operations without repeated parts and operations, in this order."""
+    """Numbers: of multiple angles and tangents; of functions; of operations, with repeated parts once; of all operations."""
     import sympy
 
     functions, multiples = expression.atoms(sympy.Function), 0
@@ -420,7 +420,7 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
 
 
 def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
-    """Solution of symmetric equations: of two by the inverse of their matrix, of more by its factors K D K^T."""
+    """Solution of linear equations with a symmetric matrix: of two by the inverse matrix, of more by the factors K D K^T."""
     import sympy
 
     n, given = len(matrix), sympy.Matrix(right_side)
@@ -442,5 +442,5 @@ def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) 
 
 
 def _names(symbols: Sequence[Expression]) -> str:
-    """Source of the tuple of the names of symbols, or of names."""
+    """Source text of a tuple with the names of symbols, or with given names."""
     return "({})".format(", ".join(f'"{symbol}"' for symbol in symbols) + ("," if len(symbols) == 1 else ""))

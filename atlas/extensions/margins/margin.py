@@ -29,7 +29,7 @@ from ...scene.model import Scene
 from ...systems.base import Array, families_of
 
 CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # curves of theory
-# Variable that changes at the curves -> their frame.
+# Variable that changes at the curves -> frame of the curves.
 FRAMES = dict.fromkeys(("label", "predicted", "stable", "stability_kind"), "")
 FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
 
@@ -73,7 +73,7 @@ def margin(
     -----
     A margin concerns one known point; for uncertain parameters use random draws, see `probability`.
     """
-    flag_variable(ds, variable)  # BadInput if there is none
+    flag_variable(ds, variable)  # BadInput if it is no flag variable
     if axis not in (axes := neighbour_axes(ds)):
         raise BadInput(f"axis = {shown(axis)}: no axis with neighbouring points; {allowed_text(axis, axes)}")
     part = nearest_on_axes(ds, {dim: value for dim, value in coords.items() if dim != axis}, degrees)
@@ -90,7 +90,7 @@ def margin(
         places = np.where(np.isnan(curves), places, curves)
     missing = (flags == Label.NOT_COMPUTED) & (variable in LABELS)
     if axis in coords:
-        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # BadInput outside of the atlas
+        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # BadInput for a value outside of the atlas
         at = np.array(coords[axis] / factor(part[axis].attrs, degrees))
         nearest = int(np.abs(values - at).argmin())
         tied = [name for name, each in line.coords.items() if axis in each.dims and name != axis]

@@ -1,7 +1,7 @@
 """Relative equilibria against a parameter: all of them at each value, joined to branches that meet at bifurcations.
 
 Branches are not followed one by one: `equilibria_of_bodies` lists all solutions at each value, and solutions of neighbouring
-values are matched where the tangents of both predict one another far better than any other solution. An interval in which a solution has
+values are matched where both tangents predict the other solution far better than any other solution. An interval in which a solution has
 no match, or changes its index, is divided until each of its bifurcations follows from Newton's method on
 
     gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
@@ -32,13 +32,13 @@ Places = NDArray[np.int64]
 # Two solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the error of every rival.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction and by a step of Newton's method, rad
-_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; change of the fraction in each
-_DIFFERENCE = 1e-5  # step of central differences, in rad and in units of the ranges of the parameters
+_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; step from one fraction to the next
+_DIFFERENCE = 1e-5  # step of central differences, in rad or in ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
 _EXACT = 1e-13  # step at which Newton's method stops
 _CONVERGED = 1e-9  # largest last step at which a value has converged, in units of the range
 _SETTLED = 1e-6  # the same with the rotation; near a pitchfork each step only halves the error
-_BLOCK = 512  # intervals whose solutions are matched at once
+_BLOCK = 512  # number of intervals whose solutions are matched at once
 _SAME = 1e-3  # largest distance of coincident points
 # Largest relative eigenvalue of a degenerate solution; least relative derivative along the null vector at a fold.
 _DEGENERATE = _TRANSVERSAL = 1e-6
@@ -114,7 +114,7 @@ class BodyFamily(NamedTuple):
         return gradient / unit, hessian + projector, projector
 
     def singular(self, values: Array, frames: Array) -> Singular:
-        """Points at which the eigenvalue vanishes that is nearest to 0 at the start.
+        """Points at which the eigenvalue that is nearest to 0 at the start vanishes.
 
         Steps are damped least squares, because at a pitchfork the matrix is singular: derivatives along the null vector vanish.
         """
@@ -138,7 +138,7 @@ class BodyFamily(NamedTuple):
             step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, residual[0])
             step /= np.maximum(1.0, length(step) / _MAX_TURN)[:, None]
             frames = rotated(frames, step[:, :3])
-            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # no body may exist beyond
+            values = np.clip(values + self.span * step[:, 3:], *self.limits)  # no bodies beyond the limits
             if (length(step) < _EXACT).all():
                 break
         return Singular(values, frames, vectors[np.arange(count), :, number], slopes, step)
@@ -247,7 +247,7 @@ def bifurcations_between(
 ) -> tuple[list[Bifurcation], bool]:
     """The bifurcations between two nodes, and whether they explain every branch that ends or changes its index between the nodes.
 
-    starts: solutions at the nodes; singular: Newton's method from each start; kinds: masks of starts whose branch ends, and whose index changes.
+    singular: results of Newton's method from `starts`, solutions at the nodes; kinds: masks of starts whose branch ends, and whose index changes.
     """
     points: list[Bifurcation] = []
     values, places, (ends, changes) = singular.values[:, 0], family.place(singular.frames), kinds

@@ -258,7 +258,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
             each[:, flip.size // 2 - 1 : -3] *= same[:, None]
         if (
             len(tangents) > 1 and np.ptp(points.parts[4], axis=0).max() > _ON_CURVE
-        ):  # no line of equilibria of one body
+        ):  # a line of equilibria of one body is no curve
             yield Curve(points, tangents, closed, lost or also)
 
 

@@ -13,7 +13,7 @@ from . import COUNTS
 
 
 def count_variables(system: System) -> dict[str, DerivedVariable]:
-    """Numbers of relative equilibria of satellites; nan where some form circles or surfaces, or are not certain."""
+    """Numbers of relative equilibria of satellites; nan where equilibria form circles or surfaces, or where numbers are not certain."""
     if system.frame_rate is None:
         return {}
     from ...systems.satellite import Satellite

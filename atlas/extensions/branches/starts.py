@@ -16,7 +16,7 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
-# Lines along each axis, samples on each line, and size of the grid on which zeros of a component are traced.
+# Number of lines along each axis and of samples on each line; size of the grid on which zeros of a component are traced.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
 _ZERO = 1e-20  # replaces a component of c where it is 0; folds there are limits of other folds
 _ON_SPHERE = 8  # number of iterations of Newton's method

@@ -117,7 +117,7 @@ def dimensionless(spin: FastSpin, state: Array) -> Array:
 
 
 def rhs(spin: FastSpin, y: Array) -> Array:
-    """dy/dtau, (1); shape of y."""
+    """dy/dtau by (1), with the shape of y."""
     w, G, r, g3 = y[0] + 1j * y[1], y[3] + 1j * y[4], y[2], y[5]
     eps = spin.eps
     turn = spin.A1 * r + spin.l3 / (spin.A * spin.r0)
@@ -214,7 +214,7 @@ def general(spin: FastSpin, y0: Array, tau: Array) -> Array:
 def angles(spin: FastSpin, t: Array, h: float = 0.0, psi0: float = 0.0) -> Array:
     """theta, psi and phi of `first_order` at times t (in the unit of 1/r0), by (34); h shifts the phase.
 
-    Errors of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates.
+    Errors are of order eps^2 for tau = r0 t of order 1, and of order eps^3 in the secular rates.
     """
     theta0 = np.arccos(spin.gamma0)
     fast_rate = spin.r0 * (1 + frequency_shift(spin))
@@ -313,9 +313,9 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
 # Errors of the solution (33), printed or true, against the full equations at points of an atlas.
 
 SAMPLES = 201  # instants of a run at which the errors are taken
-# Points integrated together: enough to share the overhead of a step, few enough for little memory.
+# Number of points integrated together: enough to share the overhead of a step, few enough for little memory.
 CHUNK = 512
-# Evaluations of the equations for a chunk; more than twice what a run of MAX_RADIANS needs.
+# Largest number of evaluations of the equations for a chunk; more than twice what a run of MAX_RADIANS needs.
 MAX_EVALUATIONS = 200_000
 
 

@@ -89,7 +89,7 @@ def to_quasilinear(spin: FastSpin, y: Array) -> Array:
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
-    """alpha(eps) of (33) with beta3 = 0, its value to the lowest order."""
+    """alpha(eps) of (33), where beta3 is 0, as it is to the lowest order."""
     return turns * formulas(coefficients(spin), "alpha")[0]
 
 

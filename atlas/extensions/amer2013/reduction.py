@@ -68,7 +68,7 @@ def state(y: Array, prefix: str = "") -> Values:
     return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
-# (3), corrected, and states that satisfy (2) with this (3).
+# The corrected (3), and states that satisfy (2) with this (3).
 
 
 def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:

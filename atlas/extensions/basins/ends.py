@@ -20,7 +20,7 @@ MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof,
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
 # Largest error (rad, and in units of rates) of a motion before it settles; a larger one may cross the border of a basin.
 LARGEST_ERROR = 0.01
-LEVELS = 6  # largest number of minima, the lowest ones, with a time of settling
+LEVELS = 6  # number of minima, from the lowest one, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
 LEVEL = "ends:level"  # measurement: the energy below which the body is settled at its equilibrium
 START = "ends:start"  # measurement: the energy at the start, with its margin

@@ -25,12 +25,12 @@ from ..equilibria.bodies import bodies_of
 Places = NDArray[np.int64]
 # Largest distance of a settled body from its equilibrium: in rad, and as a fraction of the frame's rate, or, if this is 0, of the natural rate.
 SETTLED = 1e-3
-_FLAT = 1e-6  # largest eigenvalue of the Hessian that counts as 0, divided by the largest eigenvalue at any equilibrium of the body
+_FLAT = 1e-6  # ratio of a Hessian's eigenvalue that counts as 0 to the largest one at the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
 _SADDLE = 1e-6  # angle from a saddle or maximum within which a descent ends there, rad
 # Steps of a descent: between two searches for the nearest equilibrium, and in all.
 _STEPS, _MAX_STEPS = 16, 4096
-_BLOCK = 4096  # attitudes that are compared together
+_BLOCK = 4096  # number of attitudes that are compared together
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class Wells:
     body: Body
     rate: Array  # unit of rates, (bodies,)
     single: bool  # whether the frame has one direction, gamma, about which attitudes may turn
-    frames: Array  # rows alpha, beta and gamma in body axes, 0 if the frame has no alpha and beta, (bodies, places, 3, 3)
+    frames: Array  # alpha, beta, gamma in body axes, 0 if the frame lacks one, (bodies, places, 3, 3)
     axis: Array  # body axis about which a circle of equilibria turns, else nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
     index: Array  # Morse index
     minimum: Mask
     downhill: Array  # axis of the turn by which W falls most, (bodies, places, 3)
-    settled: Array  # energy of a minimum below which attitude and rates stay within SETTLED
+    settled: Array  # for a minimum, the energy below which attitude and rates stay within SETTLED
     listed: Mask  # whether all equilibria are known and their indices certain, (bodies,)
     rim: Array  # energies of the rims of the wells, nan until computed
 
@@ -116,7 +116,7 @@ class Wells:
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
-        """Place of the minimum in which each motion must end whose energy is at most the given one, or -1.
+        """Place of the minimum in which every motion with at most the given energy must end, or -1.
 
         place: of the nearest equilibrium; settled: whether the attitude is within SETTLED of that equilibrium.
         """

@@ -108,7 +108,7 @@ def attitude(body, w, alpha, gamma):
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
-    # Added to the Hessian, this keeps it invertible, also without torque.
+    # Added to the Hessian's diagonal, to keep the Hessian invertible also without torque.
     drag = length(body.beta.field)
     regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):

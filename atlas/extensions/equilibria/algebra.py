@@ -19,7 +19,7 @@ from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
 _STARTS = 200  # orientations from which the search begins
-# Limits of eigenvalues of the Hessian / its scale. Below them, in this order: two mean a surface of equilibria; an equilibrium is
+# Bounds of eigenvalues of the Hessian / its scale. Below them, in this order: two mean a surface of equilibria; an equilibrium is
 # degenerate; rounding decides the sign; on circles, rounding decides the number; Newton's method may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
 _ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria / the same scale
@@ -27,7 +27,7 @@ _SAME = 1e-4  # largest distance of rotation matrices that count as equal
 # Potentials are equal if they differ by less than this fraction of their scale, unit vectors if they agree to _DECIMALS decimals.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
 _MAX_SCALE = 1e60  # largest unit, rate or torque; products of a few of these are finite
-_BLOCK = 512  # bodies that are computed together
+_BLOCK = 512  # number of bodies that are computed together
 NOT_CERTAIN = (
     "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
     " change a parameter, or make the symmetry exact"
@@ -175,7 +175,7 @@ def equilibria_of_bodies(
     equation. A list is complete if the sum of (-1)^index is that of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of the
     axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: near a symmetry from differences of the
     moments of 1e-12 on, near bifurcations if solutions are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and
-    solutions that merge are listed once, as degenerate. Bodies with A = B = C, without an orbit and bodies with a lost path are
+    solutions that merge are listed once, as degenerate. Bodies with A = B = C, bodies without an orbit and bodies with a lost path are
     searched one by one, in about 70 ms each. pause: called at least once a second; may raise an exception. stability: whether
     to compute STABILITY. ordered: see `homotopy.solve`; adds attitudes near complex solutions, with index -1. Returns arrays
     (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),

@@ -34,8 +34,8 @@ RESERVED = frozenset(
     {"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS}
     | {"STATE", "CONSTANTS", "ONES", "INTEGRALS", "LOSSES", "OBSERVABLES", "SOURCES"}
 )
-# A mass matrix is singular if its determinant, rows divided by their norms, is below SINGULAR with floats in it, or below
-# SINGULAR_EXACT with exact numbers, computed with DIGITS digits.
+# A mass matrix is singular if its determinant, with rows divided by their norms, is below SINGULAR or, if the matrix has no
+# floats, below SINGULAR_EXACT; the determinant is computed with DIGITS digits.
 SINGULAR, SINGULAR_EXACT, DIGITS = 1e-13, 1e-30, 50
 # Longer expressions are simplified by fast methods only.
 MAX_OPERATIONS = 70
@@ -134,7 +134,7 @@ class _Mechanics:
         dissipation: Expression,
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """The arguments after all checks except of the mass matrix; groups: symbols by the name of their argument."""
+        """The arguments after all checks except that of the mass matrix; groups: symbols by the name of their argument."""
         import sympy
 
         for name, group in groups.items():

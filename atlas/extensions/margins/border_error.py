@@ -99,8 +99,8 @@ def border_error(
     -------
     Dataset
         `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. Over "border", the longest
-        first: `first` and `second`, the flags on both sides, and `curve`, the kind of the line of `boundary()` nearest to
-        pairs of neighbours, along a row or column. Also over "axis": `pairs`, the number of pairs, `half_cell`, and
+        first: `first` and `second`, the flags on both sides, and `curve`, the kind of the nearest line of `boundary()`.
+        Also over "axis": `pairs`, the number of pairs of neighbours on both sides of the border, `half_cell`, and
         `distance_median` and `distance_largest` between the middle of a pair and the curve. In the whole run the labels of
         `points_changed` among `points_checked` points changed at half the step; with check_half_step = "all", `sensitive`
         among the `checked` points of the pairs are sensitive to the step.

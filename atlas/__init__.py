@@ -64,5 +64,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names of the core, then of extensions."""
+    """The public names of the core, then those of extensions."""
     return [*_MODULES, "__version__", *(name for name in _extension.parts("functions") if "." not in name)]

@@ -101,7 +101,7 @@ class Atlas(Questions):
         degrees : bool, optional
             Take and return angles in degrees.
         **coords : float
-            Axis or parameter -> value. Along an axis the point is taken whose cell of the map contains the value. Among
+            Axis or parameter -> value. Along an axis, the nearest point is the one whose cell of the map contains the value. Among
             single points each distance is divided by the range of the parameter over the points.
 
         Returns

@@ -203,7 +203,7 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
 
 
 def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
-    """Text for a point: values of its axes, or its index along an axis without numbers and the parameters that vary there."""
+    """Text for a point: the values of its axes; for an axis without numbers, its index and the parameters that vary along the axis."""
     texts = []
     for dim, k in indices.items():
         names = [dim]

@@ -93,7 +93,7 @@ def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
     return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
-# Coordinates count as equal if their relative difference is below the first number, or below SPACINGS machine epsilons of their type.
+# Coordinates count as equal if their relative difference is below COORDINATE_ROUNDING, or SPACINGS machine epsilons of their type.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
 MAX_COMPARED = 400  # number of points at which coordinates are compared
 CHANGED = (

@@ -23,7 +23,7 @@ from .plane import SAMPLES, Plane
 Lines = dict[str, list[np.ndarray]]  # kind -> lines, each (vertices, axes)
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # folder in the cache, and number of planes kept there
-WORTH_KEEPING = 0.1  # lines are kept if tracing takes longer, in seconds
+WORTH_KEEPING = 0.1  # seconds of tracing above which lines are kept
 TRACING_ANEW = "tracing lines of theory anew"  # for messages, if the cache is not used
 
 

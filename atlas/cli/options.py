@@ -49,7 +49,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Words of the command line with the name of an option with `belongs` repeated before each of its values."""
+        """Words of the command line, where the name of an option with `belongs` is repeated before each of its values."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):

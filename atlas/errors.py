@@ -76,7 +76,7 @@ def shown(value: object) -> str:
 
 
 def allowed_text(value: object, names: Collection[str]) -> str:
-    """End of a message: "did you mean 'tolerance'? allowed: tolerance, step", or without the question."""
+    """End of a message: "did you mean 'tolerance'? allowed: tolerance, step"; no question if no name is similar."""
     return f"{similar_text(value, names)}allowed: {', '.join(names) or 'none'}"
 
 

@@ -68,7 +68,7 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
 
 
 def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
-    """Label, predicted, and variables that explain differences; BadInput unless both are flags of the same points."""
+    """Label, predicted, and variables that explain differences; BadInput unless label and predicted are flags of the same points."""
     if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"

@@ -39,7 +39,7 @@ def in_rad(data: Data) -> Data:
 
 
 def _variables(data: Data) -> Mapping[str, xr.DataArray]:
-    """Coordinates, and the variables of a dataset, or an array itself under the name ""."""
+    """Coordinates and variables of a dataset by name, or coordinates of an array and, under the name "", the array."""
     if isinstance(data, xr.DataArray):
         return {**{str(name): each for name, each in data.coords.items()}, "": data}
     return {str(name): data[name] for name in data.variables}

@@ -28,7 +28,7 @@ STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
 LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # axes: velocity, minus normal, nadir
-# Frame of a satellite -> rotation of components at the start to components along radius, velocity and normal.
+# Frame of a satellite -> rotation that turns components in it at the start into components along radius, velocity and normal.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
 # Relative differences that are tolerated: of mirrored elements of a tensor, of equal moments, of equal components of axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9

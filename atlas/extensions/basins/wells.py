@@ -28,7 +28,7 @@ SETTLED = 1e-3
 _FLAT = 1e-6  # ratio of a Hessian's eigenvalue that counts as 0 to the largest one at the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
 _SADDLE = 1e-6  # angle from a saddle or maximum within which a descent ends there, rad
-# Steps of a descent: between two searches for the nearest equilibrium, and in all.
+# Number of steps of a descent between two searches for the nearest equilibrium, and largest number in all.
 _STEPS, _MAX_STEPS = 16, 4096
 _BLOCK = 4096  # number of attitudes that are compared together
 

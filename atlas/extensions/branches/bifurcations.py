@@ -148,7 +148,7 @@ class Nodes(NamedTuple):
     """All solutions at some values of the parameter."""
 
     values: Array  # (nodes,)
-    frames: Array  # rows alpha, beta, gamma in body axes; nan where unused, (nodes, places, 3, 3)
+    frames: Array  # rows alpha, beta, gamma in body axes, nan in unused places, (nodes, places, 3, 3)
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
     turn: Array  # rotation per unit of the parameter along the branch, (nodes, places, 3)
     distance: Array  # change of the parameter until solutions may merge, to first order, (nodes, places)
@@ -289,7 +289,7 @@ class Branches(NamedTuple):
     branch: Places  # number of the branch of each solution, -1: none, (values, places)
     points: list[Bifurcation]  # bifurcations in the order of their values
     meeting: list[list[int]]  # branches that meet at each point
-    total: int  # number of all branches, including those that exist only between two values
+    total: int  # number of all branches, also of branches that exist only between two values
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:

@@ -265,7 +265,7 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
 def _walk(
     begin: int, of_end: dict[int, Piece], left: set[int], flip: Array
 ) -> tuple[list[tuple[Array, Array]], int | None, bool]:
-    """Vertices and tangents of the pieces that lead away from an end, the end that is reached, and whether it is lost."""
+    """Vertices and tangents of the pieces that lead away from an end, the end that is reached, and whether the curve is lost there."""
     signs, parts, end = np.ones(flip.size), [], begin
     while end in left:
         piece = of_end[end]
@@ -358,7 +358,7 @@ def lengths(line: Curve) -> Array:
 
 
 def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
-    """Lengths of arcs between points with these unit tangents, (N, components)."""
+    """Lengths of arcs from `start` to `end` with the unit tangents `first` and `last`, each (N, components)."""
     bend = 0.5 * np.arccos(np.clip((first * last).sum(1), -1, 1))
     return length(end - start) / np.sinc(bend / np.pi)
 

@@ -43,7 +43,7 @@ _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial / largest one, below which it counts as 0
 # Rounding error of the discriminant divided by the sum of its terms: two exponents may be equal along a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
-# Distance from a pitchfork at which solutions are compared, iterations to reach them, and distances to search extrema of the momentum.
+# Distance from a pitchfork at which solutions are compared, iterations to reach these, distances to search extrema of the momentum.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
 _ON_SIDE = 5  # number of iterations onto a side of the box
 # Quadratic forms of two and of three orthonormal vectors.
@@ -533,7 +533,7 @@ class Degenerate(NamedTuple):
         return np.asarray(self.pitchfork & (np.abs(bend) <= _EXACT * np.abs(product)))
 
     def regular(self) -> tuple[Degenerate, Array]:
-        """The points at which curves are regular, polished, and their unit tangents."""
+        """The points at which curves are regular, after more steps of Newton's method, and their unit tangents."""
         residual, slopes = self.equations()
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]

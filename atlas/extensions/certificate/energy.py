@@ -84,7 +84,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """Bounds near theta = 0 or pi, rotor and fields along the third axis: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
+    """Bounds near theta = 0 or pi if rotor and fields are along the third axis: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -141,7 +141,7 @@ def amended(body):
 
 
 def size_of(direction, moment):
-    """Sum of the magnitudes of the second derivatives' terms of the potential of a direction."""
+    """Sum of the magnitudes of the terms in the second derivatives of a direction's potential."""
     return moment * abs(direction.gradient) + length(direction.field)
 
 

@@ -131,7 +131,7 @@ def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bou
 def prove_points(
     system: Gyrostat, points: Points, tolerances: instrument.Tolerances, in_machine_code: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the instrument, and proved labels (0 if none) under the names of predicted ones, (points,)."""
+    """Variables of the instrument, and proved labels (0 if none) under the names of predicted labels, (points,)."""
     bodies, one = Bodies.of(system, points), np.ones(shape_of(points))
     names = ["label"] if system.frame_rate is None else ["label", "label_inertial"]
     frame_rate = one if system.frame_rate is None else system.frame_rate(points) * one

@@ -91,7 +91,7 @@ def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dic
 
 
 def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
-    """Order of the equilibria by body, potential over its scale, alpha and gamma (of circles: the means of these vectors).
+    """Order of the equilibria by body, potential / its scale, alpha and gamma (of circles: the means of these vectors).
 
     Potentials and components that differ by rounding alone count as equal, so that rounding does not decide the order.
     """
@@ -331,7 +331,7 @@ def _search(bodies: Body, scale: float) -> Array:
 
 
 def _critical(bodies: Body, frames: Array, scale: float) -> Array:
-    """Orientations to which Newton's method converges from the given ones."""
+    """Orientations to which Newton's method converges from given orientations."""
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])

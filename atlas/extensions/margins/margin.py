@@ -120,7 +120,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """The nearest of increasing places below (side -1) or above (side 1) a value, or each sample if value is None; else nan."""
+    """The nearest of increasing places below (side -1) or above (side 1) a value, or each sample if `value` is None; nan if there is none."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:

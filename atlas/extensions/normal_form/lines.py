@@ -33,13 +33,13 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 
 def nonlinear_lines(plane: Plane) -> Lines:
-    """Resonances where the energy does not decide, and DETERMINANT_ZERO, where the normal form does not either."""
+    """Resonances where the energy does not decide, and as DETERMINANT_ZERO the curves where the normal form does not decide either."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
-        """D at positions in units of the lattice's indices."""
+        """D at positions given as fractional indices of the lattice."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 

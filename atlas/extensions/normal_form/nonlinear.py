@@ -10,12 +10,12 @@ of the Euclidean group, and
 axis of symmetry: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c from the potentials of alpha, beta and gamma;
 vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
 
-With the equilibrium at u = v = 0 of latitude v and longitude u, e = (cos v cos u, cos v sin u, sin v), these are canonical,
+Let e = (cos v cos u, cos v sin u, sin v), where the longitude u and the latitude v are 0 at the equilibrium. With
 
-    m = S (cos u, sin u, 0)/cos v + p_u (-tan v cos u, -tan v sin u, 1) + p_v (sin u, -cos u, 0),
+    m = S (cos u, sin u, 0)/cos v + p_u (-tan v cos u, -tan v sin u, 1) + p_v (sin u, -cos u, 0)
 
-and the chart is singular nowhere near it. The Taylor polynomials of m and e are the same for all points; the coefficients of H's
-polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
+u, v, p_u and p_v are canonical, and regular near the equilibrium. The Taylor polynomials of m and e are the same for all points; the
+coefficients of H's polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
 
 In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (q^2 + p^2)/2, an equilibrium is stable for l1 l2 > 0.
 For l1 l2 < 0 without resonance up to order 4 it is stable if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
@@ -48,17 +48,17 @@ if TYPE_CHECKING:
 
     from ...systems.gyrostat import Gyrostat
 
-_ZERO = 1e-9  # smallest value, relative to its terms, that counts as different from 0 in a verdict
+_ZERO = 1e-9  # smallest |sum| / sum of |terms| that counts as different from 0 in a verdict
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
-_CHUNK = 256  # points at once: their arrays stay in the processor's cache
-# Monomials of c20, c11, c02 and of the resonance 3:1: indices 0 and 1 are zeta_1 and zeta_2, 2 and 3 their conjugates, in
-# z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
+_CHUNK = 256  # points computed together; their arrays stay in the processor's cache
+# Monomials of c20, c11, c02 and of the resonance 3:1 as indices of factors: 0 and 1 mean zeta_1 and zeta_2, 2 and 3 their
+# conjugates, where z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
 _MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
 class NormalForm(NamedTuple):
-    """Normal forms of degree 4, each (points,); nan where the exponents are not imaginary."""
+    """Coefficients of normal forms of degree 4, arrays (points,); nan where the characteristic exponents are not imaginary."""
 
     l1: Array
     l2: Array
@@ -70,7 +70,7 @@ class NormalForm(NamedTuple):
 
     @classmethod
     def of(cls, second: Array, third: Array, fourth: Array) -> NormalForm:
-        """Normal forms from the derivatives of H by (q1, q2, p1, p2): arrays (points, 4, 4), (points, 4, 4, 4) and so on."""
+        """Normal forms from the derivatives of H by (q1, q2, p1, p2) of order 2, 3 and 4: (points, 4, 4), (points, 4, 4, 4) and so on."""
         frequencies, modes = _modes(second)
         t = (third.reshape(-1, 16, 4) @ modes).reshape(-1, 4, 4, 4)
         transposed = np.swapaxes(modes, 1, 2)
@@ -80,7 +80,7 @@ class NormalForm(NamedTuple):
         actions = [_product(w, w.conj()).real for w in (first, other)]
         square = _product(other, other)
         images = np.stack([*actions, square.real, square.imag], 1) @ fourth.reshape(-1, 16, 16)
-        direct = [  # times the permutations of each monomial, over 4!
+        direct = [  # fourth derivative * number of permutations of the monomial / 4!
             (actions[0] * images[:, 0]).sum(1) / 4,
             (actions[0] * images[:, 1]).sum(1),
             (actions[1] * images[:, 1]).sum(1) / 4,
@@ -143,7 +143,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
         (StabilityKind.UNSTABLE, NonlinearStability.LINEARLY_UNSTABLE),
     ):
         result[kind == linear] = verdict
-    # Without dissipation every momentum is constant, and a maximum of the energy shows stability as a minimum does.
+    # Without dissipation every momentum is constant, and a maximum of the energy shows stability as well as a minimum.
     stable = np.isin(
         kind, (StabilityKind.ENERGY_STABLE, StabilityKind.ENERGY_STABLE_AXIAL, StabilityKind.GYROSCOPIC)
     )
@@ -152,7 +152,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan without a form.
+    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan where none exists.
 
     With fewer than two degrees of freedom, where the energy decides, the verdict is degenerate; with more it is undecided.
     """
@@ -173,7 +173,7 @@ def stability(rest: Equilibria) -> tuple[Flags, Array]:
 
 
 def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at some of the equilibria."""
+    """Derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at the equilibria with the indices `members`."""
     body, alpha, gamma = rest.body.subset(members), rest.alpha[members], rest.gamma[members]
     axis, inertia, turn = rest.cyclic[members, :, 1], body.inertia, body.turn[:, None]
     axial = (axis != 0).any(1, keepdims=True)
@@ -207,14 +207,14 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
     ]
     table, places = _taylor()
     values = (table @ np.concatenate([factor.reshape(members.size, -1) for factor in factors], 1).T).T
-    # values[:, place] would leave the points contiguous in memory, not the derivatives of a point.
+    # np.take makes the derivatives of one point contiguous in memory; values[:, place] would make the points contiguous.
     second, third, fourth = (np.take(values, place, axis=1) for place in places)
     return second, third, fourth
 
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Derivatives at 0 of the terms of H, (monomials, terms), and the places of the derivatives of each order among them."""
+    """Derivatives at 0 of the terms of H, (monomials, terms), and for each order the indices of its derivatives among the monomials."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
@@ -266,7 +266,7 @@ def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np
 def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
     """Frequencies l1, l2 of z' = J H'' z, (points, 2), and w_1, w_2 and their conjugates in columns, (points, 4, 4).
 
-    w is an eigenvector of -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
+    w is an eigenvector to the eigenvalue -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
     """
     A = np.concatenate([second[:, 2:], -second[:, :2]], 1)
     square = A @ A
@@ -274,13 +274,13 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
     determinant = np.linalg.det(second)
     with np.errstate(invalid="ignore", divide="ignore"):
         root = np.sqrt(half**2 - determinant)
-        # At a resonance 1:1 modes are not defined.
+        # At a resonance 1:1 the modes are not defined.
         large = np.where(root > GROWTH_TOLERANCE * half, half + root, np.nan)
         squares = np.stack([large, determinant / large], 1)
         frequencies = np.sqrt(squares)
         vectors = []
         for i in (0, 1):
-            # The factor of the other pair in the characteristic polynomial, at A, projects on this pair (Cayley-Hamilton).
+            # By Cayley-Hamilton A^2 + l^2, with l of the other mode, maps every vector into the plane of this mode.
             part = square + squares[:, 1 - i, None, None] * np.eye(4)
             column = np.take_along_axis(part, (part**2).sum(1).argmax(1)[:, None, None], 2)[..., 0]
             vector = (A @ column[..., None])[..., 0] - 1j * frequencies[:, i, None] * column
@@ -293,7 +293,10 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Terms t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of the bracket: indices a, b, c, e, d, factors, first term of each monomial."""
+    """Terms factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of {H3, chi} / 2, t: third derivatives of H by zeta, d*: conjugate of d.
+
+    Returns the rows of indices a, b, c, e, d, the factors, and the position of the first term of each of _MONOMIALS.
+    """
     indices: list[tuple[int, ...]] = []
     weights, starts = [], []
     for monomial in _MONOMIALS:

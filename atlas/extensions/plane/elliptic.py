@@ -13,7 +13,7 @@ from ...systems.base import Array
 
 
 class EllipticFunctions(NamedTuple):
-    """Arithmetic-geometric means of 1 and k', by level, each (points,)."""
+    """Sequences of the arithmetic-geometric mean of 1 and k': an array (points,) for each level."""
 
     a: list[Array]
     b: list[Array]
@@ -21,10 +21,10 @@ class EllipticFunctions(NamedTuple):
 
     @classmethod
     def of(cls, modulus: Array, complement: Array) -> EllipticFunctions:
-        """modulus, complement: k^2 and 1 - k^2."""
+        """The sequences for k^2 = modulus and 1 - k^2 = complement."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (unequal := c[-1] > 1e-9 * a[-1]).any():
-            # Converged means no longer change, so that the bits of a point do not depend on other points.
+            # The means of a point do not change after they converge, so that their bits do not depend on other points.
             b[-1] = np.where(unequal, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))
@@ -37,7 +37,7 @@ class EllipticFunctions(NamedTuple):
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a
             below = 1 / (1 + ratio * sn * sn)
-            # b + c cn^2 = a - c sn^2, without the cancellation of the latter
+            # b + c cn^2 is a - c sn^2 without cancellation.
             sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
         return sn, cn, dn
 

@@ -1,7 +1,7 @@
 """Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
 
-These motions are not steady: the rate about the normal varies. In their theory, `motions`, x is the pitch
-chi = phi + psi cos theta0, counted from the axis of the smaller moment of A and B.
+These motions are not steady: the rate about the normal varies. In `motions`, their theory, x is the pitch
+chi = phi + psi cos theta0, counted from the attitude with the axis of the smaller of A and B along the radius.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 def motions(points: Points) -> PlaneMotions:
-    """The motions that start at points in the plane."""
-    from .motions import PlaneMotions  # only where a start may be on a family
+    """The motions in the plane from the starts of points."""
+    from .motions import PlaneMotions  # needed only where a start may be on a family
 
     return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
 
@@ -38,7 +38,7 @@ def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
 
 
 def _excess(p: Points) -> Array:
-    """Kinetic energy minus the energy of the barrier, over their sum; arrays of any shape."""
+    """(T - V) / (T + V) with the kinetic energy T and the height V of the barrier above the potential at the start; of any shape."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2
@@ -46,7 +46,7 @@ def _excess(p: Points) -> Array:
 
 
 def _bottom(p: Points) -> Array:
-    """The angle nearest to the given psi0 at which x is a multiple of pi."""
+    """The psi nearest to the given psi0 at which x is a multiple of pi."""
     bottom = np.sign(the.tilt(p)[1]) * (np.where(p["A"] < p["B"], 0.0, np.pi / 2) - p["phi0"])
     return bottom + np.pi * np.round((p["psi0"] - bottom) / np.pi)
 

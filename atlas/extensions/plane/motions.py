@@ -12,9 +12,9 @@ motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = fiel
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
     P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
 
-Only P12 is odd in x. So if H maps deviations at x = 0 to those a time t later, R H^-1 R, R = diag(-1, 1, 1, -1), maps those a time
-t earlier to x = 0. The multipliers of a libration are the eigenvalues of R H^-1 R H for t half a period; for a quarter they are
-those of half a turn, and their squares those of a whole turn. H is symplectic, so that H^-1 = -J H^T J loses no digits.
+Only P12 is odd in x. So if H maps deviations at x = 0 to deviations a time t later, R H^-1 R, with R = diag(-1, 1, 1, -1), maps
+deviations a time t earlier to those at x = 0. For a libration and t = half a period the eigenvalues of R H^-1 R H are the multipliers.
+For a rotation and t = a quarter of a turn their squares are the multipliers. H is symplectic, so that H^-1 = -J H^T J loses no digits.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from .elliptic import EllipticFunctions
 
 
 class _Steps(NamedTuple):
-    """Numbers of steps in a quarter of the period, from which sums are extrapolated."""
+    """Numbers of steps in a quarter of the period; sums with each number are extrapolated to infinitely many."""
 
     shortest: float  # length of the shortest steps times the norm of the system
-    counts: tuple[int, ...]  # ratios of the numbers of steps
-    most: int  # largest number of the longest steps
+    counts: tuple[int, ...]  # numbers of steps, divided by the least of them
+    most: int  # upper limit of the least number of steps
 
     def weights(self) -> Array:
-        """Weights of the sums in the extrapolation from all numbers of steps, and from all but the first, (2, counts)."""
+        """Weights of the sums in two extrapolations, (2, counts): with all numbers of steps, and without the least number."""
         size, result = len(self.counts), np.zeros((2, len(self.counts)))
         for k, weights in enumerate(result):
             errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
@@ -48,19 +48,19 @@ class _Steps(NamedTuple):
         return result
 
 
-# The errors of the sums are about 1e-7 and 1e-15.
+# The errors of the sums are about 1e-7 with _ROUGH and 1e-15 with _FINE.
 _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
-_MAX_ROUNDING = 1e-7  # relative, of 1 - k^2; near the separatrix it is exceeded, and the period is not known
+_MAX_ROUNDING = 1e-7  # largest relative rounding error of 1 - k^2; where it is larger, near the separatrix, the period is unknown
 _TOLERANCE = 1e-11  # relative error, with short steps, of the expressions that vanish on borders of stability
-_CHANGE = 3.2  # bound of the error over the change by the longest steps of an extrapolation; measured: 0.3
-# Signs of R H^-1 R relative to the blocks of H transposed.
+_CHANGE = 3.2  # bound of error / change of an extrapolated sum, its change when the longest steps are left out; measured: 0.3
+# R H^-1 R is the transpose of H with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
 class PlaneMotions(NamedTuple):
-    """Motions of bodies in the plane, in units of a moment and a rate that are powers of 2; arrays (points,)."""
+    """Motions of bodies in the plane, arrays (points,); the units of moments and of rates are powers of 2."""
 
     unit: Array  # unit of rates
     low: Array  # moment about the axis that is along alpha at x = 0, A
@@ -70,19 +70,19 @@ class PlaneMotions(NamedTuple):
     gradient: Array
     field: Array  # h
     frame: Array  # angular velocity along e3 of a body at rest in the frame
-    symmetric: Mask  # about an axis in the plane: the momentum about it is constant, and one rho is 2
+    symmetric: Mask  # whether the body is symmetric about its first or second axis, so that one rho is 2
     rotates: Mask
-    frequency: Array  # f, of a rotation with the sign of x'
+    frequency: Array  # f; in a rotation it has the sign of x'
     modulus: Array  # k^2
-    complement: Array  # 1 - k^2, 0 on the separatrix, and its relative rounding error
-    rounding: Array
+    complement: Array  # 1 - k^2, 0 on the separatrix
+    rounding: Array  # relative rounding error of 1 - k^2
     sine: Array  # sin x, cos x and x' at the start
     cosine: Array
     start_rate: Array
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
-        """The motions from starts, (points, 3)."""
+        """The motions from starts; w, alpha, gamma: (points, 3)."""
         moment, unit = (
             np.exp2(np.round(np.log2(each))) for each in (body.inertia.max(-1), np.abs(body.turn) + length(w))
         )
@@ -109,7 +109,7 @@ class PlaneMotions(NamedTuple):
 
     @property
     def mean(self) -> EllipticFunctions:
-        """The elliptic functions."""
+        """The elliptic functions with the moduli of the motions."""
         return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
@@ -128,7 +128,7 @@ class PlaneMotions(NamedTuple):
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
-        """x without its mean rotation, x' / f, and Jacobi's zeta function Z at times in periods, see `start_turns`."""
+        """x without its mean rotation, x' / f, and Jacobi's zeta function Z; turns: times in periods, as in `start_turns`."""
         (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
         k = np.sqrt(self.modulus)
         angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
@@ -160,7 +160,7 @@ class PlaneMotions(NamedTuple):
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # Verdicts near borders and all growth rates follow from the fine sums, as `multipliers` does.
+        # Verdicts near borders and, unless `rough`, all growth rates follow from the fine sums, as in `multipliers`.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)
@@ -171,7 +171,7 @@ class PlaneMotions(NamedTuple):
     def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
         """Stability, and the logarithm of the growth over the period: 0 where errors hide it, nan where it is unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
-        one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square in that of u
+        one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square is 1 in the unit of u
         square, middle = one**2, u + 2 * one**2
         positive = np.array(
             [t**2 / 4 - u + 2 * square, middle - 2 * t * one, middle + 2 * t * one, 16 * square - t**2]
@@ -199,12 +199,12 @@ class PlaneMotions(NamedTuple):
         """t and s over the period (a libration or a whole turn), scaled where they could overflow, and log of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho of a turn is rho^2 - 2
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho^2 - 2 is rho of a turn
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """t / exp(s), u / exp(2 s) and s, t the trace and u the second coefficient of the matrix over a libration or half a turn,
-        and the changes of the first two by the longest steps of the extrapolation, (5, points); nan where not known.
+        """t / exp(s), u / exp(2 s), s, and the changes of the first two without the longest steps, (5, points); nan where unknown.
+        t: trace, u: second coefficient of the characteristic polynomial, of the matrix over a libration or half a turn.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
@@ -235,7 +235,7 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """The first three of `multiplier_sums` by equal steps, (3, LANES); matrices: zeros that become the matrices of `of_steps`."""
+        """The first three rows of `multiplier_sums` with equal steps, (3, LANES); matrices: zeros, overwritten by those for `of_steps`."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])

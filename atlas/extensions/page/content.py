@@ -51,14 +51,14 @@ THEORY = (
     "energy_stable", "frequency_1", "frequency_2", "frequency_3",
 )  # fmt: skip
 NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
-# Largest number of maps, over the values of the further axes, with lines of theory: each map takes some seconds.
+# Largest number of maps for which lines of theory are computed, which takes some seconds for each map.
 MAX_SLICES = 24
 SHADES = 256
 HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # regions that are hatched
 
 
 def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """All that a page shows; motions: `motion_table`, or {"fault": reason}; file: name of the atlas in the commands shown."""
+    """All that a page shows; motions: result of `motion_table`, or {"fault": reason}; file: name of the atlas in the commands shown."""
     ds, system, attributes = layout.ds, layout.system, layout.ds.attrs
     notes = list(layout.notes)
     if "atlas_scene" not in attributes:
@@ -90,7 +90,7 @@ def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: s
 
 
 def axes_table(layout: Layout) -> list[dict[str, Any]]:
-    """Axes of the atlas; for single points the coordinates that vary, axes of the map first."""
+    """Axes of the atlas, or of single points the coordinates that vary, with the axes of the map first."""
     ds, system, names = layout.shown, layout.system, layout.dims
     if layout.points:
         columns = {name: ds[name].values for name in numeric_coordinates(ds, POINT)}
@@ -208,7 +208,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Lines of theory, and the masks of slow and of white points; empty for an atlas of single points."""
+    """Lines of theory, the mask of slow points, and the reasons of white points; empty for an atlas of single points."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -258,7 +258,7 @@ def _styles(system: System, slices: list[list[dict[str, Any]]]) -> dict[str, Any
     for line in (line for each in slices for line in each):
         kind, exact = line["kind"], line["source"] == "exact"
         style = cells.family_style(families.index(kind)) if exact else cells.border_style(kind)
-        dashes = style["linestyle"]  # a name, or a pattern in units of the width
+        dashes = style["linestyle"]  # a name, or a pattern in units of the line's width
         words = kind.replace("_", " ") if exact else as_math(kind)
         styles[kind] = {
             "text": text_runs(f"{words} ({line['source']})"),
@@ -287,7 +287,7 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
         if not np.isnan(starts.parameters[name]).all()
     ]
     states = list(system.equations.STATE)
-    observables = []  # states or functions of the equations, of systems without a body in a frame
+    observables = []  # of systems without a body in a frame: states, or functions of the equations
     for observable in system.observables:
         unit = unit_text(observable.unit)
         label = f"{observable.symbol or observable.name}{f' ({unit})' if unit else ''}"
@@ -323,7 +323,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
         column = store.add(
             motion.over_points(xr.DataArray(ds[dim].variable.astype(np.float64)), layout.sizes)
         )
-        if layout.scene is not None or column["over"]:  # one value for all points needs no coordinate
+        if layout.scene is not None or column["over"]:  # a value that all points share need not be given
             coordinates.append({"name": name, "dim": dim, "values": column})
     return {
         "shell": f"atlas trajectory {shlex.quote(file)} --at",
@@ -333,7 +333,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
 
 
 def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
-    """Vertices of a line with six digits; nan cuts a curve."""
+    """Entry of a line of theory; its vertices have six digits, or are None where a curve is cut."""
     paths = [
         [[float(f"{x:.6g}") if math.isfinite(x) else None for x in vertex] for vertex in line]
         for line in vertices
@@ -388,7 +388,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Type in JavaScript, size and data of each array: first bytes of all numbers, then second ones etc., zlib, base64."""
+        """Type in JavaScript, size and data of each array; data: first bytes of all numbers, then second bytes etc., by zlib and base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))
@@ -408,7 +408,7 @@ def float_array(values: np.ndarray) -> np.ndarray:
 
 
 MAX_POINTS = 120_000
-# Bytes of numbers before compression, about as many as in the page: base64 adds what compression removes.
+# Largest size of the numbers before compression, about their size in the page: base64 adds what compression removes.
 MAX_BYTES = 12_000_000
 
 
@@ -423,7 +423,7 @@ class Layout:
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
     panel_dims: list[str]  # the other dimensions
-    points: bool  # whether these are single points without axes
+    points: bool  # whether the atlas has single points, without axes
     notes: list[str]  # sentences about omitted parts
     degrees: bool | None  # whether angles are shown in degrees, see `analysis.degrees`
 
@@ -470,7 +470,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
-    """Layout of a page with at most max_points points, by every k-th value of the longest axes; BadInput without axes."""
+    """Layout of a page; of more than max_points points, every k-th value along the longest axes; BadInput without axes."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (

@@ -25,7 +25,8 @@ from ...systems import arithmetic
 from ...systems.base import Array, System
 
 SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# Functions of the equations: for the integration, in the kernel's units, and optional ones to show a body, in the caller's units.
+# _KERNEL: functions of the equations that integrate a motion, in the kernel's units. _OF_BODY: functions that show a body, in the
+# caller's units; equations may lack them.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 
@@ -35,12 +36,12 @@ class Motions:
     """Start values of the points of an atlas, each array of shape (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # As in `kernel.ensemble.Ensemble`; if the equations of a body have no `axis_in_frame`, the first axis of the frame follows.
+    # As in `kernel.ensemble.Ensemble`; if the equations of a body have no `axis_in_frame`, state ends with the first axis of the frame.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
     steps: np.ndarray  # steps from one instant of the trajectory to the next
-    reason: np.ndarray  # index in `sentences` of why a point has no motion, 0 where it has one
+    reason: np.ndarray  # index in `sentences` of the reason why a point has no motion, 0 if it has one
     sentences: list[str]
     method: str  # a key of tableaux.METHODS
 
@@ -100,7 +101,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
         finite = np.where(np.isfinite(duration), duration, 0.0)
         at_points = settings.at(rate_tolerance)
         count = StepSizes.of(at_points, ensemble.frequency_bound, finite).steps
-        if system.has_numeric_bound:  # the atlas has steps from a bound along each motion
+        if system.has_numeric_bound:  # the atlas contains steps from a frequency bound along each motion
             if "step" not in ds:
                 raise BadInput(
                     "step: not in this dataset; the frequency bound of this system is numeric, and its steps are those"
@@ -146,10 +147,10 @@ class CannotTranslate(ValueError):
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript functions from Python functions in the grammar of `arithmetic`; CannotTranslate for others.
+    """JavaScript functions from Python functions in the grammar of `arithmetic`; CannotTranslate for other functions.
 
-    Tuples (arrays in JavaScript), calls of `axpy` and calls of each other are allowed too. Every name gets the ending "$", which
-    Python names and words of JavaScript lack.
+    Tuples (arrays in JavaScript), calls of `axpy` and calls between these functions are allowed too. Every name gets the ending "$",
+    which Python names and words of JavaScript lack.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
@@ -261,7 +262,7 @@ class _Function:
         raise self.fault(node)
 
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
-        """A power: a product, a square root, or Math.pow, which may differ in the last bit."""
+        """A power, as a product, a square root, or a call of Math.pow, which may differ from Python in the last bit."""
         sign = 1.0
         if isinstance(exponent, ast.UnaryOp) and isinstance(exponent.op, ast.USub):
             sign, exponent = -1.0, exponent.operand

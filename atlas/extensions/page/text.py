@@ -23,7 +23,7 @@ _COMMANDS = {
 }
 for _name in GREEK:
     _case = "CAPITAL" if _name[0].isupper() else "SMALL"
-    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # the spelling of Unicode
+    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # Unicode spells it so
     _COMMANDS.setdefault(_name, unicodedata.lookup(f"GREEK {_case} LETTER {_letter}"))
 _SPACES = {",": "\u2009", " ": " ", ";": "\u2005", ":": "\u2005", "!": "", "quad": "\u2003"}
 _ACCENTS = {

@@ -22,15 +22,15 @@ from ...systems.base import Array, Mask
 from .surface import Surface, quantities
 
 Counts = NDArray[np.int64]
-NODE_RADIANS = 0.8  # largest distance of two nodes, in rad of the frequency bound
-# Steps between two nodes: few numbers, so that motions share blocks of the kernel.
+NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, rad
+# Allowed numbers of steps between two nodes; they are few, so that motions share blocks of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
 NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory: of all motions, of one
-# A cubic nearly touches 0 if an extremum in the middle is below the share TOUCHING of its larger end; near the ends, where the cubic
-# is exact, a smaller share counts. If a motion is twice as fast as the bound, the error of a cubic is a third of TOUCHING.
+# A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end; near the ends, where the
+# cubic is exact, the limit is lower. If a motion is twice as fast as the bound, the error of a cubic is a third of TOUCHING.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
-# Newton's method is done after a step below LAST_STEP distances of nodes, or LAST_SHARE of the distance to the ends of the piece.
+# Newton's method is done after a step below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end of the piece.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
 # A motion lies on the surface if |function| stays below this share of the function's derivative along a generic change of the states.
 STAYS = 1e-9
@@ -42,7 +42,7 @@ def crossings(
     surface: Surface, kept: Sequence[Expression], kernel: ModuleType, ensemble: Ensemble, sizes: StepSizes,
     duration: Array, count: int,
 ) -> tuple[Array, Counts, Mask]:  # fmt: skip
-    """Kept quantities and, last, times of at most `count` crossings, (rows, points, count); numbers of crossings; finite motions."""
+    """Kept quantities, then times, of at most `count` crossings, (rows, points, count); number of crossings; whether states stay finite."""
     table = np.full((len(kept) + 1, ensemble.size, count), np.nan)
     have, done = np.zeros((2, ensemble.size), np.int64)
     state, finite = ensemble.state.copy(), np.ones(ensemble.size, bool)
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # A different relative change of each state: a common one would not change directions.
+        # The relative change differs between the states: a common factor would not change directions.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -88,7 +88,7 @@ def crossings(
 def _at(
     surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """State, its derivative by the share, the function and its slope, at shares of the distance from a node to the next."""
+    """State, its slope, function of the surface, its slope, at the fraction `share` of the way from a node to the next; slopes by share."""
     part, steps, unit = motions.subset(place), steps[place], spacing[place]
     states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
     state, slopes = states[:, 1], slopes[:, 1] * unit
@@ -98,7 +98,7 @@ def _at(
 def _zeros(
     at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
 ) -> tuple[Counts, Array]:
-    """Interval of each zero in a direction, and its share of the interval, in order; ends: values and slopes at the ends.
+    """Interval of each zero in `direction`, and the zero's place in it, 0 to 1, in order; ends: values and slopes at the intervals' ends.
 
     A piece of an interval is cut where its cubic nearly touches 0, else where it crosses 0, until Newton's method is done.
     """
@@ -120,7 +120,7 @@ def _zeros(
         change = -value / slope
         margin = np.minimum(share - pieces[1], pieces[4] - share)
         found = crosses & (np.abs(change) <= np.maximum(LAST_STEP, LAST_SHARE * margin))
-        is_zero = found & (np.abs(value) <= size[place])  # and no pole
+        is_zero = found & (np.abs(value) <= size[place])  # not a pole, where the value is large
         zeros.append(np.array([place, share + change])[:, is_zero])
         halves = np.array([pieces, pieces])
         halves[0, 4:] = halves[1, 1:4] = share, value, slope
@@ -131,7 +131,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """For cubics with values and slopes at 0 and 1: the extremum nearest to 0 in value, whether it decides on zeros, and about a zero."""
+    """For cubics with these values and slopes at 0 and 1: the extremum nearest to the axis, whether to cut there, and about a zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])

@@ -33,10 +33,10 @@ from .surface import JUMPING, Surface
 DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
 DIMS = ("point", "crossing")
-AT, LENGTH = "atlas_section", "atlas_duration"  # attributes
+AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes
 MAX_VALUES = 10**8  # largest number of values of each kept quantity
-# Error of the first run over the difference of both, at most: errors of the steps are a sixth of it (rk4) or less, errors of
-# rounding may be larger.
+# The error of the first run is estimated as SHARE times the difference of the two runs: errors of the steps are at most a sixth of
+# it (rk4), errors of rounding may be larger.
 SHARE = 0.2
 SPREAD = 1e-6  # relative difference of first integrals among points, above which a warning follows
 
@@ -181,7 +181,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """Range over the starts of each first integral that is constant, relative to its size."""
+    """For each first integral that stays constant, its range over the starts, relative to its size."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

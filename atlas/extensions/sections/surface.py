@@ -23,7 +23,7 @@ TINY = 1e-300  # keeps rates on the vertical finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """The named quantities, states and constants, at states, whose imaginary parts are carried exactly to first order."""
+    """Values of the named quantities, the states and the constants; imaginary parts of the states are carried exactly to first order."""
     equations = system.equations
     values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
     missing = {*names} - values.keys()
@@ -47,13 +47,13 @@ def quantities(system: System, names: Collection[str], state: Any, constants: Ar
 
 
 def _angle(sine: Any, cosine: Any) -> Any:
-    """The angle with this sine and cosine, up to a common factor; an imaginary part is carried to first order."""
+    """The angle whose sine and cosine these are, up to a common factor; imaginary parts are carried to first order."""
     y, x = np.real(sine), np.real(cosine)
     return np.arctan2(y, x) + 1j * (np.imag(sine) * x - np.imag(cosine) * y) / (x * x + y * y)
 
 
 def _sine_and_cosine(system: System, angle: str, state: Any, constants: Array) -> tuple[Any, Any]:
-    """Sine and cosine of psi or phi times the sine of theta, which are smooth on the vertical."""
+    """Sine and cosine of psi or phi, each times sin theta: these products are smooth on the vertical."""
     if angle == "phi":
         return system.equations.frame_motion(state, constants)[3:5]
     x, y = system.equations.axis_in_frame(state, constants)
@@ -84,7 +84,7 @@ class Surface:
             raise BadInput(f"{key}: abs is not smooth; allowed: smooth functions")
         if moving.isdisjoint(self.names):
             raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(moving))}")
-        # An angle alone on the left: an equation of its sine and cosine is smooth.
+        # If an angle is alone on the left, an equation of its sine and cosine replaces it, which is smooth.
         alone = system.frame and moving.isdisjoint(self.right.names)
         self.angle = self.left.text if alone and self.left.text in {"theta", *JUMPING} else ""
         if system.frame and (jumping := self.names & JUMPING - {self.angle}):
@@ -119,7 +119,7 @@ class Surface:
         return value * (sine2 if self.power == 2 else np.sqrt(sine2))
 
     def with_slope(self, state: Array, slopes: Array, constants: Array) -> tuple[Array, Array]:
-        """The function at states and its derivative along the slopes, the derivatives of the states."""
+        """The function at states, and its derivative when the states have the derivatives `slopes`."""
         with np.errstate(all="ignore"):
             value = np.broadcast_to(self.value(state + 1j * STEP * slopes, constants), state.shape[1:])
         return value.real, value.imag / STEP

@@ -19,14 +19,14 @@ FAST, UP = 10.0 ** np.arange(0, 7), 10.0 ** np.arange(-2, -13, -2)
 SPINS, FIELDS = 10.0 ** np.arange(-6, 5, 2), 10.0 ** np.arange(-8, 7, 2)
 TILTS = np.array([1e-2, 1e-3, 1e-4, 3e-5, 1e-6, 1e-8, 1e-12, 0.0])
 WEAK, WEAKER = 10.0 ** np.arange(-12, -3, 2), 10.0 ** np.arange(-2, -9, -2)
-# Offsets added to exact starts, rad: from slowly unstable motions, and from stable ones.
+# Offsets added to exact starts, rad: of slowly unstable motions (HIDDEN) and of stable motions (BESIDE).
 HIDDEN, BESIDE = {"theta0": [1e-4, 1e-5, 1e-6]}, {"theta0": [0.0, 0.3]}
-# Offsets from unstable motions, rad, and the logarithms of their growth.
+# Offsets from unstable motions, rad, and natural logarithms of the factors by which the offsets grow.
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)
-# Angles at which the axis passes the vertical, rad, and its angular speed there.
+# Least angles between axis and vertical during a passage, rad, and the angular speed of the axis there.
 SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
-# Bodies with exact motions that pass the vertical, with the kind of motion: spheres on the orbit, on which gravity exerts no
-# torque, and bodies without an orbit.
+# Bodies whose exact motions pass the vertical: name -> kind of motion, parameters. On the orbit these are spheres, on which gravity
+# exerts no torque; the other bodies have no orbit.
 _TOPS_ON_ORBIT: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "sphere": ("symmetric top", {"C": 1.0, "k3": 0.4}),
     "magnetic sphere": ("symmetric top", {"C": 1.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6}),
@@ -79,7 +79,7 @@ def _passages(
 ) -> list[StressCase]:
     """Exact motions that start, end or pass beside the vertical.
 
-    parts: the part of the run in which the axis passes -> times from the start to the passage, and lengths of the run.
+    parts: what the body does beside the vertical ("starts", "ends" or "passes") -> times from start to passage, durations of the runs.
     """
     result = []
     for body, (truth, columns) in bodies.items():
@@ -97,10 +97,10 @@ def _passages(
 
 
 def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array) -> dict[str, ArrayLike]:
-    """Columns of the same motions from a moment `before` the given start (negative: after it).
+    """Columns of the same motions from an earlier moment: the time `before` ahead of the given start (negative: later).
 
     columns: parameters and start values by name, by default the defaults of the system; psi0 has no effect on the motion.
-    before: in time units. Returns the columns with other theta0, phi0, theta_dot0, n and m.
+    Returns the columns with other theta0, phi0, theta_dot0, n and m.
     """
     from scipy.integrate import solve_ivp
 

@@ -37,9 +37,9 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """Flags of at most `points` points of a grid for several values of settings; `label_change`: the settings that change a flag.
+    """Flags at `points` or fewer points of a grid, for several values of settings; `label_change`: the settings that change a flag.
 
-    Variables NAME_of_SETTING lie along SETTING_factor and the axes of the scene; `label_change` counts the factors of VARIED.
+    A variable FLAG_of_SETTING lies along SETTING_factor and the axes of the scene; `label_change` regards the factors of VARIED alone.
     """
     for name in names:
         if name not in VARIED:
@@ -92,7 +92,7 @@ def convergence(
 
 
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
-    """The scene with one setting multiplied by a factor; if the scene gives the step, tolerance means the step."""
+    """The scene with one setting multiplied by a factor: with the step in place of the tolerance if the scene gives the step."""
     if name in ("duration", "transient"):
         length = getattr(scene, name)
         return replace(scene, **{name: replace(length, amount=_times(factor, length.amount))})

@@ -41,7 +41,7 @@ class Motion(Protocol):
         """Angles and rates at the times."""
 
 
-# Elliptic functions of the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
+# These elliptic functions take the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
@@ -158,7 +158,7 @@ class FreeGyrostat:
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
     where P is Weierstrass' function, by Jacobi's functions. The body turns about the fixed angular momentum at a rate that is a
-    periodic function of r alone: its Fourier series is integrated term by term. psi' is relative to a frame that turns at
+    periodic function of r alone; the Fourier series of this rate is integrated term by term. psi' is relative to a frame that turns at
     frame_rate. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
@@ -209,7 +209,7 @@ class FreeGyrostat:
         slope, curvature = (np.polyval(np.polyder(quartic, k), self.root) for k in (1, 2))
         self.a2, self.a3 = float(curvature / 12), float(slope / 4)
         values = [(self.a2 / 2 + self.a3 / (root - self.root), i) for root, i in roots]
-        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # of a root at infinity
+        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # for each root at infinity
         self.both_turn = False  # whether w1 vanishes at one turning point of r, w2 at the other
         if all(value.imag == 0 for value, _ in values):
             (e1, far), (e2, _), (e3, _) = sorted(((v.real, i) for v, i in values), reverse=True)
@@ -274,7 +274,7 @@ class FreeGyrostat:
         return w
 
     def _directions(self, time: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Three fixed directions in body axes, (3, times): angular momentum, node at the start, normal of both."""
+        """Three fixed directions in body axes, (3, times): angular momentum, node at the start, normal to both."""
         phases = np.exp(1j * np.multiply.outer(time, self.harmonics))
         angle = self.mean_precession * time + ((phases - 1) @ self.series).real
         axis = self.inertia[:, None] * w
@@ -298,7 +298,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Angles and rates of a body whose axis is not along gamma; w contains the frame's rate, psi' does not."""
+    """Angles and rates of a body whose third axis is not along gamma; w contains the rate of the frame, psi' does not."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -310,9 +310,6 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
         normal_rate=(w * gamma).sum(0) - frame_rate,
         cos_theta_dot=cos_theta_dot,
     )
-
-
-# Exact motions by their names in stress cases.
 
 
 def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:
@@ -334,7 +331,7 @@ def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Po
     else:
         weight = p["Mg"] * np.array([p["x0"], p["y0"], p["z0"]])
         others = [p["N"] * np.ptp(inertia)]
-    only_weight = not any(others)  # no other torque acts
+    only_weight = not any(others)  # whether no other torque acts
     if kind == "symmetric top" and only_weight and p["A"] == p["B"] and not any([*rotor[:2], *weight[:2]]):
         start = p["theta0"], p["theta_dot0"], p["n"], p["m"]
         return SymmetricTop(p["A"], p["C"], float(rotor[2]), float(weight[2]), start, frame_rate)
@@ -345,8 +342,8 @@ def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Po
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 
-# Nodes and weights of an interval of the quadrature, which is halved until the sum changes by at most QUADRATURE_RTOL of the
-# integral; no motion needs MAX_INTERVALS intervals.
+# Nodes and weights for one interval of the quadrature. An interval is halved until its sum changes by at most QUADRATURE_RTOL of the
+# whole integral; no motion needs MAX_INTERVALS intervals.
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
@@ -374,7 +371,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
 
 
 def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -> dict[str, float]:
-    """Rms of theta', means (but of theta') and standard deviations of rates, by weights of sum 1; share outside a cylinder."""
+    """Rms of theta', means of the other rates, standard deviations of all rates; weights of sum 1; fraction outside a cylinder."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     if cylinder is not None:
         result["outside"] = float(weight @ (np.sin(motion.theta) >= cylinder))
@@ -387,14 +384,14 @@ def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -
 
 
 def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
-    """Ascending nodes, and weights, of integrals of the rates and their squares over [0, duration]."""
+    """Nodes in ascending order, and weights, that integrate the rates and their squares over [0, duration]."""
     edges = np.linspace(0.0, duration, 9 + int(motion.rate * duration))
     while edges.size <= MAX_INTERVALS:
         middle = 0.5 * (edges[:-1] + edges[1:])
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # Errors are relative to the fastest rate, and a standard deviation of 1e-6 of this rate is still accurate.
+        # Errors are relative to the fastest rate; a standard deviation of 1e-6 times this rate is still accurate.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)

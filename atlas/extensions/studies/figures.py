@@ -47,7 +47,7 @@ def stress_figure(ds: xr.Dataset) -> Figure:
     A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
     """
     cases = ds["case"].values
-    first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # point of each case
+    first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # first point of each case
     size = np.diff(np.r_[first, cases.size])
     edges = np.r_[0.0, np.cumsum(np.repeat(np.maximum(size, MIN_HEIGHT) / size, size))]
     columns = {

@@ -31,13 +31,13 @@ REFERENCE_RTOL, SECOND_RTOL, SAFETY = 3e-14, 1e-13, 10.0
 LEAST_UNCERTAINTY = 1e-15
 # Largest residual, by rounding, of a start that is exactly on its family.
 EXACT_RESIDUAL = 1e-14
-# SciPy's DOP853 takes too long for more radians than this at the frequency bound.
+# Largest duration times frequency bound, rad, for which SciPy's DOP853 does not take too long.
 MAX_RADIANS = 1e5
 # Points are integrated as one system if their runs differ in length by at most this factor.
 GROUP_FACTOR = 2.0
 
 Advance = Callable[[float], None]  # called with the number of points finished since the last call
-Run = dict[str, Array]  # the statistics, "sine_max", "outside", all (points,), and "state" (state, points)
+Run = dict[str, Array]  # the statistics, "sine_max" and "outside", (points,), and "state", (states, points)
 
 
 def no_progress(points: float) -> None:
@@ -48,8 +48,8 @@ def no_progress(points: float) -> None:
 class Reference:
     """Reference solution of some points and its uncertainty."""
 
-    state: Array  # at the end of the run, (state, points)
-    # By the names of the main instrument, "sine_max" and "outside"; NaN inside the cylinder, where psi' and phi' have no meaning
+    state: Array  # at the end of the run, (states, points)
+    # The statistics of the main instrument, "sine_max" and "outside", by name; psi' and phi' are NaN inside the cylinder
     statistics: dict[str, Array]
     label: Flags
     label_inertial: Flags | None  # None for a system with one frame
@@ -263,7 +263,7 @@ def _final_and_range(
     duration: Array,
     advance: Advance,
 ) -> tuple[Array, Array, Array] | None:
-    """States and sums after the unit of time, and the range of some values; None if a step fails.
+    """States and sums at the time 1, and the smallest and largest of some values until then; None if a step fails.
 
     values_along: gives the values at states (states, points, instants), and their derivatives per time unit.
     """
@@ -331,7 +331,7 @@ def integrate_observed_group(
     total, square, trend = final[states:].reshape(3, count, size)
     deviation = np.sqrt(np.maximum(square - total**2, 0.0))
     columns = np.stack([first + total, deviation, lowest, highest, 12.0 * trend], axis=1)
-    if periods is not None:  # values of each point at the ends of its own periods, nan at those of others
+    if periods is not None:  # values at the ends of each point's own periods, nan elsewhere
         times = np.unique(np.concatenate([np.arange(n + 1) / n for n in np.unique(periods)]))
         place = times * periods[:, None]
         path = solve_ivp(
@@ -352,7 +352,7 @@ def integrate_observed_group(
 def range_of_cubics(value: Array, slope: Array) -> tuple[Array, Array]:
     """Smallest and largest value of cubics between instants at unit distance, along the last axis."""
     left, right, rise = slope[..., :-1], slope[..., 1:], np.diff(value, axis=-1)
-    # value + left x + b x^2 + c x^3 on 0..1 turns where its slope changes sign
+    # value + left x + b x^2 + c x^3 has its extreme on 0..1 where its slope changes sign
     b, c = 3 * rise - 2 * left - right, left + right - 2 * rise
     root = np.sqrt(np.maximum(b**2 - 3 * left * c, 0.0))
     x = -left / (b + np.where(left > 0, -root, root))

@@ -37,13 +37,13 @@ from .stress_truth import (
     true_labels,
 )
 
-# Levels, coarse to fine: steps as shares of the stability limit at the frequency bound; automatic steps by tolerances.
+# Levels, coarse to fine: fixed steps divided by the stability limit at the frequency bound, then tolerances of automatic steps.
 RATIOS = (1.5, 0.9, 0.49, 0.3, 0.15, 0.06, 0.025, 0.01)
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)
 # Largest rate tolerance: the default, relative to the natural rate of a fast rotor, would call all slow motions steady.
 RATE_TOLERANCE = 1e-5
 LEVELS = tuple(f"ratio {ratio:g}" for ratio in RATIOS) + tuple(f"tolerance {tol:.0e}" for tol in TOLERANCES)
-# A level leaves out points with more steps.
+# Largest number of steps of a point; points that need more steps at a level are left out there.
 MAX_STEPS = 10_000_000
 # Largest error of an accurate unsteadiness, relative to the true unsteadiness or, if larger, to the rate tolerance.
 ACCURATE = 0.01
@@ -123,7 +123,7 @@ def _run_levels(
             radians = bound[where] * tile.duration
             most = replace(settings, max_steps=model.MAX_STEPS).at(tile.rate_tolerance)
             unlimited = StepSizes.of(most, bound[where], tile.duration, tile.step)
-        # 1000 steps are enough to show an overflow, whose step sizes would take too many.
+        # 1000 steps are enough to show an overflow; the automatic steps of such a point would be too many.
         overflow = ~np.isfinite(bound[where]) | (radians > 1e12)
         runs = {MAX_STEPS: ~overflow & (unlimited.steps <= MAX_STEPS), 1000: overflow}
         for max_steps, mask in runs.items():
@@ -224,7 +224,7 @@ def unresolved(ds: xr.Dataset) -> Mask:
 
 
 def beyond_estimate(ds: xr.Dataset) -> Mask:
-    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, allowed for 1 % of runs."""
+    """Where a statistic of a resolved exact motion is off by more than ten times `error_estimate`, as 1 % of the runs may be."""
     error = ds["statistic_error"].max("statistic").values
     return np.asarray(_has_estimate(ds) & (error > 10 * ds["error_estimate"].values + EXACT_ACCURACY))
 
@@ -262,7 +262,7 @@ def report(ds: xr.Dataset) -> str:
         conditions = [is_wrong, is_left_out, is_unresolved & is_right, is_unresolved]
         signs = np.select(conditions, ["X", "-", "u", "U"], ".")
         rows.append((str(case), str(part.sizes["point"]), truth, source, *map("".join, signs)))
-    # For each method and level: numbers of true labels with accurate and with known unsteadiness.
+    # For each method and level: how many of the right labels have an accurate unsteadiness, and how many a known one.
     accuracy = []
     for name, verdict, error in zip(
         ds["method"].values, ds["verdict"].values, ds["error"].values, strict=True
@@ -300,7 +300,7 @@ def _point_lines(ds: xr.Dataset, text: str, selected: Mask) -> list[str]:
 
 
 def _statistics_table(ds: xr.Dataset) -> list[str]:
-    """A row for each case of exact motions: largest error at the default tolerance, and against the estimate."""
+    """A row for each case of exact motions: largest error, and largest error / estimate, at the finest tolerance."""
     known = ds["statistic_error"].notnull().any(("method", "level", "statistic")).values
     if not known.any():
         return []
@@ -336,12 +336,12 @@ def _statistics_table(ds: xr.Dataset) -> list[str]:
     ]
 
 
-# Powers of 10 by which parameters, and start values, are multiplied.
+# Exponents of the powers of 10 by which the defaults of parameters, and of start values, are multiplied.
 POWERS, POWERS_OF_STARTS = np.array([-6, -4, -2, -1, 1, 2, 4, 6]), np.array([-12, -6, -3, -1, 0])
 HUGE = 1e200
-# Value of start values whose default is 0, so that the state changes.
+# What a start value is set to if its default is 0, so that the state changes.
 START = 0.1
-# Length of a run in radians of its frequency at the start, and its limit in time units.
+# Duration of a run times its frequency at the start, rad, and the longest duration, time units.
 RADIANS, MAX_DURATION = 60.0, 1e3
 
 
@@ -365,7 +365,7 @@ def generic_cases(system: System) -> list[StressCase]:
 
 
 def _case(system: System, name: str, columns: Mapping[str, float | Array]) -> StressCase:
-    """A case of some columns, each run as long as its frequency at the start allows."""
+    """A case with these columns; the higher the frequency of a run at its start, the shorter the run."""
     meaning = system.parameters[name].meaning if name in system.parameters else "one motion"
     case = StressCase(name, meaning, 1.0, columns)
     points = case_points(system, case).points
@@ -410,8 +410,8 @@ def _final_states(system: System, method: str, points: Points, step_size: Array,
 def observed_stability(method: Method, steps: int = 16_000) -> dict[str, float]:
     """Largest y = (angular frequency) x (step), to 1e-4, without growth of the amplitude; in theory `method.stability`.
 
-    Two motions with one frequency each: gamma of a free sphere turns at |w| ("turning"), the small w of a sphere with a rotor
-    turns about it at l3 / A ("nutation").
+    Two motions with one frequency each: gamma of a free sphere turns at |w| ("turning"); the small w of a sphere with a rotor
+    turns about the rotor at l3 / A ("nutation").
     """
     system = systems.get("fixed_point")
     y = method.stability * np.linspace(0.95, 1.05, 1025)

@@ -23,15 +23,15 @@ from ...variables import main_instrument
 from . import exact
 from .reference import EXACT_RESIDUAL, largest_sine, reference
 
-# The reference integrates whole runs up to MAX_RADIANS_WHOLE rad at the frequency bound, and RADIANS_OF_PART of longer ones.
+# The reference integrates runs up to MAX_RADIANS_WHOLE rad at the frequency bound whole, and RADIANS_OF_PART rad of longer runs.
 MAX_RADIANS_WHOLE, RADIANS_OF_PART = 170.0, 40.0
-# Statistics of an exact motion to compare, and their accuracy (of a rate: over the frequency bound).
+# Statistics that are compared with those of an exact motion, and their accuracy (of rates, divided by the frequency bound).
 EXACT_STATISTICS = (
     "theta_dot_rms", "theta_dot_std", "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std",
     "normal_rate_mean", "normal_rate_std", "theta_min", "theta_max",
 )  # fmt: skip
 EXACT_ACCURACY = 1e-12
-# Accuracy of the share of a run outside the cylinder: a node or two of the quadrature at each passage of its rim.
+# Accuracy of the fraction of a run outside the cylinder: each passage of the rim may misplace a node or two of the quadrature.
 SHARE_ACCURACY = 0.05
 # Uncertainty of an offset from an equilibrium: the rounding of the state.
 STATE_ROUNDING = 3e-16
@@ -63,11 +63,11 @@ class TrueLabels:
 class CasePoints:
     """A stress case as arrays of shape (points,)."""
 
-    name: str  # of the case
+    name: str  # name of the case
     points: Points
-    base: Points  # before the additions of the case
+    base: Points  # the points before the additions of the case
     duration: Array  # time units
-    names: np.ndarray  # of the points: the values that vary within the case
+    names: np.ndarray  # names of the points, from the values that vary within the case
     may_stay_unresolved: str
     truth: str | Callable[[Points], Any]  # as in StressCase
 
@@ -163,7 +163,7 @@ def _labels_of_runs(
     source: str,
     departure_error: Array | None = None,
 ) -> TrueLabels:
-    """Labels from the statistics of exact motions, or of departures, whose statistics have a relative error (points,)."""
+    """Labels from the statistics of exact motions or of departures; departure_error: relative error of the latter, (points,)."""
     measured = {name: np.array([run[name] for run in runs]) for name in (*EXACT_STATISTICS, "outside")}
     measured["sine_max"] = largest_sine(measured["theta_min"], measured["theta_max"])
     if departure_error is None:
@@ -248,7 +248,7 @@ def _growth_along(system: System, motion: Any, point: Points, duration: float) -
 def _labels_by_reference(
     system: System, despun: Points, excess: Array, duration: Array, radians: Array, settings: RunSettings
 ) -> tuple[TrueLabels, Mask]:
-    """Labels by the reference for despun points, whose phi' is larger by `excess`, and a mask of undecided points.
+    """Labels by the reference, and a mask of undecided points; phi' of the despun points exceeds the true phi' by `excess`.
 
     Only a part of a long run is integrated: if the part is unsteady by sqrt(whole / part) tolerances, the whole run drifts.
     """

@@ -38,8 +38,8 @@ from .reference import MAX_RADIANS, Advance, Reference, reference_where_possible
 
 # Levels: the scene's tolerance times powers of 10 within these limits, or its step times powers of 2.
 MAX_TOLERANCE, MIN_TOLERANCE, STEP_EXPONENTS = 1e-1, 1e-13, range(5, -7, -1)
-MAX_POINT_STEPS = 5e8  # most steps at a level, summed over the sample
-POINT_STEPS_TIMED = 6_000_000  # steps of one timing, summed over its points
+MAX_POINT_STEPS = 5e8  # largest number of steps at a level, summed over the sample
+POINT_STEPS_TIMED = 6_000_000  # number of steps of one timing, summed over its points
 # Points tried for each point of the sample, because the family may not exist at all of them.
 CANDIDATES_PER_POINT = 16
 
@@ -89,7 +89,7 @@ class _Sample:
     """Points of a scene with their reference solution; arrays of shape (points,)."""
 
     scene: Scene
-    indices: np.ndarray  # flat, in the scene's grid
+    indices: np.ndarray  # indices of the points in the flattened grid of the scene
     grid: grid.Grid
     reference: Reference
     bound: Array  # frequency bound, rad per time unit
@@ -101,7 +101,7 @@ class _Sample:
         return self.worst(self.reference.statistics_error)
 
     def worst(self, errors: Mapping[str, Array]) -> Array:
-        """Largest error: of a rate over the frequency bound, of an observable over its magnitude."""
+        """Largest error of a statistic, divided by the frequency bound for a rate, by its magnitude for an observable."""
         system = self.scene.system
         return main_instrument(system).largest(system, self.reference.statistics, errors, self.bound)
 
@@ -112,7 +112,6 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
         raise BadInput(f"points = {count}: must be at least 2")
     stopwatch = Stopwatch()
     grid.check(scene)
-    # At most `count` points of the grid at which the scene's family exists.
     indices = stratified_indices(scene.size, CANDIDATES_PER_POINT * count)
     exists = np.flatnonzero(grid.points_at_indices(scene, indices).exists)
     if not exists.size:
@@ -121,7 +120,7 @@ def work_precision(scene: Scene, count: int = 64, *, progress: bool = False) -> 
     bar = Progress(indices.size, show=progress)
 
     def advance(points: float) -> None:
-        bar.advance(points / (2 + len(METHODS)))  # two references, and every method
+        bar.advance(points / (2 + len(METHODS)))  # two runs of the reference, one of each method
 
     try:
         sample = _with_reference(scene, indices, advance)
@@ -177,7 +176,7 @@ def _run_method(sample: _Sample, method: str, advance: Advance) -> Iterator[tupl
     step_sizes = [each.after(np.asarray(part.transient), part.duration) for each in step_sizes]
     step_sizes = [each.in_periods(periods, METHODS[method]) for each in step_sizes]
     own = scene_level(settings)
-    # Of levels with equal steps one is run, the scene's own or else the finest, unless it takes too long.
+    # Of levels with equal steps only the scene's own is run, or else the finest, unless this takes too long.
     selected = []
     for level, sizes in enumerate(step_sizes):
         equal = [k for k, other in enumerate(step_sizes) if (other.steps == sizes.steps).all()]
@@ -245,7 +244,7 @@ def _seconds_per_point(sample: _Sample, step_sizes: StepSizes, method: str) -> f
     counts, size = step_sizes.steps_per_sample.tolist(), step_sizes.steps.size
     repeated = np.resize(np.arange(size), -(-size // WIDTH) * WIDTH)
     ensemble = Ensemble.of(sample.scene.system, sample.grid.points).subset(repeated)
-    module, seconds = _kernel(sample.scene, method), {}  # of a step of one point, by steps per sample
+    module, seconds = _kernel(sample.scene, method), {}  # seconds for a step of a point, by steps per sample
     for count in set(counts):
         steps = max(POINT_STEPS_TIMED // repeated.size // count, 1) * count
         timed = replace(
@@ -309,7 +308,7 @@ def _dataset(sample: _Sample, results: Mapping[tuple[int, int], Columns]) -> xr.
         for cell, result in results.items():
             column[cell] = result[variable]
         ds[variable] = dims[:rank], column, {"long_name": long_name, "units": units}
-    # Observed order: median over the points of log(error ratio) / log(step ratio); NaN where too few have one.
+    # Observed order: median over the points of log(error ratio) / log(step ratio); NaN where too few points show it.
     error, step = ds["error_state"].values, ds["step_length"].values
     order = np.full(error.shape[:2], np.nan)
     with np.errstate(all="ignore"):

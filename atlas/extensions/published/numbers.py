@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Row of one number; it agrees if the difference is at most half a unit of its last digit or one of the last digit shown."""
+    """Row of one number, which agrees if it is off by at most half a unit of its last digit or one unit of the last digit shown."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),

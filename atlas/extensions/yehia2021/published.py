@@ -106,7 +106,7 @@ def _closed_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _inertial(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest difference of w, from the inertial axes X, Y, Z in the body, and the stated precession and spin."""
+    """Largest difference between w, computed from the inertial axes X, Y, Z in the body, and the stated precession and spin."""
     motion = ENTRIES[entry["motion"]]
     point = with_values(random_point(rng), motion["start"])
 
@@ -148,7 +148,7 @@ def left_side(entry: Entry, reading: str, values: Mapping[str, Any]) -> Array:
 
 
 def true_left_side(point: Point, t: Any, number: int) -> Array:
-    """Left side of (5), (6) or (7), corrected, on the precession."""
+    """Left side of (5), (6) or (7), corrected, on the regular precession."""
     moved = {**point, "psi0": point["psi0"] + point["n"] * t, "phi0": point["m"] * t}
     zero = np.zeros(1)
     return lagrange.equations(euler_state(moved), (zero, zero, zero), constants(moved))[number - 5]
@@ -208,7 +208,7 @@ def _equation_of_motion(entry: Entry, reading: str, rng: np.random.Generator) ->
 
 
 def determinant_quotient(angles: Array) -> float:
-    """c_* of (43): the determinant over the product of sines on the right."""
+    """c_* of (43): the determinant divided by the product of sines on the right side."""
     columns = [np.cos(2 * angles), np.sin(2 * angles), np.cos(angles), np.sin(angles), np.ones(5)]
     pairs = [np.sin((angles[j] - angles[i]) / 2) for i in range(5) for j in range(i + 1, 5)]
     return float(np.linalg.det(np.array(columns).T) / np.prod(pairs))
@@ -223,7 +223,7 @@ def _determinant(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Errors of alpha' = alpha x w', gamma' = gamma x w' and |alpha| = 1, alpha.gamma = 0 at a random state of (1)."""
+    """Largest error of alpha' = alpha x w', gamma' = gamma x w', |alpha| = 1 and alpha.gamma = 0 at a random state of (1)."""
     p = _free(rng)
     moved = {angle: p[angle] + 1e-30j * p[rate] for angle, rate in zip(STATE[:3], STATE[3:], strict=True)}
     still, moving = directions(p), np.imag(directions(p | moved)) / 1e-30
@@ -233,7 +233,7 @@ def _kinematics(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest difference of w' by Lagrange's equations, corrected, and by the Euler-Poisson equations, over |w'|."""
+    """Largest difference between w' by Lagrange's equations, corrected, and by the Euler-Poisson equations, relative to w'."""
     p = with_values(_free(rng), entry.get(f"as_{reading}", {}))
     state = np.array(euler_state(p))
 
@@ -247,14 +247,14 @@ def _both_forms(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _shared_conditions(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Share of true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 minus this share."""
+    """Fraction of the true conditions whose motions satisfy the Euler-Poisson equations too; for the true reading, 1 minus this fraction."""
     kept = [row for row in ENTRIES.values() if "start" in row and "vanish" not in row and "breaks" not in row]
     share = np.mean([_condition(row, "true", rng) < 1e-9 for row in kept if "form" not in row])
     return float(share if reading == "printed" else 1 - share)
 
 
 def _plane(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest residual of the equation of pitch by finite differences of elliptic functions; of an entry with `rho`, the error of rho at amplitude 0."""
+    """For an entry with `rho` the error of rho at amplitude 0, else the largest residual of the equation of pitch by finite differences."""
     from ..plane.motions import PlaneMotions  # another extension
 
     p = with_values(random_point(rng), entry["plane"])
@@ -280,7 +280,7 @@ def _normal_form(entry: Entry, reading: str, rng: np.random.Generator) -> float:
 
 
 def _lost_rank(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """10 minus the rank of ten equations (36), in the coefficients of even and of odd i, for an irrational n/m."""
+    """10 minus the rank of ten equations (36) for the coefficients of even and of odd i, with an irrational n/m."""
     i = np.arange(1, 11)
     x = np.pi * i * np.sqrt(2) * (1 + rng.integers(1, 4))
     waves = np.array([np.cos(2 * x), np.sin(2 * x), np.cos(x), np.sin(x), np.ones(10)])
@@ -297,7 +297,7 @@ def _apex_distance(entry: Entry, reading: str, rng: np.random.Generator) -> floa
     return float(np.hypot(1 + along * across[0], along * across[1]))
 
 
-# Measures by the number of an equation or by a key of its entry.
+# Number of an equation, or key of its entry -> function that measures the error of the equation.
 MEASURES: dict[str, EntryMeasure | None] = {
     "(1)": _kinematics,
     "(2), (3)": _both_forms,
@@ -318,7 +318,7 @@ MEASURES: dict[str, EntryMeasure | None] = {
     "start": _condition,
 }
 
-# Measures that need the theory of the extension of the same name.
+# Keys of MEASURES that need the extension of the same name, where it is not installed.
 MISSING = [name for name in ("plane", "normal_form") if name not in extensions()]
 if MISSING:
     text = " and ".join(MISSING)

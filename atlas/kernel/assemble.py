@@ -26,7 +26,7 @@ MEASURING = ("integrate", "observe")
 def reachable(
     functions: tuple[Any, ...], stubs: ModuleType = generated, absent: tuple[str, ...] = ()
 ) -> tuple[dict[str, Any], dict[str, str], dict[str, Any]]:
-    """Functions, their sources, and numbers that some functions use, by name, callees first, except names in `stubs`.
+    """Functions that `functions` reach, their sources, and numbers that they use, by name, callees first, without names in `stubs`.
 
     The sources contain numbers in place of members of enumerations, and no blocks `if name:` of absent names.
     """
@@ -57,7 +57,7 @@ def reachable(
 
 
 def file_of(of: ModuleType) -> str:
-    """Name of a kernel module without its package, compared in place of modules so that no other kernel is imported."""
+    """Name of a kernel module without its package; names are compared, not modules, so that no other kernel is imported."""
     return of.__name__.rpartition(".")[2]
 
 

@@ -24,7 +24,7 @@ from .stepsize import StepSizes
 
 # Largest number of point-steps in a call of the kernel, about 0.1 s: Ctrl-C and the progress line wait for its end.
 CHUNK = 20_000_000
-# Most point-steps, about 1 ms, for which starting threads takes longer than it saves.
+# Largest number of point-steps, about 1 ms, for which starting threads takes longer than it saves.
 FEW = 100_000
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -126,8 +126,8 @@ def integrate(
 ) -> None:
     """Integrate every point of a schedule; states and sums are written into the arrays.
 
-    `segment`: first and last node of each block (default: whole runs). Without a number of threads the calling thread does few
-    steps itself. Progress counts point-steps. On KeyboardInterrupt running calls of the kernel end first, in under a second.
+    `segment`: first and last node of each block (default: whole runs). If threads.count is None, the calling thread takes up to FEW
+    point-steps itself. Progress counts point-steps. On KeyboardInterrupt running calls of the kernel end first, in under a second.
     """
     assert len(arrays.state) == kernel.STATES  # the compiled kernel checks no bounds
     assert len(arrays.given) == kernel.PLUGGED_GIVEN

@@ -47,7 +47,7 @@ def announce(change: int) -> None:
 
 @contextmanager
 def announced(show: bool) -> Iterator[None]:
-    """Announce, if `show` is true, every kernel that is compiled inside."""
+    """Context in which every kernel that is compiled is announced, if `show` is true."""
     announce(int(show))
     try:
         yield

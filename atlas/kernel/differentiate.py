@@ -12,7 +12,7 @@ from functools import reduce
 
 from ..systems import arithmetic
 
-PREFIX = "d_"  # of the differential of a name
+PREFIX = "d_"  # first letters of the differential of a name
 
 # Functions of one argument x -> their derivative, as text.
 _DERIVATIVES = {

@@ -17,8 +17,8 @@ from .sampling import end_weights, quadrature
 from .statistics import Row, theta_dot_squared_sum
 from .stepsize import StepSizes
 
-# Shares of the nodes at which runs are interrupted, to leave out points that certainly drift: most are certain after a small
-# part of the run, motions that leave an unstable one only later.
+# Fractions of its nodes after which a run is interrupted, to leave out points that certainly drift: most are certain after a small
+# part of the run, motions that leave an unstable motion only later.
 SEGMENTS = (1 / 256, 1 / 64, 1 / 16, 1 / 4, 1 / 2, 1.0)
 # A run is not interrupted before this node: shorter segments cost more than they save.
 MIN_NODES = 8
@@ -71,7 +71,7 @@ class Integration:
 class Ensemble:
     """Initial states and constants of a set of points."""
 
-    state: Array  # where statistics begin, (states, points)
+    state: Array  # state from which statistics begin, (states, points)
     constants: Array  # constants of the equations, (constants, points)
     scales: Array  # reciprocal sizes of the first integrals; see `integral_scales`, (integrals, points)
     frequency_bound: Array  # upper bound of the fastest frequency, rad per time unit
@@ -105,7 +105,7 @@ class Ensemble:
     def arrays(
         self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
     ) -> blocks.Arrays:
-        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: of strobes, in nodes."""
+        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: distance of strobes, in nodes."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
         given = self.given
@@ -155,7 +155,7 @@ class Ensemble:
         """States, (states, samples, points), at samples that are `steps` steps apart; step_sizes: (samples, points)."""
         arrays, schedule = self.arrays(kernel, step_sizes[0]), blocks.pack_blocks(steps, steps)
         states, whole = np.empty((len(self.state), *step_sizes.shape)), (np.zeros_like(steps), schedule.nodes)
-        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # many short calls
+        direct = threads.count == 0 and schedule.point_steps <= blocks.CHUNK  # for many short calls
         for k, step_size in enumerate(step_sizes):
             arrays = arrays._replace(step_size=step_size)
             if direct:
@@ -187,7 +187,7 @@ class Ensemble:
         early_stop_rate: Array,
         threads: Threads,
     ) -> NDArray[np.int64]:
-        """Integrate in SEGMENTS; returns the number of nodes of each point.
+        """Integrate in SEGMENTS; returns the number of nodes that each point reaches.
 
         All weights are positive, so that the sum of theta'^2 only grows: once it exceeds the limit of the whole run, and the axis
         was so far outside the cylinder that a return would be a change of theta, the point drifts. The correction of a passage
@@ -212,7 +212,7 @@ class Ensemble:
             blocks.integrate(kernel, schedule, arrays, segment=segment, threads=threads)
             done[selected] = until[goes_on]
             certain = done[active] > 0  # before its first node a point has undefined sums
-            with np.errstate(invalid="ignore", over="ignore"):  # of undefined sums, and of overflow
+            with np.errstate(invalid="ignore", over="ignore"):  # from undefined sums, and from overflow
                 certain &= theta_dot_squared_sum(arrays.sums)[active] > limit[active]
             certain &= arrays.sums[Row.SIN2_THETA_MAX, active] > min_sin2_theta
             ended = certain | (done[active] == run_nodes[active])
@@ -223,7 +223,7 @@ class Ensemble:
 
 
 def _segment_end(share: float, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Node at a share of the nodes of runs; 0 where it is before MIN_NODES."""
+    """Node that a run reaches after the fraction `share` of its nodes; 0 if it is before MIN_NODES."""
     end = np.ceil(share * nodes).astype(np.int64)
     return np.where((end >= MIN_NODES) | (end == nodes), end, 0)
 

@@ -73,7 +73,7 @@ MOTION = 6  # components of the motion: the first rows of a `Node`, before their
 NODES_PER_DRIFT = 4
 # Every NODES_PER_LEVEL-th node is compared with levels of the energy.
 NODES_PER_LEVEL = 8
-# Turning points and passages computed side by side; their queues have room for WIDTH more.
+# Number of turning points, or of passages, that are computed side by side; their queues have room for WIDTH more.
 QUEUE = 32
 # sin^2 theta below which both ends of a run are searched for passages.
 NEAR_END = 0.2
@@ -107,7 +107,7 @@ def motion_at(nodes, slot, l):
 
 
 def interpolate(nodes, slots, weights, row, l):
-    """One component of the motion among four nodes, by weights of their values and derivatives."""
+    """One component of the motion among four nodes, interpolated with these weights of the values and derivatives there."""
     s0, s1, s2, s3 = slots
     w0, w1, w2, w3, w4, w5, w6, w7 = weights
     d = row + MOTION
@@ -286,7 +286,7 @@ def end_runs(stats, nodes, slot):
 
 
 def mark(turning, near, stats, nodes, spacing, interval, intervals):
-    """Write 1.0 into `turning` of lanes where theta may have a new extreme, into `near` of lanes that may pass the vertical."""
+    """Set `turning` to 1.0 in lanes where theta may have a new extreme, `near` in lanes that may pass the vertical; else to 0.0."""
     first, second = interval & 3, (interval + 1) & 3
     for l in range(WIDTH):
         slope_0, slope_1 = spacing * nodes[first, Node.DG3, l], spacing * nodes[second, Node.DG3, l]
@@ -323,7 +323,7 @@ def queue_passages(
 
 
 def near_vertical(nodes, first, second, l, spacing, interval, intervals):
-    """Whether zeta may have a zero near an interval, 1.0 or 0.0, and its place: see `poles.turns_near_vertical`.
+    """1.0 if zeta may have a zero near an interval, else 0.0, and the place of the zero: see `poles.turns_near_vertical`.
 
     A run that begins or ends near the vertical may have a zero there although sin^2 theta has no minimum.
     """
@@ -361,14 +361,14 @@ def store_turn(turns, e, nodes, slots, l, spacing, node, x):
 
 
 def store_component(queue, row, slope_row, e, nodes, slots, component, l, unit, slope_unit):
-    """Write a component of the motion at four nodes, times `unit`, and its derivative into column e of a queue."""
+    """Write a component of the motion at four nodes, times `unit`, and its derivative, times `slope_unit`, into column e of a queue."""
     for k in range(4):
         queue[row + k, e] = nodes[slots[k], component, l] * unit
         queue[slope_row + k, e] = nodes[slots[k], component + MOTION, l] * slope_unit
 
 
 def extend_to_turns(stats, turns, lanes, count, extremes):
-    """Extend the extremes of lanes to the first QUEUE of `count` turning points; returns how many are left."""
+    """Update the extremes of lanes with the first QUEUE of `count` turning points; returns how many turning points are left."""
     for e in range(QUEUE):
         difference(turns, Turn.G1, e)
         difference(turns, Turn.G2, e)
@@ -384,7 +384,7 @@ def extend_to_turns(stats, turns, lanes, count, extremes):
 def correct(
     stats, passages, farther, places, terms, lanes, first_nodes, count, stride, dt, intervals, cylinder_squared
 ):  # fmt: skip
-    """Add the quadrature errors of the first QUEUE of `count` passages to the sums of their lanes; returns how many are left."""
+    """Add the quadrature errors at the first QUEUE of `count` passages to their sums in the lanes; returns how many passages are left."""
     for e in range(QUEUE):
         difference(passages, Passage.G1, e)
         difference(passages, Passage.G2, e)
@@ -441,7 +441,7 @@ def counts(stats, l, terms, farther, e, z, intervals, cylinder_squared):
     x, y = abs(terms[farther, Term.Z_REAL, e] - 1.5), abs(z.imag)
     # Beyond its nodes the polynomial loses accuracy, which matters little for a zero far from the real axis.
     near = x < 1.5 + 0.5 * y and y < REACH + 1.0 and terms[farther, Term.CHANGE, e] < 1e-4 * y * y
-    # During the run a passage inside the cylinder has no samples of psi' and phi'.
+    # Where a passage during the run is inside the cylinder, there are no samples of psi' and phi'.
     inside = terms[farther, Term.SIN2_THETA, e] <= cylinder_squared and 0.0 < z.real < intervals
     # Zeros of successive passages, or both zeros of one passage, may be the same zero.
     same = 0.1 * y

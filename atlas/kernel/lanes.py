@@ -103,7 +103,7 @@ def advance(state, slopes, constants, steps):
 
 
 def extend_changes(sums, row, integrals0, inverse_scales, state, constants):
-    """Extend the largest changes of the first integrals, a row of the sums."""
+    """Update a row of the sums, the largest change of a first integral in each lane."""
     for l in range(WIDTH):
         y, c, change = load_state(state, l), load_constants(constants, l), sums[row, l]
         sums[row, l] = largest_change(integrals0, inverse_scales, l, y, c, change)

@@ -20,24 +20,24 @@ from .ensemble import Ensemble
 from .stepsize import GOLDEN_SECTION
 from .tableaux import Method
 
-# Mean distance of samples, in rad at the bound: short enough to show that a motion becomes faster, as before the pericentre of
-# an eccentric orbit, while the steps still resolve it. Long runs have MAX_SAMPLES samples.
+# Mean time between samples times the frequency bound, rad: short enough to show that a motion becomes faster (an eccentric orbit does
+# so on its way to the pericentre) while the steps still resolve the motion. A run has at most MAX_SAMPLES samples.
 SAMPLE_RADIANS, MIN_SAMPLES, MAX_SAMPLES = 0.5, 16, 2000
-# Samples are early by up to this share of their mean distance, so that no forcing has nearly one phase at all samples.
+# Samples are early by up to EARLY times their mean distance, so that no forcing has nearly the same phase at all samples.
 EARLY = 0.5
 # Least bound, in turns per run: a motion whose Jacobian vanishes at the start needs samples as well.
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step divided by the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised where the frequency exceeds it by TOLERATED; RAISE and RAISE_MOST limit the rise, because a coarse run may
-# be wrong.
+# A bound is raised if the frequency exceeds TOLERATED times the bound; it is multiplied by RAISE to RAISE_MOST, because a coarse run
+# may be wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
-# For n = 2 and 3 the largest n-th derivative of a state is at most OVERTONE times the bound times the largest (n - 1)-th.
-# Derivatives below the share NEGLIGIBLE of the state, with the bound as the unit of rates, are rounding errors.
+# For n = 2 and 3 the bound is raised until the largest n-th derivative of a state is at most OVERTONE times bound times the largest
+# (n - 1)-th. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.
 OVERTONE, NEGLIGIBLE = 2.0, 1e-8
 MATRICES = 4096  # Jacobians computed at a time
-FEW_STEPS = 20000  # most steps, of all points together, that take less time than starting a thread
-MAX_NOT_FINITE = 4  # attempts at a point that overflows
+FEW_STEPS = 20000  # largest number of steps, of all points, that take less time than starting a thread
+MAX_NOT_FINITE = 4  # repeated attempts at a point that overflows
 MAX_ATTEMPTS = 60
 
 
@@ -72,7 +72,7 @@ def along_runs(
     pending = np.arange(bound.size)
     for _ in range(MAX_ATTEMPTS):
         with np.errstate(all="ignore"):
-            # Step of the preliminary run in rad of the bound.
+            # Longest step of the preliminary run times the bound, rad.
             radians = np.maximum(bound[pending] * duration[pending], 1e-300)
             phase = (ERROR / (method.dispersion * radians)) ** (1 / method.order)
             loss = (ERROR / (method.dissipation * radians)) ** (1 / (method.dissipation_order - 1))
@@ -116,7 +116,7 @@ def _largest_frequency(
     longest_step: Array,
     threads: Threads,
 ) -> Array:
-    """Frequency at the first sample at which it exceeds the bound, else the largest of the run; inf after an overflow."""
+    """Frequency at the first sample where it exceeds the bound, else the largest frequency of the run; inf after an overflow."""
     largest, n_samples = np.zeros(ensemble.size), 0
     # A state whose rate depends on no state is time. Systems without time have every frequency in the Jacobian, and on their
     # steady motions the derivatives would be rounding errors.
@@ -145,7 +145,7 @@ def _largest_frequency(
         frequency = np.where(np.isfinite(frequency) & np.isfinite(states).all(0), frequency, np.inf)
         sampled = n_samples + np.arange(count)[:, None] < samples[active]
         exceeds = sampled & (frequency > TOLERATED * bound[active])
-        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # up to the first that exceeds
+        sampled &= np.cumsum(exceeds, axis=0) - exceeds == 0  # samples up to the first that exceeds the bound
         largest[active] = np.fmax(largest[active], np.where(sampled, frequency, 0.0).max(0))
         derivatives = np.fmax.reduce(np.where(sampled, derivatives, 0.0), axis=2)
         sizes[:, :, active] = np.fmax(sizes[:, :, active], derivatives)

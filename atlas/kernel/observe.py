@@ -58,7 +58,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
     slopes, nodes = aligned_empty((STATES, WIDTH)), aligned_empty((4, 2 * OBSERVABLES, WIDTH))
     inverse_scales, integrals0 = aligned_empty((INTEGRALS, WIDTH)), aligned_empty((INTEGRALS, WIDTH))
     sums, turning = aligned_empty((FIRST_ROW + len(Field) * OBSERVABLES, WIDTH)), aligned_empty((WIDTH,))
-    if STROBED:  # the given constants are intervals between nodes per period
+    if STROBED:  # the given constants are numbers of intervals in a period
         sums = aligned_empty((FIRST_ROW + len(Field) * (OBSERVABLES + STROBED), WIDTH))
         strobes, period = aligned_empty((STROBED, WIDTH)), aligned_empty((WIDTH,))
     for block in range(first_block, last_block):
@@ -115,7 +115,7 @@ def begin(sums, nodes):
 
 
 def accumulate(sums, nodes, slot, i, intervals, spacing, value_weights, slope_weights):
-    """Add node i of a run to the sums, and extend the extremes to it."""
+    """Add node i of a run to the sums, and update the extremes."""
     weight, slope_weight = 1.0, 0.0
     if i < 4:
         weight += value_weights[i]
@@ -159,7 +159,7 @@ def add_strobes(sums, strobes, state, constants, period, i, intervals):
 
 
 def compare_with_neighbours(sums, nodes, i, spacing):
-    """Update the largest distance of a node from the Hermite cubic of its neighbours, here of node i - 1 from i - 2 and i."""
+    """Update the largest distance of a node from the Hermite cubic of its neighbours, for node i - 1 between i - 2 and i."""
     before, middle, after = (i - 2) & 3, (i - 1) & 3, i & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + len(Field) * k + Field.ROUGHNESS, OBSERVABLES + k
@@ -171,7 +171,7 @@ def compare_with_neighbours(sums, nodes, i, spacing):
 
 
 def extend_between(sums, nodes, turning, i, interval, spacing):
-    """Extend the extremes to the turning points between two nodes; the last four nodes are i - 3 to i."""
+    """Update the extremes with turning points in `interval`, between two of the last four nodes, i - 3 to i."""
     first, second = interval & 3, (interval + 1) & 3
     for k in range(OBSERVABLES):
         row, slope_row = FIRST_ROW + len(Field) * k, OBSERVABLES + k

@@ -42,7 +42,7 @@ class Term(IntEnum):
 
     Z_REAL, Z_IMAG = range(2)  # counted from the first of the four nodes
     CHANGE = 2  # square of the last change of the zero
-    SIN2_THETA = 3  # at the real part of the zero
+    SIN2_THETA = 3  # sin^2 theta at the real part of the zero
     THETA_REAL, THETA_IMAG, PSI_REAL, PSI_IMAG, PHI_REAL, PHI_IMAG = range(4, 10)
     # Excess of the sums over their integrals, see `sum_errors`.
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
@@ -50,9 +50,9 @@ class Term(IntEnum):
 
 
 def turns_near_vertical(sin2_theta, slope_0, slope_1):
-    """Whether sin^2 theta has a minimum between two nodes with a zero of zeta near it, 1.0 or 0.0, and the place.
+    """1.0 if sin^2 theta has a minimum between two nodes and zeta a zero near it, else 0.0, and the place of the minimum.
 
-    Slopes are half the derivative of sin^2 theta. A zero is near if the zero of a parabola is within REACH of the real axis.
+    Slopes are half the derivative of sin^2 theta. A zero is near if the parabola with these values has one within REACH of the real axis.
     """
     rises = 1.0 if slope_1 >= 0.0 else 0.0
     turns = rises if slope_0 < 0.0 else 0.0
@@ -112,7 +112,7 @@ def improve_zero(passages, e):
 
 
 def pole_terms(passages, e, terms, farther):
-    """Write zero, Laurent coefficients and errors of passage e, given by divided differences, into column e of terms[farther]."""
+    """Write zero, Laurent coefficients and errors of passage e, from its divided differences, into column e of terms[farther]."""
     zeta = zeta_differences(passages, e)
     z = complex(passages[Passage.Z_REAL, e], passages[Passage.Z_IMAG, e])
     value, slope, curvature = polynomial(zeta, z)
@@ -232,14 +232,14 @@ class Turn(IntEnum):
 
     G1, G1_SLOPE, G2, G2_SLOPE, G3, G3_SLOPE = range(0, 24, 4)
     TIME = 24  # first approximation, counted from the first of the four nodes
-    NODE = 25  # the node before it, counted from the same node
+    NODE = 25  # the node before the turning point, counted from the same node
 
 
 TURN_ROWS = max(Turn) + 1
 
 
 def turns_twice(f0, f1, s0, s1, rounding):
-    """Whether the cubic with these values at 0 and 1, and slopes of one sign, has two extremes between them, 1.0 or 0.0.
+    """1.0 if the cubic with these values at 0 and 1, and slopes of equal sign there, has two extremes in between, else 0.0.
 
     A cubic that starts at rest and turns back once counts as well; changes below `rounding` are ignored.
     """
@@ -250,7 +250,7 @@ def turns_twice(f0, f1, s0, s1, rounding):
 
 
 def place_of_turn(f0, f1, s0, s1):
-    """Place from 0 to 1 of the extreme of a cubic with these values and slopes; of two, the one farther from 0 and 1."""
+    """Place of the extreme, between 0 and 1, of a cubic with these values and slopes; of two extremes, the one farther from 0 and 1."""
     a = 3.0 * (s0 + s1 - 2.0 * (f1 - f0))  # the slope of the cubic is a x^2 + b x + s0
     b = 2.0 * (3.0 * (f1 - f0) - 2.0 * s0 - s1)
     root = np.sqrt(max(b * b - 4.0 * a * s0, 0.0))

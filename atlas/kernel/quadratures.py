@@ -6,7 +6,7 @@ from .generated import STATES, frame_motion, load_constants, load_state, rhs, st
 
 
 def integrate(path, constants, duration, first, cylinder, slopes):
-    """Write derivatives by t / duration; columns are points, rows the states, then the sums of a reference solution."""
+    """Write the derivatives by t / duration of a path, whose columns are points and whose rows are the states, then the sums."""
     for p in range(path.shape[1]):
         state, c = load_state(path, p), load_constants(constants, p)
         store_state(slopes, p, rhs(state, c))
@@ -22,7 +22,7 @@ def integrate(path, constants, duration, first, cylinder, slopes):
 
 
 def euler_rates(motion, cylinder):
-    """theta', psi', phi', rate about the vertical, 1.0 outside the cylinder, theta; inside, psi', phi' and the 1.0 are 0."""
+    """theta', psi', phi', rate about the vertical, 1.0 outside or 0.0 inside the cylinder, theta; psi' and phi' are 0 inside."""
     u1, u2, u3, g1, g2, g3 = motion
     sine = np.hypot(g1, g2)
     outside, safe_sine = 1.0 * (sine >= cylinder), sine + 1.0 * (sine == 0.0)

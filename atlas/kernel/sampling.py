@@ -16,23 +16,23 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 # tau(t) = t + CLUSTERING log(1 - exp(-p(t))), p(t) = t / CLUSTERING + (t / SQUARE)^2 + (t / FOURTH)^4. Every singularity beyond
-# an end lies at least CLUSTERING pi / 2 from the real tau axis: an error of exp(-pi^2 CLUSTERING).
+# an end lies at least CLUSTERING pi / 2 from the real tau axis, and its error is at most about exp(-pi^2 CLUSTERING).
 CLUSTERING = 2.25
 SQUARE, FOURTH = 5.0, 9.0
-# Intervals from an end in which tau(t) differs from t, and the shortest run whose ends do not overlap.
+# tau(t) differs from t in END intervals at each end of a run; in a run of LONG intervals or more these do not overlap.
 END = 18
 LONG = 2 * END
-# Terms of the Euler-Maclaurin formula: B_2k / (2k)! of the derivatives of the orders 1, 3, 5, 7.
+# Coefficients B_2k / (2k)! of the derivatives of order 1, 3, 5 and 7 in the Euler-Maclaurin formula.
 _EULER_MACLAURIN = (1 / 12, -1 / 720, 1 / 30240, -1 / 1209600)
 # The motion is interpolated between four nodes, which are three intervals.
 MIN_INTERVALS = 3
-# About the distance of the first sample from an end of a run; the weight of the end itself covers this distance.
+# Approximate distance of the first sample from an end of a run; the weight of the end itself covers this distance.
 NEAREST = 1e-7
 SAME_AS_NODE = 1e-11
 
 
 def sample(motion, cylinder_squared):
-    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside the cylinder; inside, psi', phi' and the 1.0 are 0."""
+    """theta', psi', phi', the normal rate, sin^2 theta, and 1.0 outside or 0.0 inside the cylinder; psi' and phi' are 0 inside."""
     u1, u2, u3, g1, g2, g3 = motion
     sin2_theta = g1 * g1 + g2 * g2
     inverse = 1.0 / (sin2_theta if sin2_theta > 1e-300 else 1e-300)
@@ -45,22 +45,22 @@ def sample(motion, cylinder_squared):
 
 
 def rule_position(i, intervals):
-    """Index of node or interval i in the rules of `Quadrature`; all in the middle of a run above LONG share one index."""
+    """Index of node or interval i in the rules of `Quadrature`; in a run longer than LONG all in the middle share one index."""
     return i - min(max(intervals - LONG, 0), max(i - END, 0))
 
 
 class Quadrature(NamedTuple):
-    """The rules of all runs by the number of intervals, with one rule for LONG and more."""
+    """Quadrature rules of runs, indexed by the number of intervals; the last rule is for LONG and more intervals."""
 
     node_weights: NDArray[np.float64]  # weight of each node; see `rule_position`, (LONG + 1, LONG + 1)
-    # Samples first_sample[n, i] to first_sample[n, i + 1] are between the nodes i and i + 1, (LONG + 1, LONG + 1)
+    # In a run of n intervals, samples first_sample[n, i] to first_sample[n, i + 1] - 1 are between nodes i and i + 1, of the same shape
     first_sample: NDArray[np.int64]
     samples: NDArray[np.float64]  # weight of a sample, then its `hermite_weights`, (samples, 9)
 
 
 @cache
 def quadrature() -> Quadrature:
-    """The rules for runs of MIN_INTERVALS intervals and more; all weights are positive, their sum is the number of intervals."""
+    """The rules for MIN_INTERVALS intervals and more; the weights of each are positive, with the number of intervals as their sum."""
     node_weights = np.zeros((LONG + 1, LONG + 1))
     first_sample = np.zeros((LONG + 1, LONG + 1), np.int64)
     rows, count = [], 0
@@ -74,7 +74,7 @@ def quadrature() -> Quadrature:
         t, weight = t[~at_node], weight[~at_node]
         interval = np.minimum(t.astype(np.int64), intervals - 1)
         first_sample[intervals] = count + np.searchsorted(interval, np.arange(LONG + 1))
-        # The nodes around an interval and one more on either side; at both ends of a run its first or last four nodes.
+        # Samples are interpolated from the nodes of their interval and one more on either side, near an end from the four nodes there.
         first_node = np.clip(interval - 1, 0, intervals - 3)
         rows.append(np.column_stack([weight, hermite_weights(t - first_node)]))
         count += t.size
@@ -82,7 +82,7 @@ def quadrature() -> Quadrature:
 
 
 def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Ascending instants of the samples of runs of these lengths, without the two ends, and their weights, in node distances."""
+    """For each length of a run, instants of the samples in ascending order, without the two ends, and weights, in node distances."""
     intervals = np.array(lengths)[:, None]
     reach = int(np.ceil(-np.log(NEAREST) * CLUSTERING)) + END
     tau = np.minimum(np.arange(-reach, max(lengths) + reach + 1.0), intervals + reach)
@@ -104,7 +104,7 @@ def instants(*lengths: int) -> list[tuple[NDArray[np.float64], NDArray[np.float6
 def _from_both_ends(
     x: NDArray[np.float64], intervals: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Distances from start and end, whose ratio is exp(x)."""
+    """Distances from the start and from the end of a run, the first divided by the second being exp(x)."""
     return intervals / (1.0 + np.exp(-x)), intervals / (1.0 + np.exp(x))
 
 
@@ -138,8 +138,8 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 class EndWeights(NamedTuple):
     """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
 
-    values: NDArray[np.float64]  # of the motion, (4,); the first contains the half weight of an end
-    slopes: NDArray[np.float64]  # of its derivative, (4,); at the end of a run with the opposite sign
+    values: NDArray[np.float64]  # for the values, (4,); the first contains -1/2, for an end counts half
+    slopes: NDArray[np.float64]  # for the derivatives, (4,); with the opposite sign at the end of a run
 
 
 @cache

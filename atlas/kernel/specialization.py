@@ -82,7 +82,7 @@ def slope_kernel(system: System) -> ModuleType:
 
 @cache
 def kernel_hash(*sources: str) -> str:
-    """Hashes of sources with compilers and architecture, recorded in every atlas."""
+    """Hash of each source of a kernel with compilers and architecture, which every atlas records."""
     return "-".join(map(_jit().numeric_digest, sources))
 
 

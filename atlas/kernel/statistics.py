@@ -20,31 +20,31 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-# Real part of a zero in an empty slot.
+# Real part of ZERO_1 or ZERO_2 while it holds no zero.
 NO_ZERO = -1e3
-# Largest relative difference between the mean of theta' over the samples and (theta_end - theta_start) / duration, from rounding
-# or, where variance / mean square of theta' is below CONSTANT, from errors of the steps.
+# Largest relative difference of the mean theta' of the samples from (theta_end - theta_start) / duration that rounding explains or,
+# where variance / mean square of theta' is below CONSTANT, errors of the steps (SAME_MEAN_OF_CONSTANT).
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 
 class Row(IntEnum):
-    """Rows of the kernel's output: sums, their quadrature errors, extremes, references; theta at both ends in rad."""
+    """Rows of the kernel's output: sums, their quadrature errors, extremes, rates subtracted in the sums, theta at both ends in rad."""
 
     OUTSIDE, THETA_DOT_SQUARED, THETA_DOT_CHANGE, THETA_DOT_CHANGE_SQUARED = range(4)
     PSI_DOT, PSI_DOT_SQUARED, PHI_DOT, PHI_DOT_SQUARED, NORMAL_RATE, NORMAL_RATE_SQUARED = range(4, 10)
     THETA_DOT_SQUARED_ERROR, PSI_DOT_ERROR, PSI_DOT_SQUARED_ERROR = range(10, 13)
     PHI_DOT_ERROR, PHI_DOT_SQUARED_ERROR = range(13, 15)
     AXIS_1, AXIS_2, COS_THETA_MIN, COS_THETA_MAX = range(15, 19)
-    # Above and below the equator, cos theta = 0
+    # Least sin^2 theta where cos theta > 0 (ABOVE) and where cos theta < 0 (BELOW), 1 if the third axis never is there
     SIN2_THETA_MIN_ABOVE, SIN2_THETA_MIN_BELOW, SIN2_THETA_MAX, DRIFT = range(19, 23)
     THETA_DOT_REFERENCE, PSI_DOT_REFERENCE, PHI_DOT_REFERENCE, NORMAL_RATE_REFERENCE = range(23, 27)
     FIRST_THETA, LAST_THETA = range(27, 29)
-    # The last two zeros of zeta with a correction
+    # The last two zeros of zeta whose quadrature errors were added
     ZERO_1_REAL, ZERO_1_IMAG, ZERO_2_REAL, ZERO_2_IMAG = range(29, 33)
 
 
 class Node(IntEnum):
-    """Rows of a node of a motion: `frame_motion` of the equations, u of the body and the vertical g, and their derivatives.
+    """Rows of a node of a motion: the result of `frame_motion`, angular velocity u and vertical g, and their derivatives.
 
     u is in rad per time unit. Derivatives are by the kernel's unit of time, in which nodes are `spacing` apart; times
     `inverse_unit` they are by the time unit.
@@ -61,7 +61,7 @@ class Statistic:
     name: str  # name in the atlas and in the result of `finish`
     unit: str  # UDUNITS spelling
     long_name: str  # meaning, in a few words
-    needs_psi: bool = False  # undefined where the third axis stays inside the cylinder
+    needs_psi: bool = False  # whether it is undefined where the third axis stays inside the cylinder
 
 
 _RATE = "rad s-1"
@@ -86,7 +86,7 @@ NEEDS_PSI = tuple(statistic.name for statistic in STATISTICS if statistic.needs_
 
 
 def begin(stats, l, motion, cylinder_squared):
-    """Start the sums of lane l at the first node, whose rates are subtracted from later ones."""
+    """Start the sums of lane l at the first node, whose rates are subtracted from later rates."""
     for row in range(stats.shape[0]):
         stats[row, l] = 0.0
     theta_dot, psi_dot, phi_dot, normal_rate, sin2_theta, _ = sample(motion, cylinder_squared)
@@ -123,7 +123,7 @@ def accumulate(stats, l, motion, weight, cylinder_squared):
 
 
 def extend(stats, l, cos_theta, sin2_theta):
-    """Extend the extremes of lane l to a direction of the third axis."""
+    """Update the extremes of lane l with a direction of the third axis."""
     low, high = stats[Row.COS_THETA_MIN, l], stats[Row.COS_THETA_MAX, l]
     stats[Row.COS_THETA_MIN, l] = cos_theta if cos_theta < low else low
     stats[Row.COS_THETA_MAX, l] = cos_theta if cos_theta > high else high
@@ -136,7 +136,7 @@ def extend(stats, l, cos_theta, sin2_theta):
 
 
 def may_extend(stats, l, cos_0, cos_1, slope_0, slope_1):
-    """Whether theta may have a new extreme of lane l between two nodes at unit distance, 1.0 or 0.0."""
+    """1.0 if theta in lane l may have a new extreme between two nodes at unit distance, else 0.0."""
     margin = 0.25 * (abs(slope_0) + abs(slope_1)) + 1e-9
     above = 1.0 if max(cos_0, cos_1) + margin > stats[Row.COS_THETA_MAX, l] else 0.0
     below = 1.0 if min(cos_0, cos_1) - margin < stats[Row.COS_THETA_MIN, l] else 0.0
@@ -160,7 +160,7 @@ def theta_from(cos_theta: NDArray[np.float64], sin2_theta: NDArray[np.float64]) 
 def finish(
     out: NDArray[np.float64], intervals: NDArray[np.int64], duration: NDArray[np.float64]
 ) -> dict[str, NDArray[np.float64]]:
-    """Every statistic of STATISTICS, sine_max (largest sin theta), outside (share of the samples), axis_1, axis_2 (mean `axis_in_frame`)."""
+    """STATISTICS by name, sine_max (largest sin theta), outside (fraction of the samples), axis_1 and axis_2 (mean `axis_in_frame`)."""
     with np.errstate(all="ignore"):
         # np.maximum returns nan for nan, so that an overflow stays visible.
         square = np.maximum(theta_dot_squared_sum(out) / intervals, 0.0)
@@ -176,7 +176,7 @@ def finish(
         )
         variance = np.where(jumps, np.maximum(square - mean**2, 0.0), variance)
         result = {"theta_dot_rms": rms, "theta_dot_std": np.sqrt(variance)}
-        outside = out[Row.OUTSIDE]  # weight outside the cylinder; 0: psi' and phi' are nan
+        outside = out[Row.OUTSIDE]  # weight of samples outside the cylinder; if 0, psi' and phi' are nan
         psi, phi = out[Row.PSI_DOT] - out[Row.PSI_DOT_ERROR], out[Row.PHI_DOT] - out[Row.PHI_DOT_ERROR]
         psi_squared = out[Row.PSI_DOT_SQUARED] - out[Row.PSI_DOT_SQUARED_ERROR]
         phi_squared = out[Row.PHI_DOT_SQUARED] - out[Row.PHI_DOT_SQUARED_ERROR]

@@ -64,7 +64,7 @@ def atomic_write(path: Path, *, durable: bool = True, new: bool = False) -> Iter
             _sync(temporary)
         (os.link if new else os.replace)(temporary, path)
         if durable:
-            _sync(path.parent)  # for the new name
+            _sync(path.parent)  # makes the new name durable
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -254,7 +254,7 @@ def disk_error(error: Exception, path: Path) -> OSError:
 
 
 def check_name(path: Path, inside: str = "") -> None:
-    """Raise BadInput if a name, or the path to it or to a file inside, is longer than its file system allows."""
+    """Raise BadInput if the name or the whole path of `path`, or of a file `inside` it, is longer than the file system allows."""
     for each in (path, path / inside):
         try:
             os.lstat(each)
@@ -291,7 +291,7 @@ def check_not_input(path: Path, inputs: Iterable[str | Path]) -> None:
 
 
 def without_suffix(name: str | Path, *suffixes: str) -> Path:
-    """A path without a suffix that is in `suffixes`: k3_0.5.nc becomes k3_0.5, and k3_0.5/ stays; of an address, the last name."""
+    """A path without its suffix, if `suffixes` has it: k3_0.5.nc becomes k3_0.5, and k3_0.5/ stays; of a web address, its last part."""
     path = Path(Path(name).name) if "://" in str(name) else Path(name)
     if path.name in ("", ".."):
         path = path.resolve()
@@ -299,7 +299,7 @@ def without_suffix(name: str | Path, *suffixes: str) -> Path:
 
 
 def either(words: Iterable[str]) -> str:
-    """Words in a sentence: "a, b or c"."""
+    """The words joined for a sentence: "a, b or c"."""
     *others, last = words
     return " or ".join(filter(None, (", ".join(others), last)))
 

@@ -32,7 +32,7 @@ class Label(Flag):
     UNRESOLVED = 4, "not decided: see status"
 
 
-# Measured variables with values of `Label`: about the third axis, about any axis; in the system's frame, in inertial space.
+# Measured variables with values of `Label`: of the third axis in the system's frame and in inertial space, then of any axis in both.
 LABELS = ("label", "label_inertial", "label_any_axis", "label_any_axis_inertial")
 
 
@@ -139,7 +139,7 @@ class FamilyEnd(Flag):
 
 
 class OrbitStability(Flag):
-    """Linear stability of a periodic motion with its momenta held."""
+    """Linear stability of a periodic motion, for changes that keep its momenta."""
 
     UNKNOWN = 0, "no such orbit"
     STABLE = 1, "every multiplier is on the unit circle"
@@ -223,5 +223,5 @@ def owner_of_family(name: str) -> str:
 
 
 def reserved_families(system: str) -> dict[str, str]:
-    """Families of extensions, name -> motion; in this order their flags follow those of the system's own families, installed or not."""
+    """Families of extensions, installed or not, name -> motion; in this order their flags follow those of the system's own families."""
     return _RESERVED_FAMILIES.get(system, {})

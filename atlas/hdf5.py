@@ -45,7 +45,7 @@ def check_path(path: Path | str) -> None:
 def unreadable(
     path: Path | str, error: Exception, what: str = "not a NetCDF file that can be read"
 ) -> BadInput:
-    """BadInput for an error while a file was read: the error itself if it is BadInput, else that the file is locked, or `what`."""
+    """BadInput for an error of reading a file: the error itself if it is BadInput, else a message that the file is locked, or `what`."""
     if isinstance(error, BadInput):
         return error
     return BadInput(f"{path}: {locked_text(path) or f'{what} ({one_line(error)})'}")

@@ -1,4 +1,4 @@
-"""Signals. SIGINT (Ctrl-C), SIGTERM and SIGHUP end the command within two seconds, with whole files; others end a run between tiles."""
+"""Signals. SIGINT (Ctrl-C), SIGTERM and SIGHUP end the command within two seconds, with whole files; STOPS end a run between tiles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .errors import printable
 INTERRUPTED, TERMINATED, HUNG_UP = 130, 143, 129
 STOPPED = 75  # exit code of a run whose time is over: "try again later" in sysexits.h
 MESSAGE = "finished work is kept, and no file is half written"
-# Seconds from a signal to the end of a process that does not react to exceptions; seconds to find or to print its message.
+# Seconds from a signal to the end of a process that does not react to exceptions; seconds allowed for finding or printing its message.
 GRACE_PERIOD, MESSAGE_PERIOD = 1.0, 0.4
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 STOPS = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGXCPU)  # signals by which batch systems announce the end

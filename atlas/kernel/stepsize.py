@@ -1,4 +1,4 @@
-"""Numbers and sizes of the steps of each point, which do not depend on other points."""
+"""Number and size of the integration steps of each point; other points have no influence on them."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from .sampling import MIN_INTERVALS
 from .tableaux import METHODS, Method
 
 MAX_STEPS_PER_SAMPLE = 16
-# Share of the rate tolerance that errors of automatic steps may use up in a motion at the frequency bound.
+# Largest error of a rate by automatic steps, divided by the rate tolerance, in a motion at the frequency bound.
 RATE_ERROR_BUDGET = 0.1
-ROUNDING = 1e-16  # relative rounding error of a state at the start and by each step
+ROUNDING = 1e-16  # relative rounding error of the state at the start, and of each step
 # A run is resolved up to this step ratio and this dissipation error.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
-# Steps of a run that is not resolved: enough to show an overflow, because it gets no label in any case.
+# Number of steps of an unresolved run, which gets no label in any case: enough steps to show an overflow.
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
-# Error of the interpolation between four nodes, divided by x^8, if nodes are x rad of an oscillation apart.
+# Error of an oscillation that is interpolated between four nodes x rad apart, divided by x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
@@ -47,16 +47,16 @@ class StepSizes:
     steps: NDArray[np.int64]  # number of steps
     steps_per_sample: NDArray[np.int64]  # steps between two nodes of the statistics
     step_size: NDArray[np.float64]  # in time units
-    step_ratio: NDArray[np.float64]  # step_size x frequency bound, over the stability limit of the method
+    step_ratio: NDArray[np.float64]  # step_size x frequency bound / stability limit of the method
     # At the end of the run, for an oscillation at the frequency bound: phase error in rad, relative loss of amplitude
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
-    # Expected variation of a steady rate as large as the bound, rad per time unit
+    # Expected variation, by errors of the steps, of a steady rate that is as large as the bound, rad per time unit
     rate_error: NDArray[np.float64]
-    # Number of periods of strobed observables in the run, each with equally many nodes; 0: there are none
+    # Number of periods in the run, each with equally many nodes; 0 without strobed observables
     periods: NDArray[np.int64]
     transient: NDArray[np.float64]  # time before the run, time units
-    transient_steps: NDArray[np.int64]  # steps in this time, about as long as in the run
+    transient_steps: NDArray[np.int64]  # number of steps in this time; they are about as long as in the run
 
     @classmethod
     def of(
@@ -71,7 +71,7 @@ class StepSizes:
         Steps are at most as long as `step`, (points,), or else `settings.step`. Without both, the phase error of an
         oscillation at the bound stays within `settings.tolerance`, and neither its loss of amplitude nor the local error lets a
         steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance. `settings.max_steps` limits
-        the number before it is rounded up, at the cost of larger errors. A point without a finite bound gets the fewest steps
+        the number of steps before rounding up, at the cost of larger errors. A point without a finite bound gets the fewest steps
         and an infinite step ratio.
         """
         method, length = METHODS[settings.method], settings.step if step is None else step
@@ -95,7 +95,7 @@ class StepSizes:
             run = np.where(finite, duration, 0.0)
             steps = steps_of_length(length, run, MIN_INTERVALS, settings.max_steps)
         y = radians / steps
-        # A power of 2. The interpolation error, of order 8 in the distance of nodes, is kept below a tenth of the phase error.
+        # steps_per_sample is a power of 2 that keeps the interpolation error, of order 8, below a tenth of the phase error.
         with np.errstate(divide="ignore", invalid="ignore"):
             phase_error = radians * method.dispersion * y**method.order
             spacing = (0.1 * phase_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
@@ -120,7 +120,7 @@ class StepSizes:
         )
 
     def after(self, transient: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
-        """Step sizes of the last part of these runs, of this duration after a transient; errors are of the whole runs."""
+        """Step sizes if these runs consist of a transient and a duration after it; the errors are those of the whole runs."""
         has = transient > 0
         intervals = np.ceil(self.intervals * duration / (transient + duration) - 1e-9).astype(np.int64)
         steps = np.maximum(intervals, 2 * MIN_INTERVALS) * self.steps_per_sample
@@ -174,29 +174,29 @@ class StepSizes:
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
     def halved(self, method: Method, where: NDArray[np.bool_] | bool = True) -> StepSizes:
-        """Twice as many steps of half the size, with twice as many nodes, where a mask is true."""
+        """The same runs with twice as many steps and nodes where the mask is true."""
         return self._in_steps(np.where(where, 2, 1) * self.steps, self.steps_per_sample, method)
 
     def coarsened(self, method: Method) -> StepSizes:
-        """Half as many steps, rounded up, of twice the size."""
+        """The same runs with half as many steps, rounded up."""
         steps = np.maximum(-(-self.steps // 2), MIN_INTERVALS)
         return self._in_steps(steps, np.gcd(steps, self.steps_per_sample), method)
 
     def incommensurate(self, method: Method) -> StepSizes:
-        """Fewer steps, by about the golden section, so that hardly any node is common to both runs.
+        """The same runs with about 0.618 times as many steps (golden section), so that old and new runs share hardly any node.
 
-        A motion faster than the steps that looks slow at one set of nodes looks different at the other: the golden section is
-        the number farthest from all fractions with small denominators.
+        If a motion is faster than the steps and looks slow at the old nodes, it looks different at the new ones: the golden section
+        is the number farthest from all fractions with small denominators.
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
         fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
-        for _ in range(3):  # the next odd number, where the numbers have a common factor
+        for _ in range(3):  # the next odd number, where fewer and nodes have a common factor above 3
             fewer = np.where(np.gcd(fewer, nodes) > 3, fewer + 2, fewer)
         intervals = np.where(fewer * periods >= MIN_INTERVALS, fewer, 2 * nodes - 1) * periods
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 
     def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
-        """The same runs with equally many nodes in each period; periods: number in each run, or None."""
+        """The same runs with equally many nodes in each period; periods: their number in each run; None changes nothing."""
         if periods is None:
             return self
         steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
@@ -205,7 +205,7 @@ class StepSizes:
     def _in_steps(
         self, steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64], method: Method
     ) -> StepSizes:
-        """The same runs in other numbers of steps, rounded up to equally many nodes in each period."""
+        """The same runs with other numbers of steps, rounded up so that all periods have equally many nodes."""
         nodes = np.maximum(self.periods, 1) * steps_per_sample
         steps = -(-steps // nodes) * nodes
         ratio = self.steps / steps
@@ -231,7 +231,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: StepSettings, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Steps in each of `intervals` equal parts of runs, no longer than with `steps` in a run, or than `settings.step`."""
+    """Steps in each of `intervals` equal parts of runs; they are at most as long as with `steps` in all, or as `settings.step`."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))

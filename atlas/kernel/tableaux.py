@@ -18,13 +18,13 @@ class Method:
     order: int  # global order
     a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
     b: tuple[float, ...]  # weights of the stages
-    # To leading order a step has the error dispersion * y^(order + 1), of the phase in methods of even order, and the relative
-    # loss of amplitude dissipation * y^dissipation_order. Values that are 0, here and below, are computed from the tableau.
+    # To leading order a step has the error dispersion * y^(order + 1), an error of the phase if the order is even, and loses the
+    # fraction dissipation * y^dissipation_order of the amplitude. Values 0, here and below, are computed from the tableau.
     dispersion: float = 0.0
     dissipation: float = 0.0
     dissipation_order: int = 0
     stability: float = 0.0  # largest stable y
-    kernel_step: float = 1.0  # length of the step in the kernel's unit of time: most coefficients are 1
+    kernel_step: float = 1.0  # step in the kernel's unit of time; it makes most coefficients 1
     # Processor time of a step, samples included, relative to a step of rk4: see bench_methods.py
     step_cost: float = 0.0
 

@@ -1,7 +1,7 @@
 """The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
 
-`augmented` gives the layout of the tangent vector v, which is divided by its norm at the nodes, equally spaced to within a
-step, and at the end of the run. With L the logarithm of the growth of |v| up to an instant t,
+`augmented` gives the layout of the tangent vector v. At the end of the run and at nodes, which are equally spaced to within a
+step, v is divided by its norm. With L the logarithm of the growth of |v| up to an instant t,
 
     Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
 
@@ -92,7 +92,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def add_stretch(sums, l, log_growth, length, time):
-    """Add the part of a run between two nodes to the sums of lane l: logarithm of the growth, its length, time at its end."""
+    """Add the stretch between two nodes to the sums of lane l; log_growth and length are those of the stretch, time is its end."""
     before = sums[Growth.LOG_GROWTH, l]
     after = before + log_growth
     sums[Growth.LOG_GROWTH, l] = after

@@ -15,13 +15,13 @@ from ..theory.motions import predict_circles
 from .plan import Plan
 from .theory import Prediction, frame_motion, on_other_axes, predicted_frames
 
-# A start whose rates at first change by more than so many tolerances is far from every circle.
+# Number of rate tolerances: a start whose angular velocity soon changes by more is far from every circle, see `near_circle`.
 _FAR_CIRCLE = 10.0
 
 
 @np.errstate(all="ignore")
 def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
-    """Labels of runs about any axes from theory alone, in the system's frame and, if the frame turns, in inertial space.
+    """Labels about any axes that theory predicts for runs, in the system's frame and, if the frame turns, in inertial space.
 
     Axes within the angle tolerance count as parallel. A start that is no steady motion drifts if its angular velocity is far
     from every circle, else its label is not_computed.
@@ -59,7 +59,7 @@ def _circle(
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]
-    # A single rotation counts as about an axis at rest in the body; the fixed axis is then arbitrary, such as the vertical.
+    # A single rotation counts as one about a body axis; the axis fixed in the frame is then arbitrary, such as the vertical.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
     n = np.where(single, 0.0, n)
@@ -67,7 +67,7 @@ def _circle(
     rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
     sine = length(cross(s, np.where(turning & single, vertical, fixed)))
     zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # The angular velocity runs along an arc of m T on its circle; an arc as small as the tolerance counts as a point.
+    # The angular velocity runs along an arc of the angle m T on its circle; an arc as short as the tolerance counts as a point.
     arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
     return {
         "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
@@ -81,8 +81,8 @@ def near_circle(
     """Whether the angular velocity of a start may stay on a circle in the body, as along steady motions about any axes.
 
     No linear theory covers these motions. A start is far from all of them if, within a radian of the frequency bound, the angular
-    velocity changes by more than _FAR_CIRCLE tolerances, and also leaves the circle given by its first derivatives by so much. On
-    a circle v, the derivative of the angular velocity, has v.v' = 0 and v'' = -(|v'| / |v|)^2 v.
+    velocity changes by more than _FAR_CIRCLE tolerances, and departs by as much from the circle that its first derivatives give. On
+    a circle the derivative v of the angular velocity has v.v' = 0 and v'' = -(|v'| / |v|)^2 v.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

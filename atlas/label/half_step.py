@@ -51,7 +51,7 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 def half_step_sample(
     scene: Scene, plan: Plan | None = None, *, threads: Threads = ALL_THREADS
 ) -> dict[str, Any]:
-    """Attributes of a sample of points integrated at the scene's step and at half of it, see docs/accuracy.md."""
+    """Attributes that compare a sample of points at the scene's step and at half the step, see docs/accuracy.md."""
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
@@ -61,7 +61,7 @@ def half_step_sample(
     columns = evaluate(plan, both, halved=np.repeat([False, True], indices.size), threads=threads)
     first, second = slice(indices.size), slice(indices.size, None)
     part, full, half = both.subset(first), subset(columns, first), subset(columns, second)
-    # Points with a label at the full step and a different one, or none, at half the step.
+    # Points with a label at the full step, and another label or no label at half the step.
     changed = np.zeros(indices.size, bool)
     for name in LABELS:
         if name in full:

@@ -28,9 +28,9 @@ from .theory import Theory, agreement, departure_changes, forget_drifting
 if TYPE_CHECKING:
     from ..measure.tangent_runs import TangentRuns
 
-# check_half_step = "sample" measures the error of one point in so many.
+# If check_half_step = "sample", the error of one point in POINTS_PER_HALF_STEP is measured.
 POINTS_PER_HALF_STEP = 64
-# Largest relative difference of a statistic in runs with two steps; an error that both runs share may be ten times as large.
+# Largest accepted relative difference of a statistic between two step sizes; an error common to both may be ten times as large.
 LARGEST_CHANGE = 0.01
 
 
@@ -142,7 +142,7 @@ class _Runs:
         self.threads.progress(0.0)
 
     def integrate(self) -> Run:
-        """Integrate the points: unresolved ones for a few steps, drifting ones, if the plan allows it, until the drift is certain."""
+        """Integrate the points; unresolved runs end after a few steps, drifting ones, if the plan allows it, once this is certain."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
         further = self.tangent or self.growth
@@ -184,7 +184,7 @@ class _Runs:
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
         if self.growth is None or not needed:
             return run
-        # Progress counts these runs, unless there are tangent runs for chaos, which it counts instead.
+        # Progress counts these runs or, if there are any, the tangent runs for chaos.
         threads = self.threads.scaled(0.0) if self.tangent else self.threads
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 
@@ -213,7 +213,7 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
         step_sizes = step_sizes.after(transient, duration).in_periods(periods, method)
         if np.any(halved):
             step_sizes = step_sizes.halved(method, halved)
-        starts = replace(tile, points=points)  # temporary: the shared values are freed after use
+        starts = replace(tile, points=points)  # not kept, so that the shared values are freed after use
         theory = Theory.of(plan, starts, ensemble, step_sizes)
         tangent = growth = None
         if plan.has_tangent:
@@ -229,12 +229,12 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
 
 @np.errstate(all="ignore")
 def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, threads: Threads = ALL_THREADS) -> Ensemble:  # fmt: skip
-    """The ensemble at the end of transients from its origin; progress counts steps of points."""
+    """The ensemble at the end of the transients that start at its origin; progress counts the steps of all points."""
     where, start = np.flatnonzero(step_sizes.transient_steps), replace(ensemble, state=ensemble.origin)
     if not where.size:
         return start
     steps, state, change = step_sizes.transient_steps[where], start.state.copy(), np.zeros(start.size)
-    # A transient needs no nodes inside; more of them let a long run be interrupted.
+    # A transient needs no nodes; they are there so that a long run can be interrupted.
     intervals = -(-steps * WIDTH // blocks.CHUNK)
     strides = -(-steps // intervals)
     step_size = step_sizes.transient[where] / (strides * intervals)
@@ -250,7 +250,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
-        # Integration errors may cause a departure from an unstable motion, and do if the start is on the motion to rounding.
+        # Integration errors may cause the departure from an unstable motion; they do so if the start is on the motion to rounding.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
             theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.whole_steps)
@@ -307,7 +307,7 @@ def _sample(run: Run) -> Mask:
 def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
     """Whether another step changes a statistic by a fraction above LARGEST_CHANGE that the growth of errors does not explain.
 
-    Errors grow like the distance of runs with neighbouring starts: in chaos so fast that no step size would suffice.
+    Errors grow like the distance between runs with neighbouring starts; in chaos they grow so fast that no step size would suffice.
     """
     change = run.change(coarse)
     decides = change > LARGEST_CHANGE

@@ -52,7 +52,7 @@ class Plan:
         given: Collection[str],
         size: int = 1,
     ) -> Plan:
-        """The plan of `size` points; given: names of the parameters that may have any value, the others have their defaults."""
+        """The plan of `size` points; given: names of the parameters that may have any value; all others have their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
         terms = Specialization.of(system, *zero_and_equal(defaults))
         return cls(system, settings, outputs, terms, in_machine_code=size > FEW_POINTS)
@@ -70,7 +70,7 @@ class Plan:
 
     @property
     def names(self) -> Collection[str]:
-        """Names of the wanted variables, empty if the plan has the default ones; no optional variable is a default."""
+        """Names of the wanted variables; empty for the default variables, none of which is optional."""
         return self.outputs or ()
 
     @cached_property
@@ -118,14 +118,14 @@ class Plan:
 
     @cached_property
     def without_statistics(self) -> Plan | None:
-        """The plan without statistics of the rates, if only this lets runs stop early, else None."""
+        """The plan without statistics of the rates, if its runs may stop early and those of this plan may not, else None."""
         statistics = {statistic.name for statistic in STATISTICS}
         names = default_variables(self.system) if self.outputs is None else self.outputs
         plan = replace(self, outputs=[name for name in names if name not in statistics])
         return plan if plan.may_stop_early and not self.may_stop_early else None
 
     def relative_costs(self, bound: Array, points: Grid) -> dict[str, float]:
-        """Expected processor time of each other method over that of the plan's method, for equal errors; none for a given step."""
+        """Expected processor times of other methods for equal errors, in units of the plan's method; empty if a step is given."""
         if self.settings.step is not None:
             return {}
         costs = dict[str, float]()
@@ -147,7 +147,7 @@ class Plan:
 
     @property
     def kernel_hash(self) -> str:
-        """Hash of the kernel and, if the plan has one, of the kernel with tangent vectors."""
+        """Hash of the kernel, and of the kernel with tangent vectors if the plan has one."""
         source, terms = specialization.source, self.specialization
         texts = [source(self.system, self.settings.method, terms, self.plugs)]
         if self.has_tangent:

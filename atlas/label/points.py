@@ -33,7 +33,7 @@ from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan, method_lines
 
-# A call with more points, and more steps of rk4 in all (about a second), is told of a faster method.
+# A call with more points than this and more steps of rk4 in all (about a second) is told of a faster method.
 MANY_POINTS, MANY_STEPS = 100, 1e8
 _advised = False  # whether a call of this process was told
 OTHER_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
@@ -65,12 +65,12 @@ def label_points(
     points : mapping, list of mappings, Dataset, DataFrame or path
         Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; omitted parameters take
         their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point", and so do the
-        variables of a Dataset whose only dimension is no parameter. The index of a DataFrame becomes the coordinate of "point",
+        variables of a Dataset whose only dimension is not a parameter. The index of a DataFrame becomes the coordinate of "point",
         or a parameter if it is named like one. A path names a .csv or .nc file. DataFrames of polars (also lazy) and tables of
         pyarrow are read like those of pandas.
     duration : float, array_like, DataArray or str
-        In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and natural_rate, the
-        rate of each point.
+        In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and in
+        natural_rate, which differs from point to point.
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
@@ -84,7 +84,7 @@ def label_points(
     variables : sequence of str, optional
         Names of the wanted variables; default: all that are measured or predicted, except optional ones.
     threads : int, optional
-        Default: all processors; one for each chunk of a lazy result.
+        Default: all processors, or one thread for each chunk of a lazy result.
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
@@ -114,8 +114,8 @@ def label_points(
     If an array is a dask array, the result is lazy: it is computed chunk by chunk, bit for bit as in memory. Values out of range
     are then found only in the computation, and there are no warnings and no attributes that depend on values.
 
-    Parameters that are not given are compiled away where their defaults make terms vanish or equal. A parameter that is given
-    as 0 is computed, so results may differ by rounding. Points never affect each other.
+    Parameters that are not given are compiled away where their defaults make a term vanish, or two terms equal. A parameter that
+    is given as 0 is computed, so results may differ by rounding. Points never affect each other.
     """
     description = systems.get(system)
     for key in set(other_settings) - set(OTHER_SETTINGS):
@@ -192,7 +192,7 @@ class _Labels:
     outputs: Sequence[str]  # names of the returned variables
     names: Sequence[str]  # names of the parameters
     size: int  # number of points in all chunks
-    duration: Duration | None  # replaces the last array
+    duration: Duration | None  # if given, used instead of the last array
     transient: Duration
     threads: int | None
     progress: bool

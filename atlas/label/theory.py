@@ -42,24 +42,24 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# A start near an unstable motion departs by its nudge, not by errors, if half the step changes theta' by a smaller fraction.
+# If half the step changes theta' by a smaller fraction, a start near an unstable motion departs because of its nudge, not of errors.
 HALF_STEP_RTOL = 0.05
-# Number of samples of an exact motion about other axes, and error of their statistics over the spread of the samples.
+# Number of samples of an exact motion about other axes; error of the statistics of the samples, divided by the samples' spread.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What theory predicts of a set of runs; arrays of shape (points,)."""
+    """What theory predicts for a set of runs; arrays of shape (points,)."""
 
     variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
     motion: TwoAxes | None  # axes and rates before the nudge; None if the equations do not decide
     test: SteadyTest
     answer: Flags  # values of `Existence`, after `predict`
     family_residual: Array  # residual of the family's conditions at the start before the nudge
-    # Residual, at the start of the run, of the conditions of the steady motion to which `log_growth` belongs
+    # How far the start of the run is from the conditions of the steady motion to which `log_growth` belongs
     start_residual: Array
-    about_other_axes: Mask  # whether that motion is about other axes than the third and the vertical
+    about_other_axes: Mask  # whether this steady motion is about other axes than the third and the vertical
     pushed: Mask  # whether a nudge moved the start off its motion
     # Logarithm of the growth of a distance from the motion until the end of the run; 0 where it is unknown
     log_growth: Array
@@ -70,8 +70,8 @@ class Prediction:
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
     """Predictions for the runs of a plan, in the order of `theory.prediction`.
 
-    Motions about other axes than the third and the vertical have a growth only if labels about any axes are measured: for the
-    other labels they drift anyway.
+    Motions about other axes than the third and the vertical have a log_growth only if labels about any axes are measured: the
+    other labels call them drifting anyway.
     """
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
@@ -119,7 +119,7 @@ def _tests_and_families(
     nudged: bool,
     in_machine_code: bool,
 ) -> tuple[TwoAxes | None, SteadyTest, Flags, Array]:
-    """Steady motions and tests of starts by the equations, and families of the starts with the residuals of their conditions.
+    """Steady motions and tests of the starts by the equations; families of the starts, and the residuals of the families' conditions.
 
     If the theorem does not cover a system, its families decide: a start on a family is exact, others have no label.
     """
@@ -145,7 +145,7 @@ def _tests_and_families(
 def forget_drifting(
     system: System, labels: dict[str, np.ndarray], where: Mask, constants: Array, *states: Array
 ) -> None:
-    """Remove predictions of drifting where the flow changes volumes at one of the states, because the motion may settle."""
+    """Remove predictions of drifting where the flow changes phase volume at one of the states, because the motion may settle."""
     if where.any():
         changes = [changes_volume(system.equations, state, constants) for state in states]
         unknown = where & np.any(changes, axis=0)
@@ -160,7 +160,7 @@ class Theory:
 
     prediction: Prediction
     rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
-    growth_about_vertical: Array  # the logarithm if the third axis stays exactly on the vertical
+    growth_about_vertical: Array  # log_growth if the third axis stays exactly on the vertical
     unstable: Mask  # whether the start is, to rounding, on an unstable steady motion or motion in the plane
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
     unknown_growth: Mask  # whether only a missing extension could give the growth
@@ -175,7 +175,7 @@ class Theory:
             nothing = Prediction({}, None, test, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
-        # The growth of an offset in one step is rounded; where rounding is a per cent of the growth or more, it decides.
+        # The start counts as exact where rounding is at least a per cent of the growth of its offset in one step.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmin(
             np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDING / growth_in_step), FAMILY_TOLERANCE
@@ -200,7 +200,7 @@ class Theory:
         return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
-        """Logarithms of the growth of rounding errors: during the run, and from rounding to a tolerance."""
+        """Logarithms of the growth of rounding errors during the run, and of the growth that makes them as large as a tolerance."""
         # A third axis that is exactly on the vertical has no tilt that could grow.
         sine = run.measured.get("sine_max", np.ones(run.ensemble.size))
         residual = self.prediction.start_residual
@@ -260,8 +260,8 @@ def exact_labels(
 ) -> dict[str, Flags]:
     """Labels of exact motions from their statistics.
 
-    elsewhere: whether a motion is about other axes. Its statistics are sampled; if their error could change the label, the label
-    is not_computed. If `motion` is None, these motions drift.
+    elsewhere: whether a motion is about other axes. The statistics of such a motion are sampled; if their error could change the
+    label, the label is not_computed. If `motion` is None, such motions drift.
     """
     others = np.flatnonzero(elsewhere)
     sine, n, m = system.steady_rates(points)
@@ -314,7 +314,7 @@ def _statistics(
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
-    """Family of each start and the residual of its conditions, see `System.identify_family`; 0, no family, out of range."""
+    """Family of each start and the residual of its conditions, see `System.identify_family`; family 0 (none) out of range."""
     family, residual = system.identify_family(points)
     return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 

@@ -26,7 +26,7 @@ from ..systems.base import Array, Points, System, check_possible, time_units
 from ..variables import main_instrument
 from .plan import Plan
 
-# Largest number of instants of a trajectory, which takes some gigabytes.
+# Largest number of instants of a trajectory; with so many it takes some gigabytes.
 MAX_SAMPLES = 10**7
 # psi and phi are continued from node to node, SIDE_BY_SIDE nodes at a time. The instants of the trajectory are nodes; if they are
 # fewer than NODES, nodes at least STEPS_PER_NODE steps apart are added between them.
@@ -75,7 +75,7 @@ def trajectory(
     samples : int
         Number of evenly spaced instants from 0 to `duration`, at least 2.
     step : float, optional
-        Largest step in time units; the step divides the distance of two instants. Default: as in `label_points`, or shorter.
+        Largest step in time units; a whole number of steps lies between two instants. Default: as in `label_points`, or shorter.
     method : str
         "rk4" or "rk8".
     tolerance : float
@@ -274,7 +274,7 @@ def attributes_of(system: System) -> dict[str, dict[str, str]]:
 def _path(
     system: System, points: Points, motion: _Motion, states: Array, steps: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis in the frame at every node; states: (nodes, states); steps: between nodes."""
+    """psi and phi, unwrapped, and the third axis in the frame at the nodes; states: (nodes, states); steps: numbers between nodes."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
@@ -309,7 +309,7 @@ def frame_vector(system: System, points: Points, state: Array, constants: Array)
     """First axis of the frame along the body axes at the start, from psi0 and, if the third axis is vertical, phi0 (default 0)."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
-    psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # theta is positive
+    psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # so that theta is positive
     sine = np.hypot(g1, g2)
     with np.errstate(invalid="ignore"):
         sf, cf = np.where(sine == 0.0, [np.sin(phi0), np.cos(phi0)], np.array([g1, g2]) / sine)
@@ -325,7 +325,7 @@ def _branch(angle: Any, near: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Many motions of one body side by side: equations with `axis_in_frame`, a method, constants (constants, 1), a step size."""
+    """Many motions of one body, with equations that have `axis_in_frame`, a method, constants (constants, 1), and a step size."""
 
     equations: Any
     method: Method
@@ -375,14 +375,14 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi in a step to `turns`; returns both ends and numbers of motions whose step is too long."""
+        """Add the changes of psi and phi to `turns`; return both end states and the indices of motions whose step is too long."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
         too_long = ((distance <= MARGIN * path) | (angle >= LARGEST_TURN)) & (distance >= AT_VERTICAL)
         turn = z1 * z0.conj()
         phi = np.angle(turn)
-        # An axis that passes exactly through the vertical turns by half a turn: forward, whatever the rounding.
+        # If the axis passes exactly through the vertical, phi changes by half a turn, forward whatever the rounding.
         phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
         # Near the vertical psi + phi is regular, near its opposite psi - phi.
         regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))

@@ -40,14 +40,14 @@ SWEEPS = 6
 class Axis(IntEnum):
     """Rows of the constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
 
-    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # angular velocity: u + FRAME_RATE g
+    FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
     # Along x, y, z: the angular velocity, the square of its derivative, the derivative, the vertical.
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Trapezoidal sums over the nodes of differences from the start: u (x, y, z), u^2 (l), u'^2 (s), and their products."""
+    """Trapezoidal sums over the nodes: differences of u (x, y, z), u^2 (l) and u'^2 (s) from the start, and their products."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -102,7 +102,7 @@ def circle_axes(
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
         du = np.where(np.isfinite(du), du, 0.0)  # a run that overflows is not resolved
-        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s: z has this direction, or any where this is 0.
+        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s: z has this direction, or any direction where u'' x u' is 0.
         direction = cross(ddu, du)
         size = np.sqrt(dot(direction, direction))
         exists = np.isfinite(size) & (size > 0)
@@ -117,12 +117,12 @@ def circle_axes(
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
     """The circle nearest to the angular velocities u of each run in one frame, and their distance from it, (points,) each.
 
-    In rad per time unit: `spread`, standard deviation of u; `height` and `height_std`, of u along s, the normal of the best
-    plane; `radius` (root mean square) and `radius_std`, distance of u from the line along s; `extent`, standard deviation of u
-    along the shorter axis in the plane; `spin` and `spin_std`, rate about s of a motion on the circle; `rate_1` to `rate_3`,
-    mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of either sign. Angles in rad from
-    the vertical at the start: `precession_inclination` of the axis fixed in the frame (from s and spin), `rotation_inclination`
-    of u, `tilt` of the third body axis.
+    In rad per time unit: `spread`, standard deviation of u; `height` and `height_std`, mean and deviation of u along s, the normal of
+    the best plane; `radius` (root mean square) and `radius_std`, distance of u from the line along s, and its deviation; `extent`,
+    standard deviation of u along the shorter axis in the plane; `spin` and `spin_std`, rate about s of a motion on the circle, and
+    its deviation; `rate_1` to `rate_3`, mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of
+    either sign. Angles in rad from the vertical at the start: `precession_inclination` of the axis fixed in the frame (from s and
+    spin), `rotation_inclination` of u, `tilt` of the third body axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -164,7 +164,7 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
 def principal_axes(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues of symmetric matrices (3, 3, points), ascending, and unit eigenvectors vectors[i], by Jacobi's method.
 
-    For nearly diagonal matrices it computes small eigenvalues to a small relative error, unlike LAPACK: J. Demmel and
+    For nearly diagonal matrices this method computes small eigenvalues to a small relative error, unlike LAPACK: J. Demmel and
     K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
     """
     a = matrix.copy()
@@ -220,9 +220,9 @@ _SPIN_AXIS = (
 class Circle(Instrument):
     """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
 
-    A point that is steady about the third axis and the vertical keeps this label. Elsewhere an angular velocity that is constant
-    in the body is a permanent rotation, and one that moves on a circle at constant speed is a regular precession. Rates and
-    angles are in the system's frame.
+    A point that is steady about the third axis and the vertical keeps its label. Elsewhere a motion is a permanent rotation if its
+    angular velocity is constant in the body, and a regular precession if the angular velocity moves on a circle at constant speed.
+    Rates and angles are in the system's frame.
     """
 
     name: str = "label_any_axis"  # or label_any_axis_inertial
@@ -319,7 +319,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors for angular velocities as large as the bound; a small circle amplifies them, unless about a body axis."""
+        """Rounding errors of angular velocities as large as the bound; larger if the circle is small and its axis is no body axis."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)
@@ -329,14 +329,14 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": each for key, each in sizes.items()}
 
     def _amplification(self, run: Run) -> Array:
-        """Error of the spin and precession rates over the error of the angular velocity, (points,)."""
+        """Error of the spin and precession rates, divided by the error of the angular velocity, (points,)."""
         radius, height, extent = (
             run.measured[f"{self.name}:{key}"] for key in ("radius", "height", "extent")
         )
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 of drifts and of regular precessions about the third axis."""
+        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 for drifting motions and regular precessions about the third axis."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -370,7 +370,7 @@ class Circle(Instrument):
         return {name: np.where(ok, columns[name], np.nan) for name in names}
 
 
-# In the system's frame, and in inertial space; a scene that wants the second has the first as well.
+# Circles in the system's frame and in inertial space; a scene with the second has the first as well.
 CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
@@ -401,20 +401,20 @@ def values(
         reversed_axis = measured["psi_dot_mean"] < 0
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
-        # Of a regular precession, the last component of the spin axis above the tolerance is made positive.
+        # For a regular precession the last component of the spin axis that exceeds the tolerance is made positive.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
         )
         sign = np.copysign(1.0, last)
-        # Permanent rotation: about the mean angular velocity, which vanishes for a body at rest.
+        # The axis of a permanent rotation is that of the mean angular velocity, which vanishes for a body at rest.
         components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
         size = np.sqrt(sum(component**2 for component in components))
         zero, third_axis = np.zeros_like(size), (0.0, 0.0, 1.0)
         zero_or_nan = np.where(size > tolerances.rate, 0.0, np.nan)
         lean = np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"]))
         inclination = circle["rotation_inclination"] + zero_or_nan
-        # Regular precession about the third axis and the vertical, about other axes, permanent rotation; adding 0.0 removes -0.0.
+        # Regular precession about third axis and vertical, the same about other axes, permanent rotation; adding 0.0 removes -0.0.
         choices = {
             "precession_rate": (np.abs(measured["psi_dot_mean"]), circle["precession"], zero),
             "spin_rate": (measured["phi_dot_mean"], sign * circle["spin"], size),

@@ -1,7 +1,7 @@
 """Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
 
-An instrument is a frozen object of a class derived from `Instrument`. The main one of a plan (`label.plan`) integrates the points
-in its kernel; the others add sums to that kernel (`kernel.ensemble.Plug`), or run a kernel of their own.
+An instrument is a frozen object of a class derived from `Instrument`. The main instrument of a plan integrates the points in its
+kernel (`label.plan`); the others add sums to that kernel (`kernel.ensemble.Plug`), or run a kernel of their own.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ..kernel.statistics import Row
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
-# Least product of frequency bound and duration, rad; the bound is a divisor.
+# Least product of frequency bound and duration, rad; not 0, because the bound is a divisor.
 LEAST_TURN = 1e-80
 
-# Measurements by name, (points,) each; those with a colon in their name are not in atlases.
+# Measurements by name, (points,) each; names with a colon are not in atlases.
 Measured = Mapping[str, Array]
 
 
@@ -40,9 +40,9 @@ class Variable:
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
     missing: int = 0  # value of an integer variable where a point is not computed
-    # of a variable of positions in a list: names of -1 (none, the missing value) and of 0, 1, ...
+    # For values that are positions in a list: name of the missing value -1 (none), and name of the values 0, 1, ...
     positions: tuple[str, str] | None = None
-    beside: str = ""  # name of a variable that every atlas with this one holds
+    beside: str = ""  # name of a variable that every atlas with this variable contains
 
     def attributes(self) -> dict[str, object]:
         """CF attributes: units or flags, long_name, comment."""
@@ -110,16 +110,16 @@ class Rule:
 
     label: Callable[[Measured], Flags]  # the labels, whatever the status
     statistics: tuple[str, ...]  # measurements that decide the label; each has an error unless it is exact
-    # Statistic that is a mean -> rate; the label depends on the magnitude of mean + rate
+    # Statistic that is a mean -> rate added to it; the label depends on the magnitude of the sum
     means: Mapping[str, Array | float] = field(default_factory=dict)
     # Statistic -> largest value that rounding alone can give it in a steady motion, in its unit
     rounding: Mapping[str, Array] = field(default_factory=dict)
-    # Flags of the label's variable: for a run that ended early, certain to drift, and for one whose status is not ok
+    # Names of two flags of the label's variable: for runs that ended early, certain to drift, and for runs whose status is not ok
     drifting: str = "drifting"
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """The measurements, with the value at rest where rounding alone may explain them; the same object if none is changed."""
+        """The measurements, but the values at rest where rounding alone may explain them; the same object if no value is replaced."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -169,7 +169,7 @@ class Run:
 
     system: System
     settings: RunSettings
-    instruments: tuple[Instrument, ...]  # the main one first
+    instruments: tuple[Instrument, ...]  # the main instrument first
     ensemble: Ensemble
     step_sizes: StepSizes
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
@@ -274,21 +274,21 @@ class Run:
 class Instrument:
     """A measurement: variables of an atlas, and how they follow from runs.
 
-    A subclass must implement `variables`, or `every_variable` if all systems have the same, and one source of their values:
+    A subclass must implement `variables`, or `every_variable` if they are the same for all systems, and one source of their values:
     `measurements` for numbers, `rules` for labels, or `columns`. The other members contribute nothing unless they are overridden:
 
     Where it measures
-        `wanted`, by a scene; in its kernel `sums`, `given`, `add_node`, `constants`; `needs_whole_run`; without a run `proofs_of`,
-        `proofs`; with tangent vectors `needs_growth`.
+        In scenes that want it (`wanted`); in the kernel (`sums`, `given`, `add_node`, `constants`), perhaps only in whole runs
+        (`needs_whole_run`); without a run (`proofs_of`, `proofs`); with tangent vectors (`needs_growth`).
     Errors
-        Of numbers `relative_error`, `pair_error`, `rate_change`; of the statistics of rules `errors`, `rounding`, `outcome_differs`.
+        Of numbers: `relative_error`, `pair_error`, `rate_change`; of the statistics of rules: `errors`, `rounding`, `outcome_differs`.
     """
 
-    # Numbers of sums and constants, and the function, that the instrument adds to the kernel, see `kernel.ensemble.Plug`.
+    # What the instrument adds to the kernel: numbers of sums and of constants, and a function, see `kernel.ensemble.Plug`.
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether runs may not end before their duration
-    # From run and status: the points whose variables need `Run.growth`, (points,); None: no point, and no tangent kernel.
+    # Function of run and status: mask of the points whose variables need `Run.growth`; None: no point needs it, nor a tangent kernel.
     needs_growth: Callable[[Run, Flags], Mask] | None = None
     # Label variable -> variable whose flag is not 0 where the label is proved for every duration.
     proofs_of: Mapping[str, str] = MappingProxyType({})
@@ -308,7 +308,7 @@ class Instrument:
     def proofs(
         self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
     ) -> dict[str, NDArray[Any]]:
-        """Variables that need no run, and the proved labels, 0 elsewhere, under the names of the predicted ones."""
+        """Variables that need no run, and proved labels under the names of the predicted labels, 0 where nothing is proved."""
         return {}
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
@@ -320,11 +320,11 @@ class Instrument:
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected errors of the statistics of its rules; relative: largest `relative_error` of this and earlier instruments."""
+        """Expected errors of the statistics of the rules; relative: largest `relative_error` of this and earlier instruments."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Largest values that rounding alone can give to statistics of its rules; relative: rounding error over the size of a quantity."""
+        """Largest values that rounding alone can give to statistics of the rules; relative: rounding error / size of a quantity."""
         return {}
 
     def relative_error(self, run: Run) -> Array:
@@ -340,7 +340,7 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Relative error of its values, (points,), from a second run with fewer steps; expected: the error expected of `run` alone."""
+        """Relative error of the values, (points,), from a second run with fewer steps; expected: the error expected of `run` alone."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -355,7 +355,7 @@ class Instrument:
 class MainInstrument(Instrument):
     """An instrument whose kernel integrates the points.
 
-    It must implement `unsteadiness` and `largest` as well, and `early_stop_rate` if it overrides `may_stop_early`.
+    A subclass must implement `unsteadiness` and `largest` as well, and `early_stop_rate` if it overrides `may_stop_early`.
     """
 
     has_theory = False  # whether theory predicts its labels

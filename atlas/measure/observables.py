@@ -29,12 +29,12 @@ STATISTICS = {
 }
 # Highest frequency of an observable, overtones included, in units of the frequency bound.
 OVERTONE = 3.0
-# Largest product of frequency bound and distance of two nodes, rad.
+# Largest product of frequency bound and time between two nodes, rad.
 MAX_NODE_RADIANS = 0.4
 # Fraction of the last period of a run that may be missing; largest number of periods.
 MISSING, MAX_PERIODS = 1e-3, 10**9
 MAX_HALVINGS = 8  # how often step size and steps between nodes may be halved
-# Largest jump of an observable between two nodes over its range in the run.
+# Largest jump of an observable between two nodes, divided by its range in the run.
 MAX_ROUGHNESS = 0.3
 # Least order of the errors of statistics in the step size: the order of rk4; quadrature and interpolation have order 8.
 STATISTICS_ORDER = 4
@@ -92,7 +92,7 @@ class Observables(MainInstrument):
     def step_sizes(
         self, settings: RunSettings, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
-        """Steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed; longer automatic steps are halved."""
+        """Steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed; automatic steps are halved for this."""
         step_sizes = StepSizes.of(settings, bound, duration, step)
         may_halve = step is None and settings.step is None
         finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
@@ -133,7 +133,7 @@ class Observables(MainInstrument):
                 first = observe.FIRST_ROW + len(observe.Field) * k
                 start, total, square, trend, least, largest, _ = sums[first : first + len(observe.Field)]
                 count, per_trend = intervals, np.asarray(12.0)
-                if is_strobed(observable):  # the sum of u^2 is count / per_trend
+                if is_strobed(observable):  # sum of (time from middle / duration)^2: count / per_trend
                     count, per_trend = periods + 1, 12.0 * periods / (periods + 2)
                 shift = total / count
                 variance = np.maximum(square / count - shift * shift, 0.0)
@@ -153,7 +153,7 @@ class Observables(MainInstrument):
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
         with np.errstate(over="ignore"):
-            # The interpolation between nodes, for the highest overtone.
+            # Error of the interpolation between nodes, for the highest overtone.
             error += INTERPOLATION_ERROR * (OVERTONE * run.bound * step_sizes.sample_spacing) ** 8
         return error
 
@@ -168,7 +168,7 @@ class Observables(MainInstrument):
 
     @np.errstate(all="ignore")
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding of the observables' own values, or the effect of rounding the states at the start, if terms cancel."""
+        """Rounding errors of the observables' values or, where terms cancel, effects of rounding the states at the start."""
         equations, state, constants = run.system.equations, run.ensemble.state, run.ensemble.constants
         slope = np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
         shifts = np.eye(len(state))[..., None] * relative * (np.abs(state) + np.abs(slope) / run.bound)
@@ -212,7 +212,7 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Number of whole periods in each run, at least 1 if duration > 0, and their total time; without strobes None and duration."""
+    """Number of whole periods in each run, at least 1 if duration > 0, and their total time; (None, duration) without strobes."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
@@ -227,7 +227,7 @@ def whole_periods(
 def std_tolerances(
     system: System, settings: Mapping[str, float] | None, rate_tolerance: _T
 ) -> dict[str, float | _T]:
-    """Standard deviation up to which each observable counts as constant, in its unit: from the settings, else its own."""
+    """Standard deviation up to which each observable counts as constant, in its unit: from the settings, else the observable's own."""
     limits = {
         o.name: rate_tolerance if o.tolerance is None else float(o.tolerance) for o in system.observables
     }

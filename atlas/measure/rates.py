@@ -34,8 +34,8 @@ END_TIME = Variable("end_time", "float64", "s", "time at which the integration e
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-# For starts in the cylinder: sin(theta) above which the nodes follow the third axis; turn of its path between two nodes, rad,
-# above which the nodes miss how the axis leaves.
+# For a third axis that starts in the cylinder: sin(theta) above which the nodes follow it; turn of its path between two nodes,
+# in rad, above which they miss how it leaves.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
@@ -106,7 +106,7 @@ class Rates(MainInstrument):
         return settings.rate_tolerance
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Largest error of a rate over the frequency bound."""
+        """Largest error of a rate, divided by the frequency bound."""
         return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
 
     def bound(self, bound: Array, settled: Mask) -> Array:
@@ -123,7 +123,7 @@ class Rates(MainInstrument):
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
         """Rate above which a point drifts, whatever the expected error, (points,), rad per time unit."""
-        # A divisor of at most 0.1 makes this no smaller than the rounding error in `Run.rules`.
+        # With a divisor of at most 0.1 `rounding` is no smaller than the rounding error in `Run.rules`.
         rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps) / np.minimum(tolerances.angle, 0.1)
         absolute = step_sizes.rate_error + rounding
         return np.asarray(
@@ -163,7 +163,7 @@ class Rates(MainInstrument):
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors of rates as large as the bound; for psi' and phi' divided by sin(theta) outside the cylinder."""
+        """Rounding errors of rates as large as the bound; outside the cylinder those of psi' and phi' are divided by sin(theta)."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -181,14 +181,14 @@ class Rates(MainInstrument):
         return _with_statistics(error, run)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of a rate over the frequency bound."""
+        """Largest difference of a rate between the runs, divided by the frequency bound."""
         return np.asarray(np.fmax.reduce(_differences(run, other, RATES)) / run.bound)
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
         """Relative error of the states, from their final difference and the order of the method, and of the statistics.
 
-        Statistics converge at no clear order: their errors are their differences, at least 0.3 of the error that follows from
-        the states, because two runs may agree by chance. Where the second run is not resolved, a larger expected error counts.
+        Statistics converge at no clear order: the difference between the runs counts as their error, but at least 0.3 of the error
+        of the states, because two runs may agree by chance. Where the second run is not resolved, a larger expected error counts.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -216,7 +216,7 @@ class Rates(MainInstrument):
 def geometry(
     system: System, measured: Measured, steady: Mask, cylinder: Mask, tolerances: Tolerances
 ) -> Flags:
-    """Flag of the first geometry of the system that holds for each motion, 0 if none does or it is not steady, (points,)."""
+    """Flag of the first geometry of the system that holds for each motion, 0 if none holds or the motion is not steady."""
     kinds = [
         kind.holds(measured, cylinder, tolerances.rate, tolerances.angle)
         for kind in system.geometries.values()
@@ -225,7 +225,7 @@ def geometry(
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """The variables of bodies that this system has."""
+    """The given variables without those that this system lacks."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}

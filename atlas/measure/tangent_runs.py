@@ -30,10 +30,10 @@ MAX_STEPS_PER_NODE = 1000
 MAX_RADIANS_PER_STEP = 0.3
 # Largest relative loss of amplitude by numerical dissipation during a run; the loss lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# A tangent run for the growth alone must follow the main run only until the error of the main run has grown to some per cent. Its
-# step over the step with which rk8 has the main run's error at the frequency bound; largest product of step and bound, rad.
+# A tangent run for the growth alone must follow the main run only until the main run's error has grown to some per cent. Ratio of its
+# step to the step at which rk8 has this error at the frequency bound; largest product of its step and the bound, rad.
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
-# Run time of a step with a tangent vector over that of a step with statistics, see bench_engine.py.
+# Run time of a step with a tangent vector, divided by that of a step with statistics, see bench_engine.py.
 RELATIVE_COST = 1.5
 # Largest fall of L, the logarithm of the growth of a tangent vector. The vector grows in chaos, but also while a regular motion
 # leaves the neighbourhood of an unstable one. If the motion returns to a distance d, a vector along its velocity shrinks by d and
@@ -42,9 +42,9 @@ RELATIVE_COST = 1.5
 MAX_DRAWDOWN = 10.0
 # Largest growth of L in one passage of an unstable motion: at most ln(1/d^2) with d^2 >= 1e-16 (rounding); 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO below the first means regular (it tends to 2 or less), above the second chaotic (it grows as lambda T / 2).
+# Mean MEGNO below the first value means regular (it tends to 2 or less), above the second value chaotic (it grows as lambda T / 2).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# A chaotic run is continued until it exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, for at most so many durations.
+# A chaotic run is continued until it exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, for at most this number of durations.
 MAX_DURATIONS = 16
 
 
@@ -98,7 +98,7 @@ class TangentSteps:
 
 
 class TangentArrays(NamedTuple):
-    """Data of points that the tangent kernel reads and writes, as `blocks.Arrays`."""
+    """Data of points that the tangent kernel reads and writes, in the manner of `blocks.Arrays`."""
 
     step_size: Array
     state: Array
@@ -111,7 +111,7 @@ class TangentArrays(NamedTuple):
 def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
     """Unit of angular velocities in the norm of a tangent vector, rad per time unit: the rate of the frame, else without_frame.
 
-    The Lyapunov exponent of a finite run depends a little on this unit, its limit does not.
+    The Lyapunov exponent of a finite run depends a little on this unit; the limit for long runs does not.
     """
     rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
     return np.where(rate > 0, rate, without_frame)
@@ -189,7 +189,7 @@ class TangentRuns:
     ensemble: Ensemble
     steps: TangentSteps
     rate_unit: Array  # see `rate_unit`
-    share: float  # work of these runs over that of all runs of the points
+    share: float  # work of these runs, divided by the work of all runs of the points
 
     @classmethod
     def of(
@@ -204,7 +204,7 @@ class TangentRuns:
         *,
         has_chaos: bool,
     ) -> TangentRuns:
-        """Tangent runs beside main runs with step_sizes; has_chaos: for the indicators of chaos, not for the growth alone."""
+        """Tangent runs beside main runs with these step_sizes; has_chaos: for the indicators of chaos, not for the growth alone."""
         bound = ensemble.frequency_bound
         with np.errstate(all="ignore"):
             error = None if has_chaos else tolerated_error(settings, step_sizes, bound)

@@ -42,7 +42,7 @@ from .style import COLOURS
 def draw_values(
     ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
 ) -> ScalarMappable | None:
-    """Draw an array as cells over two axes, which are returned, or as a curve over one."""
+    """Draw an array over two axes as cells, and return the cells; draw an array over one axis as a curve."""
     ax.set_xlim(edges[0][0], edges[0][-1])
     if array.ndim == 1:
         values = array.values
@@ -72,14 +72,14 @@ def draw_levels(
     ax.tick_params(axis="y", length=0)
 
 
-# Area of all dots of a panel together, which covers it about once; limits of the area of one dot; in square points.
+# In square points: area of all dots of a panel, which together cover it about once; limits of the area of one dot.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
 def draw_dots(
     ax: Axes, array: xr.DataArray, places: list[np.ndarray], scale: ColorScale, *, rare_on_top: bool
 ) -> ScalarMappable:
-    """Draw the values at single points as dots; returns them."""
+    """Draw the values at single points as dots, and return the dots."""
     values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if rare_on_top:
@@ -271,7 +271,7 @@ DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1))
 NARROW, THINNER = 90.0, 0.5
 # The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
 HALO = 0.35  # width in points on each side
-# A kind of KINDS with more lines, or with crowded lines, has no halo, because it would cover the cells between the lines.
+# Lines of a kind in KINDS have no halo if they are more than this or crowded: the halo would cover the cells between them.
 MAX_HALOED = 40
 
 
@@ -294,26 +294,26 @@ HATCHES = {
 
 
 def border_style(kind: str, width: float = math.inf) -> dict[str, Any]:
-    """Line style of a kind of border of the core or of an extension; width: of the panel, mm."""
+    """Line style of a kind of border of the core or of an extension; width: width of the panel, mm."""
     return at_width(
         {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE)), width
     )
 
 
 def family_style(number: int, width: float = math.inf) -> dict[str, Any]:
-    """Line style of the family with this number in the system; width: of the panel, mm."""
+    """Line style of the family with this number in the system; width: width of the panel, mm."""
     return at_width({"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}, width)
 
 
 def at_width(style: dict[str, Any], width: float) -> dict[str, Any]:
-    """Line style with the linewidth for a panel; width: of the panel, mm."""
+    """Line style with the linewidth for a panel; width: width of the panel, mm."""
     return style | {"linewidth": style["linewidth"] * (THINNER if width < NARROW else 1.0)}
 
 
 def draw_overlay(
     ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str], width: float
 ) -> None:
-    """Draw hatching and theory over the cells of a panel that has its limits and scales; width: of the panel, mm."""
+    """Draw hatching and theory over the cells of a panel that has its limits and scales; width: width of the panel, mm."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
@@ -328,7 +328,7 @@ def draw_overlay(
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
     """Hatch the marked cells; over one axis from bottom to top.
 
-    All are one path, with a rectangle for each run of cells along x, because Matplotlib takes seconds to hatch many paths.
+    All marked cells are one path, a rectangle for each row of them along x, because Matplotlib takes seconds to hatch many paths.
     """
     x, y = edges[0], edges[1] if mask.ndim == 2 else ax.get_ylim()
     mask = np.atleast_2d(mask)
@@ -348,7 +348,7 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], style: dict[str, Any], *, halo: float) -> None:
-    """Draw lines over a white halo, which is below all of them and has no dashes; halo: its width in points on each side.
+    """Draw lines over a white halo without dashes, which is below all lines; halo: its width in points on each side of a line.
 
     Lines over two axes are one path with gaps, because Matplotlib takes milliseconds for each path.
     """

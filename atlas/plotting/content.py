@@ -33,10 +33,10 @@ BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every d
 SLOW = "too slow to show"
 # A region with a smaller fraction of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching narrower than this fraction of the frame's side is not visible, nor are lines nearer to the frame.
+# Hatching narrower than this fraction of the frame's side is not visible, nor are lines closer to the frame than that.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# A border with a larger `crowding` has no halo. Distance of samples on a line, and least length of a return, in sides of a cell.
+# Largest `crowding` of lines with a halo; in sides of a cell, distance of samples on a line, and least path back to a crossed cell.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Flag variables on whose maps theory draws the borders of labels.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -63,7 +63,7 @@ class Panel:
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """The panel without hatching and lines of theory too small to be seen, and with the kinds of lines that crowd."""
+    """The panel without hatching and lines of theory that are too small to be seen; `crowded` is filled in."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -100,7 +100,7 @@ def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
     order = np.lexsort([along, *cell])
     same = (np.diff(np.array(cell)[:, order]) == 0).all(0)
     returns = np.r_[False, same & (np.diff(along[order]) > RETURN)]
-    first = np.cumsum(~np.r_[False, same])[returns]  # numbers of the cells
+    first = np.cumsum(~np.r_[False, same])[returns]  # indices of the cells
     return float(np.unique(first).size / (1 + (~same).sum()))
 
 
@@ -140,7 +140,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes, or averaged axes
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes than the scene's, or averages
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
@@ -151,7 +151,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         return Panel(array, white, slow)
     if borders and borders.keys().isdisjoint(
         (*KINDS, *RESONANCES)
-    ):  # lines about bodies, such as numbers of equilibria
+    ):  # lines of properties of bodies, such as the number of equilibria
         return Panel(array, white, slow, borders)
     if not of_motions:
         borders = {
@@ -221,7 +221,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
 
 
 def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
-    """Numbers of finished and of all tiles of an unfinished atlas; None for a finished atlas."""
+    """Number of finished tiles, and of all tiles, of an unfinished atlas; None for a finished atlas."""
     match = re.match(r"(\d+) of (\d+) tiles", attribute_text(ds.attrs, "atlas_run"))
     if match is None or int(match[1]) >= int(match[2]):
         return None

@@ -123,7 +123,7 @@ class View:
     families: list[str] = field(default_factory=list)  # families of the system, in the order of flags
     texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
     exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, else nan
-    heading: str = ""  # name of a flag variable that no axis names
+    heading: str = ""  # name of a variable of flags, which no axis shows
     from_theory: bool = False  # whether the variable is theory; its lines are then not marked as theory
 
     def named(self) -> View:
@@ -157,7 +157,7 @@ class View:
         *,
         inner: bool,
     ) -> ScalarMappable | None:
-        """Draw the panel, of a width in mm, and return the image for the colour bar; inner: whether its row has other panels."""
+        """Draw the panel, of a width in mm, and return the image for the colour bar; inner: whether it is not alone in its row."""
         array, image = self.panel.array, None
         if self.is_points:
             image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
@@ -327,7 +327,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels, row by row, with one legend."""
     check_options(views, options)
-    # Colour bars and axes name numbers; flags are named above the legend or, with a title or several names, above each panel.
+    # Variables of numbers are named at colour bars and axes, flags above the legend or, with a title or several names, above panels.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
@@ -445,7 +445,7 @@ class Sheet:
         if height is None:
             of_map = (0.5 if width >= 130 else 0.72) * width
             if self.panels > 1:
-                of_map = 0.72 * width / self.columns + 6.0  # with a title above each panel
+                of_map = 0.72 * width / self.columns + 6.0  # room for a title above each panel
             height = rows * (self.panel_height or of_map) + head + foot + 9.0
             figure.set_size_inches(width / 25.4, height / 25.4)
         engine = figure.get_layout_engine()
@@ -485,7 +485,7 @@ class Sheet:
         return 1.0 + 4.0 * (title.count("\n") + 1)
 
     def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:
-        """Label the axes, once if all panels agree; entries: added to the first Axes, so that the caller can draw the legend again."""
+        """Label the axes, once if all panels agree; entries: of the legend, kept in the first Axes for the caller."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)
@@ -498,13 +498,13 @@ class Sheet:
             else:
                 for ax, text in zip(axes, own, strict=True):
                     ax.set(**{f"{which}label": wrapped(text, share * width / self.columns, 8, figure.dpi)})
-        for ax in axes[-self.columns :]:  # no panel is below these
+        for ax in axes[-self.columns :]:  # panels with no panel below
             ax.tick_params(labelbottom=True)
 
 
 def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[Entries, list[str]]:
     """Legend of all panels of a width in mm (text -> sample of colour, hatching or line), and the sentences below the figure."""
-    regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and its cells in panels
+    regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and cells of the region in each panel
     panels = [view.panel for view in views]
     for view, panel in zip(views, panels, strict=True):
         white = sum(panel.white.values(), np.zeros(panel.array.shape, bool))
@@ -547,7 +547,7 @@ def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[E
 
 
 def as_math(kind: str) -> str:
-    """A kind of border with its rates as symbols."""
+    """Text for a kind of border, with symbols for the rates in it."""
     for name in ("psi", "phi"):
         kind = kind.replace(f"{name}' = 0", f"{SYMBOLS[f'{name}_dot']} = 0")
     return kind
@@ -558,7 +558,7 @@ _NOWHERE = np.full((1, 2), np.nan)
 
 
 def _sample(region: str, colour: str = "") -> Patch:
-    """Sample of the colour of a region, or its background, with the hatching of cells.HATCHES."""
+    """Sample of a region in the legend: its colour, or the background of its hatching, with the hatching of cells.HATCHES."""
     hatch = cells.HATCHES.get(region, cells.PLAIN)
     background = colour or hatch.background
     return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

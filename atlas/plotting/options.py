@@ -39,8 +39,8 @@ class MapOptions:
         Axes of the map; default: the two longest, of which x comes first in the atlas. For single points, parameters or
         other coordinates of the points; default: the two with the most values.
     row, col : str, optional
-        Axes, or dimensions of names as from `atlas.concat`, whose values become panels from top to bottom (row) and from left
-        to right (col), at most `atlas.analysis.select.MAX_PANELS`. Default: one axis besides x and y becomes panels row by row.
+        Axes, or dimensions with names as coordinates (see `atlas.concat`), whose values become panels from top to bottom (row) or
+        left to right (col), at most `atlas.analysis.select.MAX_PANELS`. Default: one axis besides x and y, as panels row by row.
     select : mapping of str to float, optional
         Axis -> value, for axes that the map does not show; the nearest value of the axis is taken.
     ax : matplotlib.axes.Axes, optional
@@ -163,7 +163,7 @@ class MapOptions:
 
 
 def width_mm(width: Width) -> float:
-    """Width of a figure in mm; BadInput if it is none."""
+    """Width of a figure in mm; BadInput if `width` is not valid."""
     if isinstance(width, str) and width in WIDTHS:
         return WIDTHS[width]
     if not _is_number(width, MIN_SIZE, MAX_SIZE):

@@ -42,7 +42,7 @@ from ..systems.base import families_of
 from .options import Width, width_mm
 
 PRINT_DPI = 600
-FONT = "DejaVu Sans"  # comes with Matplotlib: the same everywhere
+FONT = "DejaVu Sans"  # comes with Matplotlib, so that figures are the same everywhere
 STYLE: dict[Any, Any] = {
     "font.family": [FONT],
     "mathtext.fontset": "dejavusans",
@@ -81,7 +81,7 @@ _FLAGS_OF_COLOUR = {
     "#302251": ("energy_stable_axial",),
 }
 COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}
-# White for none, then colours without an order, for positions in a list; after Tol, "muted".
+# Colours of positions in a list: white for none, then colours without an order, those of Tol's scheme "muted".
 QUALITATIVE = (
     "#ffffff", "#88ccee", "#cc6677", "#117733", "#ddcc77", "#332288", "#aa4499", "#44aa99", "#882255", "#999933",
 )  # fmt: skip
@@ -123,7 +123,7 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Colours of flags, in the order of their values: COLOURS, else even steps of luminance from white; QUALITATIVE for few positions."""
+    """Colours of flags by value: COLOURS, else even steps of luminance from white; QUALITATIVE for few positions in a list."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
@@ -223,17 +223,17 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
 
     @cache
     def widths(part: str) -> np.ndarray:
-        """Widths of a part of a line in inches, one for each measure."""
+        """Widths of a part of a line in inches, one for each way of measuring."""
         is_math = is_math_text(part)
         return np.array(
             [m.get_text_width_height_descent(part, font, is_math)[0] / each for m, each in measures]
         )
 
     def fits(line: str) -> bool:
-        """Whether every measure finds that a line fits; outside of formulas the widths of words add up."""
+        """Whether a line fits by every way of measuring; outside of formulas the widths of words add up."""
         is_math = is_math_text(line)
         if is_math and 25.4 * len(line) * size / 72 <= width:
-            return True  # spares a slow measure: a formula draws fewer letters than its text has
+            return True  # avoids a slow measurement: a formula draws fewer letters than its text has
         parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
         return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
 
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Label of a variable: a statistic of a symbol, or the words of its name; its unit, whether it is theory, and selected names."""
+    """Label of a variable: a statistic of a symbol, or the words of its name; then "theory" where it is, its unit, selected names."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = (

@@ -234,7 +234,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 class Sphere:
-    """Orthographic picture of the unit sphere with named axes; a third axis that points down points down on the page."""
+    """Orthographic picture of the unit sphere with named axes; if the third axis is named "down", it points down on the page."""
 
     def __init__(self, ax: Axes, names: Sequence[str], view: View = VIEW):
         try:

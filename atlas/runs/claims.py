@@ -17,9 +17,9 @@ SUFFIX = ".claim"  # suffix of the name of a claim
 POLL = 0.5  # seconds between two attempts to claim
 # Seconds without a sign of life after which a claim expires; seconds between two signs of life.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
-NAMELESS_AGE = 10.0  # seconds after which a claim without a process, written on a full disk, expires
+NAMELESS_AGE = 10.0  # seconds after which a claim expires that names no process, because the disk was full
 NAMED_AFTER = 5.0  # seconds of waiting after which a message names the process that is waited for
-TAKEOVER = 0.2  # seconds after which, of processes that took over an expired claim, the last one holds it
+TAKEOVER = 0.2  # seconds after which the last of the processes that took over an expired claim holds it
 
 
 def claim(place: Place, name: str) -> bool:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
-NO_WORKER_WARNING = 60.0  # seconds without a worker before a warning
+NO_WORKER_WARNING = 60.0  # seconds without a worker after which a warning follows
 TASKS_PER_THREAD = 2  # number of submitted tasks for each thread, so that no thread waits for its next task
 # Bytes of freed memory that a worker of `connect` keeps; with dask's default, 65536, every large temporary array is mapped anew.
 ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
@@ -66,7 +66,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     with cluster as server, silence_logging_cmgr(logging.CRITICAL):  # dask logs the errors raised here
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", VersionMismatchWarning)  # `check_workers` refuses them
+                warnings.simplefilter("ignore", VersionMismatchWarning)  # see `check_workers`
                 # A default client of the session would remain after a failure.
                 client = distributed.Client(server, set_as_default=False)
         except (TypeError, RuntimeError) as error:  # wrong settings of TLS

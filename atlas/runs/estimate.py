@@ -33,10 +33,10 @@ from .refine import expected_points
 CALIBRATION_STEPS = 1e8
 # Largest number of steps (at most 0.2 s) and least number of points from which the saving by early ends of runs is measured.
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
-HEADER_BYTES = 1000  # of a tile
-# Of a run folder beside its tiles, and of a variable of a file or store beside its values: attributes, tables of the format.
+HEADER_BYTES = 1000  # size of the header of a tile
+# Size of a run folder without its tiles, and of a variable of a file or store without its values: attributes, tables of the format.
 FOLDER_BYTES, VARIABLE_BYTES = 6000, 2300
-START_MINUTES = 5  # of a job until it integrates: imports and compilation
+START_MINUTES = 5  # time of a job before it integrates: imports and compilation
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class _Measurement:
     compile_seconds: float
     memory: float  # peak memory of the process, bytes
     bytes_per_tile: float  # memory of a tile at work, bytes
-    stored_bytes_per_point: float  # compressed measured variables and parameters
+    stored_bytes_per_point: float  # size of measured variables and parameters after compression
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def dry_run(
     workers: int | None = None,
     jobs: tuple[int, int] | None = None,
 ) -> str:
-    """Text about the expected cost of running a scene, in so many jobs of so many processors too; BadInput as `run`."""
+    """Text about the expected cost of running a scene, also in jobs (their number, processors of each); BadInput as `run`."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -156,13 +156,13 @@ def dry_run(
 
 
 def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
-    """Bytes of memory of a process of so many threads."""
+    """Memory in bytes of a process with this number of threads."""
     return cost.memory + (plan.tiles_in_flight(threads) - 1) * cost.bytes_per_tile
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """What the largest shard takes as a job, from the cost on the measured processors, and lines of SLURM that ask for twice as much."""
-    tiles, text, share = plan.tiling.count, "", 1 / jobs  # of a refined scene the jobs share each level
+    """Time and memory of the largest job, from the cost on `measured` processors; lines of SLURM that ask for twice as much."""
+    tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)
         text, share = f"at most {most} of {tiles} tiles each, ", most / tiles
@@ -180,7 +180,7 @@ def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, proce
 
 
 def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
-    """A sentence on the fraction of the integration that labels alone need, measured on some points; none if whole runs take long."""
+    """A sentence on the fraction of the integration that labels alone need, measured on some points; none if this would take long."""
     labels = plan.runs.without_statistics
     if labels is None:
         return []
@@ -202,7 +202,7 @@ def check_memory(scene: Scene) -> None:
     """Raise BadInput for an atlas that is larger than the memory of this machine."""
     needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
     present = math.inf
-    with suppress(AttributeError, ValueError, OSError):  # not on every operating system
+    with suppress(AttributeError, ValueError, OSError):  # not every operating system knows these
         present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > present:
         raise BadInput(
@@ -274,7 +274,7 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     points, started = plan.sample, time.perf_counter()
     evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=Threads(1))
     compile_seconds, memory = time.perf_counter() - started, most_memory()
-    began = time.process_time()  # not disturbed by other programs
+    began = time.process_time()  # process time, which other programs do not change
     predict_runs(plan.runs, points)
     theory_seconds = time.process_time() - began
     columns = evaluate(plan.runs, points, threads=Threads(threads)) | points.base

@@ -67,7 +67,7 @@ def run_kept(
     if options["shard"] and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and format_of(file).stamp(file) is not None:
-        left = folder_of(file)  # may be the rest of a run that was killed during its removal
+        left = folder_of(file)  # what a run may have left that was killed during its removal
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return finished_atlas(ScenePlan.of(scene), file)
@@ -244,7 +244,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
                             folder.join(path)
                             is_joined = True
                 if is_joined:
-                    bar.close()  # else it would write into the removed folder
+                    bar.close()  # else the progress would be written into the removed folder
                     folder.remove()
                     explain_kept(None)
     except (BadInput, OSError):
@@ -305,7 +305,7 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        # Written after the folder was listed, maybe with other tiles.
+                        # The tile was written after the folder was listed, maybe other tiles too.
                         files.place.remove(files.name(tile, claims.SUFFIX))
                         bar.skip(size_of(tile))
                         files.listing = None

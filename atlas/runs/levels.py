@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 POINTS = "points.tile"
 # Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
-MAX_VALUES = 32  # largest number of values of an integer variable without flags
+MAX_VALUES = 32  # number of values that an integer variable without flags may have
 TILES_PER_LEVEL = 64  # number of tiles of a level that has enough points, so that many processes can share it
 # Ascending flat indices of points in the finest grid, and their variables.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # number of points from which on an atlas may not fit into memory
-# Seconds of a point and of a step on a slow processor with costly equations; a run is measured if it might be LONG by these.
+# Seconds for a point and for a step on a slow processor with costly equations; if they add up to LONG, a run is measured.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes a number of finished points

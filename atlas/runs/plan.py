@@ -192,12 +192,12 @@ class ScenePlan:
 
     @cached_property
     def relative_costs(self) -> dict[str, float]:
-        """Expected processor time of each other method over that of the scene's method, see `Plan.relative_costs`."""
+        """Expected processor time of each other method, divided by that of the scene's method, see `Plan.relative_costs`."""
         exists = self.sample.exists
         return self.runs.relative_costs(self._bound[exists], self.sample.subset(exists))
 
     def method_lines(self) -> list[str]:
-        """A sentence on the cost of each other method; none for a given step."""
+        """A sentence on the cost of each other method; no sentence if a step is given."""
         from ..label.plan import method_lines
 
         return method_lines(self.scene.settings.method, self.relative_costs)
@@ -229,7 +229,7 @@ class ScenePlan:
         ]
 
     def statistics_lines(self) -> list[str]:
-        """A sentence on runs that, by theory, would end early without statistics, or on transients, in which no run ends early."""
+        """A sentence on runs that by theory would end early without statistics, or on the transients, which never end early."""
         before, until = np.sum(self.sample.transient), self.sample.until.sum()
         if self.runs.may_stop_early and before > 0:
             return [
@@ -269,7 +269,7 @@ def identity(plan: Plan) -> dict[str, str]:
             f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
-    # Code of a system of another package at the time of its registration.
+    # The code that a system of another package had when it was registered.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package
@@ -292,7 +292,7 @@ def identity(plan: Plan) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """Entries that differ, in one line, each with the two places, such as "in the run" and "in the worker"."""
+    """Entries that differ, in one line; places: where their two values are, such as "in the run" and "in the worker"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-SAMPLE, MATRICES = 1001, 99  # odd, so that the last vector register is filled in part
+SAMPLE, MATRICES = 1001, 99  # odd, so that the last vector register is only partly filled
 
 
 @lru_cache(maxsize=1)

@@ -28,12 +28,12 @@ from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan
 
-# A function that integrates points, flat indices in the finest grid, and yields their variables part by part.
+# A function that integrates points, given by flat indices in the finest grid, and yields their variables part by part.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
 # Number of points integrated on either side of a boundary at each level: 2 cover the crossed cell and the cells around it.
 BOUNDARY_WIDTH = 2
-# Accepted number of points, not integrated, whose nudged unstable motion would not drift in the run.
+# Largest expected number of points that are not integrated because a drift is predicted, and that would not drift in the run.
 EXPECTED_MISSES = 0.05
 SEED = 0
 # Largest number of points of the grid on which the cost of a refined scene is estimated.
@@ -76,7 +76,7 @@ class FineGrid:
         held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
         codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
         arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
-        # All flags as one number, measured where `computed` is true, else copied; the predicted flags; two masks.
+        # One number for all flags of a point, measured where `computed` is true, else copied; one for its predicted flags; two masks.
         self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
@@ -115,7 +115,7 @@ class FineGrid:
             self.slowly_unstable.reshape(-1)[existing] = slow
 
     def trace(self, levels: int, progress: bool) -> None:
-        """Integrate points near measured boundaries, level by level, then near predicted ones and at slow instabilities."""
+        """Integrate points near measured boundaries, level by level, then near predicted boundaries and at slow instabilities."""
         for level in range(levels + 1):
             self.refine_to(level)
             if progress:
@@ -146,7 +146,7 @@ class FineGrid:
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random fraction of the remaining points, then trace boundaries; numbers of these points and of wrong flags."""
+        """Integrate a random fraction of the other points, then trace boundaries; returns numbers of points and of wrong flags."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -162,7 +162,7 @@ class FineGrid:
         return indices_probed.size, missed
 
     def _near_boundary(self, code: np.ndarray) -> Iterator[Mask]:
-        """Masks, box by box, of points within BOUNDARY_WIDTH points of a change of the code, along the refined axes."""
+        """Masks, box by box, of points within BOUNDARY_WIDTH points of a change of flags (the code), along the refined axes."""
         reach = [BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         for box in Tiling.of(code.shape, MAX_BOX_POINTS):
             around = tuple(slice(max(a.start - n, 0), a.stop + n) for a, n in zip(box, reach, strict=True))
@@ -239,7 +239,7 @@ def expected_points(plan: ScenePlan) -> float:
         simulated_points = existing_share * math.prod(coarse)
     new_share = 1 - 2.0**-n_axes  # fraction of a level's points that are not in the level before
     first = max(finer - levels, 0) + 1
-    # The number of points near boundaries grows with their length (area, ...) over the spacing.
+    # The number of points near boundaries grows with the boundaries' length (area, ...) divided by the spacing.
     near_boundaries = new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
     at_slow_instabilities = int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
     expected = simulated_points + near_boundaries + at_slow_instabilities
@@ -250,7 +250,7 @@ def expected_points(plan: ScenePlan) -> float:
 def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[np.ndarray]:
     """Arrays of zeros in memory, or in unnamed files in a folder; BadInput if they do not fit."""
     bytes_per_point = sum(np.dtype(kind).itemsize for kind in types)
-    bytes_per_point += 0 if folder else len(scene.outputs)  # flags in the atlas
+    bytes_per_point += 0 if folder else len(scene.outputs)  # the flags of the atlas, a byte each
     place, room = "this machine has", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if folder:
         place, room = f"free on the disk of {folder} are", shutil.disk_usage(folder).free

@@ -35,7 +35,7 @@ class Earlier:
     scene: Scene
     tiling: Tiling  # boxes in which the atlas is read
     names: tuple[str, ...]  # variables to read
-    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; FileNotFoundError or DamagedTile
+    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; raises FileNotFoundError, DamagedTile
     history: str  # title, origin and history of the atlas
 
     @classmethod
@@ -78,7 +78,7 @@ class Earlier:
     def take(
         self, scene: Scene, indices: np.ndarray, points: grid.Grid
     ) -> tuple[Mask, dict[str, np.ndarray]]:
-        """Whether points of a scene are in this atlas, and the variables of the points that are."""
+        """Whether points of a scene are in this atlas, and the variables of the points in it."""
         places = _indices_in(self.scene, scene, indices, points)
         registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}

@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene; BadInput if the path holds anything else. `check` may raise during a wait for others."""
+        """Create or open the run of a scene; BadInput if the path holds anything else. `check`, called during a wait, may raise."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -147,7 +147,7 @@ class RunFolder:
             manifest = _new_manifest(plan)
             place.make()
             wait = claims.Wait(place)
-            while MANIFEST not in place.names():  # only one of several processes creates it
+            while MANIFEST not in place.names():  # only one of several processes creates the manifest
                 if not claims.claim(place, CREATION):
                     check(f"another process begins {place}")
                     wait.announce(CREATION)
@@ -345,7 +345,7 @@ class RunFolder:
     def _blocks(self, lengths: tuple[int, ...], totals: Totals) -> Iterator[Block]:
         """All points in boxes of the given lengths, with values from the tiles; the tiles are added to the totals."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, count()
-        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values beyond a box
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values read beyond the box
         points = 0  # number of points in `parts`
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)

@@ -201,7 +201,7 @@ def mapping(key: str, value: object) -> Mapping[str, Any]:
 
 
 def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) -> None:
-    """Raise BadInput if the table has a key that is not allowed. parent: key of the table with a dot."""
+    """Raise BadInput if the table has a key that is not allowed. parent: key of the table and a dot, for the message."""
     for key in table:
         if key not in allowed:
             raise BadInput(f"{parent}{key}: unknown key; {allowed_text(key, allowed)}")
@@ -290,7 +290,7 @@ Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made b
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Dataclass field with a check, required without a default; section: its table, if a class is read from several."""
+    """Dataclass field with a check, required if it has no default; section: its table, if a class is read from several tables."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -329,7 +329,7 @@ def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
 def from_table(
     fields: Keys, table: Mapping[str, Any], section: str, also: Collection[str] = (), rule: str = ""
 ) -> dict[str, Any]:
-    """Checked values of a table; BadInput for bad values, unknown keys and missing keys (rule: what is needed)."""
+    """Checked values of a table; BadInput for bad values, keys in neither fields nor also, missing keys (rule: what is needed)."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
     for name in needed:

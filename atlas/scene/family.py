@@ -14,9 +14,9 @@ from .expressions import Expression
 
 # A point counts as on the family if its largest condition residual (dimensionless) is below this.
 ON_FAMILY = 1e-9
-# Values tried, for an error message, where a formula has no solution; not theta0 = 0, where angles are singular.
+# Values tried for an error message where a formula has no solution; 0 is not among them, because angles are singular at theta0 = 0.
 TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
-# Amounts added to a solved parameter; if the conditions hold after each, the family leaves it free.
+# Amounts added to a solved parameter; if the conditions hold after each of them, the family leaves the parameter free.
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 
 
@@ -43,7 +43,7 @@ def solution(
 def near_values(
     system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Parameter -> value to which its solution is nearest, from [family]: near, or 0 for branch slow, infinity for fast."""
+    """Parameter -> value to which its solution shall be nearest: `near` of [family], or 0 for the branch slow, infinity for fast."""
     key = next((key for key in ("branch", "near") if key in table), "")
     if "branch" in table and "near" in table:
         raise BadInput("family: branch and near are both given; a scene has one of them")
@@ -75,7 +75,7 @@ def near_values(
 
 
 def _near(key: str, value: object, unit: str) -> float:
-    """A value of near, a number or arithmetic without names; BadInput for angles above 2 pi, probably in degrees."""
+    """A value of the key near, a number or arithmetic without names; BadInput for angles above 2 pi, probably in degrees."""
     arithmetic = isinstance(value, str) and not Expression(key, value).names
     result = (checks.quantity if arithmetic else checks.number)(key, value)
     if unit == "rad" and abs(result) > 2 * np.pi:
@@ -113,13 +113,13 @@ def check_solution(
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Points (trials, points) with these values of one parameter, after `solve` is solved again."""
+    """Points (trials, points) with these values of one parameter, after the parameters in `solve` are solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return solution(family, solve, repeated, near) | {name: values}
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if points with several values of one parameter are all on the family, unless its rate varies."""
+    """Raise BadInput if points with several values of one parameter are all on the family, unless the family's rates vary."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(free_message(family, name, " here"))
 

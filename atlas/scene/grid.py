@@ -39,18 +39,18 @@ from .model import Duration, Scene, Settings
 
 # Default and upper limit of the environment variable ATLAS_TILE_POINTS.
 MAX_POINTS_PER_TILE = 65536
-# Most bodies and most starts that are checked before a run; the others are checked with their tiles.
+# Largest numbers of bodies and of starts that are checked before a run; the others are checked with their tiles.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
 # Largest grid whose points are all checked before a run (about 0.1 s), to count each `Reason`.
 MAX_COUNTED = 2**19
-# Most points at which a family's formulas are tried for an error message.
+# Largest number of points at which a family's formulas are tried for an error message.
 MAX_CHECKED_FORMULAS = 100
 # Ratio of rate tolerance to natural rate above which a warning is given.
 COARSE = 1e-2
 
 
 def max_points_per_tile() -> int:
-    """Most points of a tile and of a chunk of a file: ATLAS_TILE_POINTS of the environment, or MAX_POINTS_PER_TILE."""
+    """Largest number of points of a tile or a file's chunk: ATLAS_TILE_POINTS of the environment, or MAX_POINTS_PER_TILE."""
     text = os.environ.get("ATLAS_TILE_POINTS") or str(MAX_POINTS_PER_TILE)
     if text.isascii() and text.isdecimal() and 1 <= int(text[:6]) <= MAX_POINTS_PER_TILE and len(text) <= 6:
         return int(text)
@@ -69,7 +69,7 @@ class Reason(IntEnum):
     NO_MOTION = 4  # the scene's family has no motion here
     NO_DURATION = 5  # turns or orbits where nothing turns, or arithmetic without a finite value above 0
     NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
-    NO_TRANSIENT = 7  # the transient has no value, for the same causes
+    NO_TRANSIENT = 7  # the transient has no value, for the same reasons as a duration
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def of_points(
     duration: Duration | Array,
     transient: Duration,
 ) -> Grid:
-    """Grid of listed points; duration: of the runs, as a Duration or in time units (points,)."""
+    """Grid of listed points; duration: length of the runs, as a Duration or an array (points,) in time units."""
     values = SharedValues(points)
     lengths = durations(system, duration, values) if isinstance(duration, Duration) else duration
     rate_tolerance = at_points(system, settings.rate_tolerance, values)
@@ -320,7 +320,7 @@ _NOTHING_TURNS = {
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Sentences on the points not computed, by reason; above MAX_COUNTED points their share in the sample."""
+    """Sentences on the points not computed, by reason; above MAX_COUNTED points, their fraction of the sample."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         length = max_points_per_tile()
@@ -371,7 +371,7 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, whole: bool = True) -> list[str]:
-    """Warnings about rate tolerances that are large, and durations that are short, against the points' natural rates.
+    """Warnings about rate tolerances that are large, and durations that are short, compared with the points' natural rates.
 
     whole: whether the points are all computed points of the scene, not a sample.
     """

@@ -28,7 +28,7 @@ DURATION_UNITS = ("orbits", "turns")
 DEFAULT_ANGLE = 1e-5  # rad; cylinder tolerance if the rate tolerance is arithmetic
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
-# Most axes, parameters or ties that the repr of a scene lists.
+# Largest number of axes, parameters or ties that the repr of a scene lists.
 MAX_SHOWN = 8
 MAX_TIE_SHOWN = 30  # characters
 
@@ -279,7 +279,7 @@ class Scene:
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """Parameters that are 0 or absent, and pairs of equal ones, at every point; kernels omit terms that vanish then."""
+        """Parameters that are 0 or absent at every point, and pairs of equal parameters; kernels omit terms that vanish then."""
         parameters, varying = self.system.parameters, {*self.axes, *self.ties, *self.solve}
         constants = {
             name: self.fixed.get(name, parameters[name].default) for name in parameters if name not in varying

@@ -78,7 +78,7 @@ def same_answers(part: xr.Dataset, alone: xr.Dataset) -> None:
     assert scene_problem(part) == ""
 
 
-@pytest.mark.usual("isel-v")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["v", "r"])
 @pytest.mark.parametrize("change", ["sel", "isel", "squeezed", "rewritten", "chunked", "one"])
 def test_a_part_answers_as_it_did_alone(joined, name, change, tmp_path):

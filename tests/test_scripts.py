@@ -131,7 +131,6 @@ def less_work(script_folders, monkeypatch, tmp_path):
 
 @pytest.mark.usual(
     "bench_any_axis",
-    "bench_catalogue",
     "bench_long_runs",
     "bench_methods",
     "bench_proofs",
@@ -211,7 +210,7 @@ def test_the_core_is_tested_without_the_folder_of_an_extension(monkeypatch, capf
     assert "1 passed" in capfd.readouterr().out
 
 
-@pytest.mark.usual("heyoka batch", "numbalsoda dop853", "CyRK DOP853", "diffrax vmap Dopri8", "SciPy odeint")
+@pytest.mark.usual("heyoka batch", "numbalsoda dop853", "CyRK DOP853", "diffrax vmap Dopri8")
 @pytest.mark.parametrize("name", PEERS)
 def test_a_peer_integrates_the_same_motions(name):
     pytest.importorskip(PEERS[name], reason=f"{name} is of the extra `peers`")

@@ -51,7 +51,7 @@ def is_clean(text):
     return all(line.isprintable() and len(line) <= MAX_MESSAGE + len("atlas: ") for line in text.split("\n"))
 
 
-@pytest.mark.usual("2")
+@pytest.mark.long
 @pytest.mark.parametrize("first", range(3))
 def test_attributes_of_any_kind_are_drawn_and_printed_in_clean_lines(ds, first, caplog):
     hostile = changed(ds, VALUES[first:] + VALUES[:first])

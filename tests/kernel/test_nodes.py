@@ -16,7 +16,7 @@ BODIES = {
 }  # fmt: skip
 
 
-@pytest.mark.usual("fixed_point-rk8")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "method"), [("satellite", "rk8"), ("fixed_point", "rk8"), ("fixed_point", "rk4")]
 )

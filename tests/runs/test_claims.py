@@ -279,6 +279,7 @@ def test_claims_of_killed_processes_are_removed(folder, living):
     assert [path.name for path in folder.tiles.place.path.iterdir()] == [f"00000001{SUFFIX}"]
 
 
+@pytest.mark.long
 def test_a_tile_that_another_process_has_finished_since_the_listing_is_not_computed_again(folder):
     skipped = []
     bar = type("Bar", (), {"skip": lambda self, points: skipped.append(points)})()

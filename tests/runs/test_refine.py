@@ -63,6 +63,7 @@ def test_flags_and_parameters_are_those_of_the_full_grid(both):
     np.testing.assert_array_equal(ds.growth_rate, full.growth_rate)
 
 
+@pytest.mark.long
 def test_numbers_are_those_of_the_full_grid_or_nan(both):
     ds, full = both
     computed = ds.computed.values == 1

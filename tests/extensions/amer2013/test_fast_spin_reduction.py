@@ -227,6 +227,7 @@ def test_means_over_the_phases_are_integrals_over_a_period():
 # The rows.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [number for number, entry in reduction.ENTRIES.items() if "at" in entry])
 def test_rows_have_the_true_reading_much_closer(number):
     row, entry = ROWS[number], reduction.ENTRIES[number]

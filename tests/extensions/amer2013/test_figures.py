@@ -86,7 +86,7 @@ def test_figures_are_drawn(number, panels):
         assert np.isfinite(np.concatenate([line.get_ydata() for line in ax.lines])).all()
 
 
-@pytest.mark.usual("2")
+@pytest.mark.long
 @pytest.mark.parametrize("number", [2, 3, 8, 13, 18])
 def test_no_curve_hides_another(number):
     """Every rotor has its colour in every panel that shows it, also where its curve coincides with others."""

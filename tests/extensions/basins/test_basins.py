@@ -153,6 +153,7 @@ def test_tools_of_flags_take_positions(ds):
     np.testing.assert_allclose(trust["border_entropy"], entropy.mean())
 
 
+@pytest.mark.long
 def test_a_map_names_the_attitudes(ds):
     equilibria = atlas.equilibria(
         "satellite", {name: float(ds[name]) for name in ("A", "B", "C", "k1", "k2", "k3")}

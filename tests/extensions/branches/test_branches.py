@@ -48,7 +48,7 @@ def check_consistent(ds, along, characteristic):
         assert own.sum() >= (where[0] > 0) + (where[-1] < values.size - 1)
 
 
-@pytest.mark.usual("A=1.6")
+@pytest.mark.long
 @pytest.mark.parametrize("case", ORACLE["satellite"], ids=lambda case: f"A={case['A']}")
 def test_verified_folds_of_satellites(case):
     body = {name: float(case[name]) for name in ("A", "B", "C", "k2", "k3", "Omega")}

@@ -137,6 +137,9 @@ class Browser:
         self.call("Emulation.setTouchEmulationEnabled", enabled=mobile)
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=scheme)
+        self.evaluate(
+            "delete document.documentElement?.dataset.ready"
+        )  # the page before is ready, and may have this address
         self.call("Page.navigate", url=address)
         self.wait("document.documentElement?.dataset.ready === 'yes'")
 

@@ -110,6 +110,7 @@ def small_atlas_constants():
     return systems.get("satellite").equations.CONSTANTS
 
 
+@pytest.mark.long
 def test_scales_of_colours_span_the_values(small_atlas, small_page):
     table = table_of(small_page.html)
     shades, entries = table["shades"], table["variables"]

@@ -35,6 +35,7 @@ def test_a_page_in_degrees(small_atlas):
     assert rad["commands"] == deg["commands"]  # what is copied stays in rad
 
 
+@pytest.mark.long
 def test_a_scene_asks_for_pages_in_degrees(scene_text):
     ds = atlas.run(atlas.load_scene(scene_text({"axes.theta0.display_units": "deg"})), progress=False)
     theta0 = next(each for each in data_of(ds.atlas.page())["axes"] if each["name"] == "theta0")

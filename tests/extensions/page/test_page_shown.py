@@ -119,6 +119,7 @@ def test_the_table_names_variables_axes_and_flags(small_atlas, small_page):
     assert sentences["drifting"] == "theta, psi' or phi' varies"
 
 
+@pytest.mark.long
 def test_slow_points_and_parameters_of_the_table(small_atlas, small_page):
     table = table_of(small_page.html)
     arrays = [unpacked(entry) for entry in table["arrays"]]

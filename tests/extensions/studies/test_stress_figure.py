@@ -38,6 +38,7 @@ def test_each_panel_has_one_scale_and_all_points(study):
         assert len(dots) == ((verdict == Verdict.RIGHT) & (study.error.values[i // 2, levels].T < 0.01)).sum()
 
 
+@pytest.mark.long
 def test_names_do_not_touch(study):
     figure = stress_figure.stress_figure(study)
     figure.canvas.draw()

@@ -60,6 +60,7 @@ def test_no_error_is_below_the_uncertainty_of_the_reference(study):
     assert own["labels_wrong_at_most"] == pytest.approx(1 - 0.05 ** (1 / own["labels_compared"]))
 
 
+@pytest.mark.long
 def test_the_report_ends_with_the_cheapest_setting(study):
     text, rows = report(study), summary(study)
     assert len([line for line in text.splitlines() if line.lstrip().startswith("rk")]) == len(rows)

@@ -70,6 +70,7 @@ def test_at_pi_the_body_at_rest_in_space_turns_the_other_way():
     assert published.residual(point | {"m": point["Omega"]}) < 1e-12
 
 
+@pytest.mark.long
 def test_command_line_tables(capsys, monkeypatch):
     monkeypatch.setattr(catalogue, "N_SAMPLES", 1)
 

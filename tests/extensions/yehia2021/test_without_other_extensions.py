@@ -18,7 +18,7 @@ sys.exit(cli.main(["conditions", *sys.argv[2:]]))
 """
 
 
-@pytest.mark.usual("plane normal_form")
+@pytest.mark.long
 @pytest.mark.parametrize("missing", ["plane", "normal_form", "plane normal_form"])
 def test_equations_that_cannot_be_measured_name_the_missing_extension(missing):
     command = [sys.executable, "-c", CODE, missing, "satellite", "--json"]

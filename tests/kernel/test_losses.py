@@ -62,7 +62,7 @@ def without_losses():
     )
 
 
-@pytest.mark.usual("more0-rk4", "more1-rk8")
+@pytest.mark.long
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("more", [set(), {"k1", "k2", "k3", "mu1", "mu2", "mu3"}])
 def test_the_text_of_kernels_without_damping_has_nothing_of_losses(method, more):

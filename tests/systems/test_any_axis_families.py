@@ -187,7 +187,7 @@ def reference_growth(name, point):
     return np.arccosh(max(abs(total) / 2, 1.0)) / period, np.linalg.eigvals(monodromy)
 
 
-@pytest.mark.usual("balanced_field")
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["grioli", "balanced_field"])
 def test_floquet_multipliers_against_the_monodromy_matrix(name):
     points = DRAWS[name](np.random.default_rng(11), 120)

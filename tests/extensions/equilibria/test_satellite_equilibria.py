@@ -171,7 +171,7 @@ def test_the_number_of_complex_equilibria_by_eigenvectors_of_a_quartic_form(pres
     assert len(eigenvectors_of_the_quartic(inertia, fields, rng)) == expected
 
 
-@pytest.mark.usual("1.0-1.0")
+@pytest.mark.long
 @pytest.mark.parametrize("with_p", [0.0, 1.0])
 @pytest.mark.parametrize("with_r", [0.0, 1.0])
 def test_continuation_finds_the_solutions_of_newtons_method(with_p, with_r):

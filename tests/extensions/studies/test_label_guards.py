@@ -92,6 +92,7 @@ def test_unsure_where_the_error_reaches_a_threshold():
     assert unsure({"sine_max": 1e-6, "psi_dot_std": 1e-6}, **edge, normal_rate_std=0.5, psi_dot_std=0.95e-5)
 
 
+@pytest.mark.long
 def test_a_tolerance_between_a_measured_and_the_true_deviation_is_unsure():
     """Free tops that pass close by the vertical, where phi' varies by more than they turn, and its error is larger as well."""
     n, options = np.array([20.0, 30.0, 40.0]), {"cylinder_tolerance": 1e-5, "check_half_step": "none"}
@@ -164,6 +165,7 @@ def test_a_point_without_a_frequency_bound_is_unresolved():
     assert result["step_ratio"][0] == np.inf
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("check_half_step", ["none", "sample", "all"])
 def test_half_step_checks_change_no_certain_label(check_half_step):
     points = {"theta0": np.linspace(0.1, 3.0, 200), "m": 0.5}

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from functools import partial
+from itertools import pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -311,21 +311,18 @@ class Path:
         )
         size = np.linalg.norm(flow.difference(others, orbit.states[:1]), axis=1).max()
 
-        def after(k: int, turns: int, each: Member) -> Array:
+        def after(parts: int, turns: int, each: Member) -> Array:
             """The state after a part of the period, turned back."""
             orbit = each.orbit
-            later = flow.run(orbit.states[:1], orbit.period / k, orbit.bound)[0]
-            return flow.turned(later, -(orbit.chi + 2 * np.pi * turns) / k)[0]
+            later = flow.run(orbit.states[:1], orbit.period / parts, orbit.bound)[0]
+            return flow.turned(later, -(orbit.chi + 2 * np.pi * turns) / parts)[0]
 
-        for k, turns in [(k, turns) for k in range(2, 9) for turns in range(k if flow.symmetric else 1)]:
-            states = [
-                section.coefficients(value, arc)[0][:1]
-                for value in (partial(after, k, turns), lambda each: each.orbit.states[0])
-            ]
+        for parts, turns in ((k, j) for k in range(2, 9) for j in range(k if flow.symmetric else 1)):
+            values = partial(after, parts, turns), lambda each: each.orbit.states[0]
+            later, first = (section.coefficients(value, arc)[0][:1] for value in values)
             # The difference vanishes at half a turn as well.
-            later, first = (flow.vectors(y)[:, 1:] for y in states)
-            near = (later * first).sum(-1).min() > 0
-            if near and np.linalg.norm(flow.difference(*states)) < RETURNED * size:
+            near = (flow.vectors(later)[:, 1:] * flow.vectors(first)[:, 1:]).sum(-1).min() > 0
+            if near and np.linalg.norm(flow.difference(later, first)) < RETURNED * size:
                 return FamilyEnd.MULTIPLE
         return FamilyEnd.MIRROR
 

@@ -19,9 +19,10 @@ from ...systems.base import Array
 from .flow import SIZE, Flow, turn
 
 ROUNDING = 1e-6  # parts of exponents, of the frequency bound, that rounding may cause
-# Steps of Newton's method, the last of them, the largest that rounding may cause where orbits are nearly singular, and one that is none.
-NEWTON, CONVERGED, ROUNDED, TOO_FAR = 8, 1e-12, 1e-6, 3.0
-SINGULAR, CLOSED = 1e-14, 1e-13
+# Steps of Newton's method, the last of them, one that grows no shorter by rounding, and one that is none.
+NEWTON, CONVERGED, STALLED, TOO_FAR = 8, 1e-12, 1e-9, 3.0
+# A nearly singular orbit is closed up to the first, and known up to the second; and the ratio of factors that is singular.
+CLOSED, ROUNDED, SINGULAR = 1e-13, 1e-6, 1e-14
 # Multipliers that take digits from others, and the ratio from which on those follow alone.
 LARGE, SEPARATE = 1e6, 1e4
 
@@ -169,8 +170,8 @@ class Family:
             size = float(np.linalg.norm(step))
             if not size < TOO_FAR:
                 return None
-            rounding = np.abs(right[0]).max() < CLOSED or size > 0.1 * last
-            if size < CONVERGED or (size < ROUNDED and rounding):
+            closed = np.abs(right[0]).max() < CLOSED and size < ROUNDED
+            if size < CONVERGED or closed or 0.1 * last < size < STALLED:
                 tangent *= np.sign(tangent @ guess.tangent) / np.linalg.norm(tangent)
                 closing = float(np.abs(residual[: SIZE * len(orbit.states)]).max())
                 return Solution(

@@ -259,11 +259,11 @@ def _family_values(
     elif len(members) > orbits:
         members = [members[i] for i in np.linspace(0, len(members) - 1, orbits).astype(int)]
     n, extremes = len(members), [_extremes(flow, each) for each in members]
-    mu = np.reshape([each.multipliers for each in members], (n, -1))
+    mu = np.array([each.multipliers for each in members]).reshape(n, len(members[0].multipliers) if n else 0)
     chi = np.array([each.orbit.chi for each in members])
     stable = (np.abs(np.abs(mu) - 1) < ON_CIRCLE).all(1)
     return values | {
-        **_starts(flow, np.reshape([each[2] for each in extremes], (n, -1)), Omega),
+        **_starts(flow, np.reshape([each[2] for each in extremes], (n, len(flow.start))), Omega),
         "period": [each.orbit.period for each in members], "turn": 2 * np.pi * np.rint(chi / (2 * np.pi)) - chi,
         "energy": [each.energy for each in members], "theta_min": [each[0] for each in extremes],
         "theta_max": [each[1] for each in extremes], "multiplier_real": mu.real, "multiplier_imag": mu.imag,

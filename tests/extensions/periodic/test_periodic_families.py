@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -258,6 +259,26 @@ def test_planar_librations_have_the_period_of_elliptic_integrals():
     assert ds.theta_max.max() < 1e-7
     assert ds.end.item() == FamilyEnd.ASYMPTOTIC
     assert ds.end_energy.item() - ds.birth_energy.item() == pytest.approx(C * f**2 / 2, rel=1e-10)
+
+
+def test_planar_rotations_have_the_period_of_elliptic_integrals():
+    """No family from a steady motion has them, so that their equations are solved alone: T = 4 K(1 / k) / (k f) for a whole turn."""
+    A, B, C = 1.0, 1.25, 1.5
+    f = np.sqrt(3 * (B - A) / C)
+    body = {"A": A, "B": B, "C": C, "k3": 0.4}
+    flow = Flow(systems.get("satellite"), point_columns(systems.get("satellite"), body)[0])
+    family = Family(SteadyMotion(flow), SteadyMotion(flow).births()[0][2])
+    for k in (1.001, 1.1, 3.0):
+        period, near, m = 4 * ellipk(1 / k**2) / (k * f), flow.start.copy(), 16
+        near[2] += 1.0001 * k * f
+        states = np.concatenate(
+            [near[None], *(flow.run(near[None], i * period / m, 3.0)[0] for i in range(1, m))]
+        )
+        guess = replace(family.born(m), states=states, period=1.0001 * period, chi=0.0, bound=3.0 * k)
+        energy = family.birth_energy + C * f**2 * k**2 / 2
+        assert family.corrected(guess, energy).orbit.period == pytest.approx(period, rel=1e-11)
+    above = atlas.periodic("satellite", body, frequency=3, above=1.001 * C * f**2 / 2, events=False)
+    assert above.sizes["orbit"] == 0
 
 
 @pytest.mark.long

@@ -193,7 +193,7 @@ def variation(equations: ModuleType, rhs: str) -> dict[str, str]:
 
 
 def tangent_start(equations: ModuleType, state: Array) -> Array:
-    """Tangent vectors of norm 1 at the start, (size, points), rates in the unit of the norm."""
+    """Tangent vectors of norm 1 at the start, (size, points), with rates in the unit in which the norm takes them."""
     names, own = list(equations.STATE), own_components(equations)
     pattern = (*START, *START_OF_ROTATION)
     vectors = frame_vectors(equations)

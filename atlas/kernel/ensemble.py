@@ -105,7 +105,7 @@ class Ensemble:
     def arrays(
         self, kernel: ModuleType, step_size: Array, cylinder: float = 0.0, period: ArrayLike = 1
     ) -> blocks.Arrays:
-        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: distance of strobes, in nodes."""
+        """The arrays for a kernel that integrates these points; cylinder: see `integrate`; period: of observables measured once a period, in nodes."""
         rule = end_weights() if kernel.OBSERVABLES else quadrature()
         sums = np.empty((kernel.SUMS, self.size))
         given = self.given

@@ -174,7 +174,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
             slot, last = i & 3, i + 1 == last_node[block]
             evaluate_node(nodes, slot, slopes, state, constants, inverse_unit)
             add_node(stats, nodes, slot, node_weights[rule, rule_position(i, intervals)], cylinder_squared)
-            if i >= 3:  # the inner interval; at both ends of the run its neighbours, too
+            if i >= 3:  # the inner one of three intervals; at both ends of the run also the outer one
                 slots = (i - 3) & 3, (i - 2) & 3, (i - 1) & 3, slot
                 for interval in range(i - 3 if i == 3 else i - 2, i if i == intervals else i - 1):
                     position = rule_position(interval, intervals)

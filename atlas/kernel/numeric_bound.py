@@ -1,7 +1,7 @@
 """The frequency bound of systems that give none: from the Jacobian at the start and along a preliminary run.
 
 The numeric frequency of `systems.jacobian` at the start alone is often too low, because a motion may begin slowly. A
-preliminary run with the longest possible steps therefore samples it, and is repeated with a larger bound where it has grown.
+preliminary run with the longest possible steps therefore samples the frequency, and is repeated with a larger bound if it has grown.
 Powers of the Jacobian do not show a forcing by time, which is a state; the derivatives of the states along the run do. The
 result of a point does not depend on other points.
 """
@@ -29,8 +29,8 @@ EARLY = 0.5
 LEAST_TURNS = 4
 # Phase error and loss of amplitude of the preliminary run, and its largest step divided by the stability limit.
 ERROR, MAX_STEP_RATIO = 1e-2, 0.25
-# A bound is raised if the frequency exceeds TOLERATED times the bound; it is multiplied by RAISE to RAISE_MOST, because a coarse run
-# may be wrong.
+# A bound is raised if the frequency exceeds TOLERATED times the bound; the factor is RAISE to RAISE_MOST, because a coarse run may be
+# wrong.
 TOLERATED, RAISE, RAISE_MOST = 1.05, 1.25, 4.0
 # For n = 2 and 3 the bound is raised until the largest n-th derivative of a state is at most OVERTONE times bound times the largest
 # (n - 1)-th. Derivatives below NEGLIGIBLE times the state, with the bound as the unit of rates, are rounding errors.

@@ -262,7 +262,7 @@ def place_of_turn(f0, f1, s0, s1):
 
 
 def newton_change(g1, g2, g3):
-    """Change of the instant at which theta' sin theta is 0; arguments: value and derivatives as `polynomial` returns."""
+    """Change of the instant at which theta' sin theta is 0; arguments: value and derivatives as `polynomial` returns them."""
     u, du, ddu = g1
     v, dv, ddv = g2
     w, dw, ddw = g3

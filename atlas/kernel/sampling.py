@@ -124,7 +124,7 @@ def end_stretch(t):
 
 
 def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights of four values, then derivatives, at 0, 1, 2, 3 in Hermite interpolation of degree 7 at x."""
+    """Weights of the values, then of the derivatives, at 0, 1, 2, 3 in Hermite interpolation of degree 7 at x."""
     nodes = np.arange(4.0)
     weights = np.empty((x.size, 8))
     for k in range(4):
@@ -138,7 +138,7 @@ def hermite_weights(x: NDArray[np.float64]) -> NDArray[np.float64]:
 class EndWeights(NamedTuple):
     """Additions to the weights of the trapezoidal rule at the first four nodes, mirrored at a run's end."""
 
-    values: NDArray[np.float64]  # for the values, (4,); the first contains -1/2, for an end counts half
+    values: NDArray[np.float64]  # for the values, (4,); the first contains -1/2, because an end counts half
     slopes: NDArray[np.float64]  # for the derivatives, (4,); with the opposite sign at the end of a run
 
 

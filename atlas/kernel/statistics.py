@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # Real part of ZERO_1 or ZERO_2 while it holds no zero.
 NO_ZERO = -1e3
-# Largest relative difference of the mean theta' of the samples from (theta_end - theta_start) / duration that rounding explains or,
-# where variance / mean square of theta' is below CONSTANT, errors of the steps (SAME_MEAN_OF_CONSTANT).
+# Largest relative difference between mean theta' of the samples and (theta_end - theta_start) / duration: from rounding (SAME_MEAN),
+# or from errors of the steps where variance / mean square of theta' is below CONSTANT (SAME_MEAN_OF_CONSTANT).
 SAME_MEAN, SAME_MEAN_OF_CONSTANT, CONSTANT = 1e-12, 1e-7, 1e-4
 
 

@@ -152,7 +152,7 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan where none exists.
+    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan if no form exists.
 
     With fewer than two degrees of freedom, where the energy decides, the verdict is degenerate; with more it is undecided.
     """
@@ -293,7 +293,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Terms factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of {H3, chi} / 2, t: third derivatives of H by zeta, d*: conjugate of d.
+    """Terms factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of {H3, chi} / 2; t: third derivatives of H by zeta; zeta_d*: conjugate of zeta_d.
 
     Returns the rows of indices a, b, c, e, d, the factors, and the position of the first term of each of _MONOMIALS.
     """

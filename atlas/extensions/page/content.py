@@ -195,7 +195,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
 
 
 def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
-    """Values of a variable; points that a refined atlas did not integrate have the value of the nearest one, as on maps."""
+    """Values of a variable; points that a refined atlas did not integrate have the value of the nearest integrated point, as on maps."""
     array = layout.shown[name]
     if "computed" not in layout.ds or flag_names(array) or layout.points:
         return array
@@ -208,7 +208,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Lines of theory, the mask of slow points, and the reasons of white points; empty for an atlas of single points."""
+    """Lines of theory, the mask of slow points, and why points are white; empty for an atlas of single points."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -422,7 +422,7 @@ class Layout:
     problem: str  # reason why the scene of the atlas cannot be used, or empty
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
-    panel_dims: list[str]  # the other dimensions
+    panel_dims: list[str]  # dimensions that are not axes of the map
     points: bool  # whether the atlas has single points, without axes
     notes: list[str]  # sentences about omitted parts
     degrees: bool | None  # whether angles are shown in degrees, see `analysis.degrees`

@@ -38,7 +38,7 @@ def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
 
 
 def _excess(p: Points) -> Array:
-    """(T - V) / (T + V) with the kinetic energy T and the height V of the barrier above the potential at the start; of any shape."""
+    """(T - V) / (T + V) with the kinetic energy T and the height V of the barrier above the potential at the start, arrays of any shape."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2

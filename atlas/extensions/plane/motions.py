@@ -63,8 +63,8 @@ class PlaneMotions(NamedTuple):
     """Motions of bodies in the plane, arrays (points,); the units of moments and of rates are powers of 2."""
 
     unit: Array  # unit of rates
-    low: Array  # moment about the axis that is along alpha at x = 0, A
-    high: Array  # B
+    low: Array  # A, moment about the axis that is along alpha at x = 0
+    high: Array  # B, the other moment across e3
     axial: Array  # C
     rotor: Array
     gradient: Array
@@ -135,7 +135,7 @@ class PlaneMotions(NamedTuple):
         return angle, np.where(self.rotates, dn, k * cn), zeta
 
     def pitch(self, time: Array) -> tuple[Array, Array]:
-        """x, not reduced to a turn, and x' at times (..., points) or (..., 1), in time units and rad."""
+        """x in rad, not reduced to a turn, and x' in rad per time unit; time: (..., points) or (..., 1), in time units."""
         turns = self.start_turns() + time / self.period()
         angle, rate, _ = self.at(turns)
         turned = np.sign(self.frequency) * (2 * np.pi * turns + angle)
@@ -143,7 +143,7 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turned, swung), self.frequency * self.unit * rate
 
     def rate_std(self, duration: Array) -> Array:
-        """Standard deviation of x' over runs of a duration, rad per time unit; inf stands for whole periods."""
+        """Standard deviation of x' over runs of a duration, rad per time unit; the duration inf stands for whole periods."""
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))

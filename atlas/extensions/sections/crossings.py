@@ -32,7 +32,7 @@ TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
 # Newton's method is done after a step below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end of the piece.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
-# A motion lies on the surface if |function| stays below this share of the function's derivative along a generic change of the states.
+# A motion lies on the surface if |function| stays below STAYS times the function's derivative along a generic change of the states.
 STAYS = 1e-9
 START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
 

@@ -36,7 +36,7 @@ DIMS = ("point", "crossing")
 AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes
 MAX_VALUES = 10**8  # largest number of values of each kept quantity
 # The error of the first run is estimated as SHARE times the difference of the two runs: errors of the steps are at most a sixth of
-# it (rk4), errors of rounding may be larger.
+# this difference (rk4), errors of rounding may be larger.
 SHARE = 0.2
 SPREAD = 1e-6  # relative difference of first integrals among points, above which a warning follows
 

@@ -18,7 +18,7 @@ from ...systems.jacobian import STEP
 DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
 JUMPING = {"psi", "phi"}  # angles that jump by a turn
 OF_FRAME = {"psi", "axis_x", "axis_y"}  # quantities that need `axis_in_frame` of the equations
-STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # not smooth on the vertical
+STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # quantities that are not smooth on the vertical
 TINY = 1e-300  # keeps rates on the vertical finite
 
 

@@ -104,7 +104,7 @@ def case_points(system: System, case: StressCase) -> CasePoints:
 
 
 def true_labels(system: System, part: CasePoints, settings: RunSettings) -> TrueLabels:
-    """True label of each point, by the sources in docs/stress.md, and its unsteadiness; ValueError where no source decides."""
+    """True label and unsteadiness of each point, by the sources in docs/stress.md; ValueError where no source decides."""
     points, duration, truth = part.points, part.duration, part.truth
     if truth == "departure":
         rest, constants = system.initial_state(part.base), system.constants(points)

@@ -43,7 +43,7 @@ POINT_STEPS_TIMED = 6_000_000  # number of steps of one timing, summed over its 
 # Points tried for each point of the sample, because the family may not exist at all of them.
 CANDIDATES_PER_POINT = 16
 
-# Variables over (method, level, sample), the last over (method, level): type, long name and units.
+# Variables over (method, level, sample), seconds_per_point over (method, level): name -> type, long name, units.
 VARIABLES = {
     "error_state": (float, "largest error of a component of the final state, angular velocities over the frequency bound", "1"),
     "error_rates": (float, "error of the least accurate mean, rms or standard deviation of a rate, over the frequency bound", "1"),
@@ -80,7 +80,7 @@ def scene_level(settings: Settings) -> int:
     return int(np.abs(np.log(np.array(values) / value)).argmin())
 
 
-# Results of a method at a level: arrays (points,) by the names of the dataset's variables, and `seconds_per_point`.
+# Results of a method at a level by the names of the dataset's variables, arrays (points,) but for the number `seconds_per_point`.
 Columns: TypeAlias = dict[str, Any]
 
 

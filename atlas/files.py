@@ -110,7 +110,7 @@ def remove_leftovers(folder: Path) -> None:
                 continue
             with suppress(OSError):
                 running = is_running(match[1])
-                if running is None:  # of another machine; both times are by the clock of the file system
+                if running is None:  # a process of another machine; `age` compares times of one clock
                     running = age(Path(entry)) <= FOREIGN_LEFTOVER_AGE
                 if not running and entry.is_dir(follow_symlinks=False):
                     shutil.rmtree(entry, ignore_errors=True)

@@ -79,7 +79,7 @@ def check_contained(path: Path | str) -> None:
 
 @lru_cache(maxsize=256)
 def _check_objects(path: str, *_: int) -> None:
-    """The check of an HDF5 file; the other arguments change with the file, so that an unchanged file is checked once."""
+    """`check_contained` of an HDF5 file; the other arguments change with the file, so that an unchanged file is checked once."""
     from h5py import h5d, h5g, h5l, h5o, h5t
 
     with _opened(path) as file:
@@ -123,7 +123,7 @@ def is_own(path: Path) -> bool:
         with _opened(path) as file:
             root = h5g.open(file, b"/")
             return bool(h5a.exists(root, OWN[0]) or OWN[1] in root)
-    except Exception:  # of an earlier format, or damaged
-        with suppress(ValueError), path.open("rb") as content:  # ValueError: empty
+    except Exception:  # the file has an earlier format, or is damaged
+        with suppress(ValueError), path.open("rb") as content:  # ValueError: an empty file
             return mmap.mmap(content.fileno(), 0, access=mmap.ACCESS_READ).find(OWN[0]) >= 0
         return False

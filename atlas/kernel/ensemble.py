@@ -55,7 +55,7 @@ class Integration:
 
     final_state: Array  # at the end of the run, (states, points)
     sums: Array  # output of the kernel, (kernel.SUMS, points)
-    intervals: NDArray[np.int64]  # intervals between the nodes reached
+    intervals: NDArray[np.int64]  # number of intervals up to the last node reached
     duration: Array  # integrated time, time units
     stopped_early: Mask  # whether the run ended early because the point certainly drifts
 

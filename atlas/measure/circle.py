@@ -118,9 +118,9 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
     """The circle nearest to the angular velocities u of each run in one frame, and their distance from it, (points,) each.
 
     In rad per time unit: `spread`, standard deviation of u; `height` and `height_std`, mean and deviation of u along s, the normal of
-    the best plane; `radius` (root mean square) and `radius_std`, distance of u from the line along s, and its deviation; `extent`,
-    standard deviation of u along the shorter axis in the plane; `spin` and `spin_std`, rate about s of a motion on the circle, and
-    its deviation; `rate_1` to `rate_3`, mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of
+    the best plane; `radius` and `radius_std`, root mean square and deviation of the distance of u from the line along s; `extent`,
+    the smaller principal deviation of u in the plane; `spin` and `spin_std`, the rate of the body about s and its deviation;
+    `rate_1` to `rate_3`, mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of
     either sign. Angles in rad from the vertical at the start: `precession_inclination` of the axis fixed in the frame (from s and
     spin), `rotation_inclination` of u, `tilt` of the third body axis.
     """

@@ -405,7 +405,7 @@ class MainInstrument(Instrument):
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs; relative: used by instruments that measure relative differences."""
+        """Differences of the statistics of all rules in two runs; relative: relative error of the run, from which some instruments estimate the differences."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

@@ -305,8 +305,8 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
     """Relative error of states and statistics, from the error of the states.
 
     Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at
-    least 1 where the axis passed through the cylinder. A run that starts in the cylinder has nodes close to its start: they miss
-    how the axis leaves only if the axis is so slow that its path turns much between two nodes.
+    least 1 where the axis passed through the cylinder. A run that starts in the cylinder has nodes close to its start: they
+    show how the axis leaves, unless it is so slow that its path turns much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)

@@ -485,7 +485,7 @@ class Sheet:
         return 1.0 + 4.0 * (title.count("\n") + 1)
 
     def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:
-        """Label the axes, once if all panels agree; entries: of the legend, kept in the first Axes for the caller."""
+        """Label the axes of the panels, with one common label if all agree; entries: samples of the legend, added to axes[0]."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)

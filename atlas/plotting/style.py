@@ -123,7 +123,7 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Colours of flags by value: COLOURS, else even steps of luminance from white; QUALITATIVE for few positions in a list."""
+    """Flag -> colour: QUALITATIVE for few numbered flags, else COLOURS, else even steps of luminance from white."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))

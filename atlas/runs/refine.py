@@ -105,8 +105,8 @@ class FineGrid:
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
             # Product of growth rate and duration above which all but EXPECTED_MISSES of the nudged unstable points drift. A start does
-            # not drift if the unstable component is a smaller fraction of its nudge than f = rate_tolerance / nudge * exp(-growth); f
-            # is also the fraction of such starts, in regions narrower than the spacing. Without a nudge no point drifts.
+            # not drift if the unstable component of its nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the
+            # nudge. In regions narrower than the spacing a fraction f of the starts does not drift; without a nudge none drifts.
             nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
             with np.errstate(divide="ignore"):
                 needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)

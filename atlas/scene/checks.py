@@ -19,7 +19,7 @@ from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
 from .expressions import RESERVED, Expression
 
-MAX_NAME = 60  # characters of a name that is no parameter
+MAX_NAME = 60  # largest length of a name chosen by the user
 MAX_THREADS = 1024  # threads or processes of a run
 MAX_LISTED_NUMBERS = 200_000  # in one list of a scene
 

@@ -26,7 +26,7 @@ ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
 # Final answers of a server, which another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
-CLOCK = "clock"  # content whose time shows the clock of the storage
+CLOCK = "clock"  # empty content, written to read the clock of the storage
 
 
 def located(path: str | Path) -> Path | str:

@@ -197,7 +197,7 @@ def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Arr
     p, q, r = np.moveaxis(rates, -1, 0)
     rounding = ROUNDING * np.sqrt(p**2 + q**2 + r**2 + turning**2)
     p, q = p - turning * sine * np.sin(phi), q - turning * sine * np.cos(phi)
-    # phi at which theta' is the whole rate of the axis
+    # phi with which theta' alone is the rate of the axis (n = 0)
     leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)
     phi = np.where(vertical, leaving, phi)
     psi = np.where(cosine > 0, total - phi, difference + phi)

@@ -37,7 +37,7 @@ _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # relative damping of least squares
 _WEIGHT = 100.0  # in least squares multipliers and null vectors may change by this factor more than x
 _MAX_TURN = 0.3  # largest step of Newton's method, in rad and ranges
-# Number of iterations from a start; largest last step if they converge, slowly at pitchforks; force along the null vector below which
+# Number of iterations from a start; last step below which they count as converged (they are slow at pitchforks); force along the null vector below which
 # a point may be a pitchfork; least relative singular value of a regular point; largest residual, last step or force that counts as 0.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
 _VANISHES = 1e-7  # coefficient of the characteristic polynomial / largest one, below which it counts as 0

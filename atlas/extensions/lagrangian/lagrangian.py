@@ -268,7 +268,7 @@ class _Mechanics:
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            energies = []  # T or -T of a term T of degree 2 or 0 in v
+            energies = []  # from a term T of the Lagrangian: T if its degree in v is 2, -T if it is 0
             for term in terms:
                 momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
                 quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0

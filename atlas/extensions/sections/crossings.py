@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # The relative change differs between the states: a common factor would not change directions.
+        # Each state changes by another fraction of it: one factor for all would not change directions.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)

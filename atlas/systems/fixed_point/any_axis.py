@@ -206,7 +206,7 @@ class Grioli(Start):
 
     @classmethod
     def solve_weight(cls, points: Points) -> Array:
-        """Mg > 0 from the start and the offset: Mg |r_c| is the length of the vector in the condition of the vertical."""
+        """Mg > 0 from the start and the offset: Mg |r_c| is the length of `vertical(axes)`."""
         start = cls(_with_unit_weight(points))
         return length(start.vertical(start.axes())) / length(start.weight)
 

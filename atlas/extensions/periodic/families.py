@@ -160,6 +160,16 @@ class Section:
             self.at(low.arc + share * (high.arc - low.arc))
         return self.estimate(value, low, high)
 
+    def leave(self, arc: float) -> None:
+        """Keep members at some distance of a singular orbit, beside which they have few digits."""
+        for share in SHARES:
+            self.at(self.start.arc + share * self.length)
+        self.members = [
+            each
+            for each in self.members
+            if abs(each.arc - arc) > SAME * self.length or each is self.start or each is self.end
+        ]
+
     def event(self, kind: Flag, arc: float) -> Event:
         period, energy = (
             float(self.coefficients(attrgetter(name), arc)[0][0]) for name in ("orbit.period", "energy")
@@ -282,6 +292,7 @@ class Path:
             gaps = np.abs(np.subtract.outer(*places))
             if gaps.min() < SAME * section.length:
                 place = places[0][int(np.argmin(gaps.min(1)))]
+                section.leave(place)
                 return section.event(self._kind_of_return(section, place), place)
         if new.orbit.period > self.longest:
             return self._at_steady_motion(1e-3) or self._left(FamilyEnd.PERIOD_LIMIT)

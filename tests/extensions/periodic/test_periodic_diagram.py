@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.figure import Figure
+from readers import entries
 
 import atlas
 from atlas import cli
@@ -46,6 +47,28 @@ def test_lines_are_full_up_to_the_doubling_and_dashed_after_it(nutations, y):
     assert doubling in marks[0].get_xdata()
     texts = [text.get_text() for text in figure.legends[0].texts]
     assert texts[0].startswith(r"$\omega$ = 1.29: period limit")
+
+
+def test_the_legend_names_the_family_of_every_line_and_the_event_of_every_marker(nutations):
+    """As a person reads them: a line by its colour, a marker by its shape."""
+    both = xr.concat(
+        [nutations, nutations.assign(frequency=0.5 * nutations.frequency, period=2 * nutations.period)],
+        "family",
+    )
+    figure = both.atlas.periodic_diagram()
+    legend = entries(figure)
+    samples = {sample.get_color(): text for text, sample in legend.items() if sample.get_marker() == "None"}
+    names = {sample.get_marker(): text for text, sample in legend.items() if sample.get_marker() != "None"}
+    for line in figure.axes[0].lines:
+        arcs, values = line.get_data()
+        if not len(arcs):  # samples of the legend
+            continue
+        if line.get_marker() == "None":
+            (k,) = {int(each) for each in np.argwhere(np.isin(both.period.values, values))[:, 0]}
+            assert samples[line.get_color()].startswith(rf"$\omega$ = {both.frequency.values[k]:.4g}:")
+        else:
+            kind = PeriodicEvent[names[line.get_marker()].upper().replace(" ", "_")]
+            assert set(arcs) <= set(both.event_arc.values[both.event_kind.values == kind])
 
 
 def test_axes_of_the_caller_are_drawn_into_and_the_wrong_datasets_refused(nutations):

@@ -339,7 +339,7 @@ class Path:
 
     def events(self) -> tuple[list[Event], bool]:
         """Events in their order, and whether no pair of them within a step was missed."""
-        result, complete = list[Event](), True
+        result, complete = list[Event](), self.end.kind not in (FamilyEnd.LOST, FamilyEnd.STEP_LIMIT)
         for i, section in enumerate(self.sections[1:], 1):
             start, others = section.start, self.members[max(i - 2, 0) : i + 2]
             others = [each for each in others if each.arc not in (start.arc, self.members[i].arc)]

@@ -177,16 +177,7 @@ def trajectory_of_point(
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
     """Motion of the point of a scene with the given value of each axis; BadInput if an axis is wrong or there is no motion."""
-    for name in (*scene.axes, *places):
-        if name not in places or name not in scene.axes:
-            problem = "is no axis of the scene" if name in places else "has no value"
-            raise BadInput(
-                f"{name}: {problem}; a trajectory needs a value of every axis: {', '.join(scene.axes)}"
-            )
-    located = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
-    if not located.exists[0]:
-        reason = grid.Reason(located.reason[0])
-        raise BadInput(f"no motion: {grid.sentence(reason, scene.system, scene.family, scene.duration)}")
+    located = grid.point_at(scene, places, "a trajectory")
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
     title = f"{scene.title}: trajectory at {place}"

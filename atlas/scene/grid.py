@@ -204,6 +204,19 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
     return points_at_indices(scene, np.ravel_multi_index(tuple(indices), scene.shape))
 
 
+def point_at(scene: Scene, places: Mapping[str, float], what: str) -> Grid:
+    """The point of a scene with the given value of each axis; BadInput, which says what needs it, if there is none or no motion."""
+    for name in (*scene.axes, *places):
+        if name not in places or name not in scene.axes:
+            problem = "is no axis of the scene" if name in places else "has no value"
+            raise BadInput(f"{name}: {problem}; {what} needs a value of every axis: {', '.join(scene.axes)}")
+    located = points_at(scene, {name: np.array([value]) for name, value in places.items()})
+    if not located.exists[0]:
+        why = sentence(Reason(located.reason[0]), scene.system, scene.family, scene.duration)
+        raise BadInput(f"no motion: {why}")
+    return located
+
+
 def of_points(
     system: System,
     settings: Settings,

@@ -40,7 +40,7 @@ def test_a_name_of_two_extensions_is_refused_by_both_names(installed_extensions,
 
 
 def test_a_run_depends_on_the_code_of_the_extensions_that_it_uses(scene_text, tmp_path, monkeypatch):
-    """Families may have any start, so that each run of a system with families of an extension depends on it."""
+    """Families may have any start, so that each run of a system with families of an extension depends on it and on what it needs."""
     scenes = {
         "satellite": atlas.load_scene(scene_text({})),
         "fixed_point": atlas.load_scene(TOP),
@@ -64,7 +64,9 @@ def test_a_run_depends_on_the_code_of_the_extensions_that_it_uses(scene_text, tm
             for name, scene in scenes.items():
                 identity = plan.identity(Plan.of(scene))
                 changes = {key for key in identity if identity[key] != before[name][key]}
-                assert changes == ({f"extension_{edited}"} if edited in used[name] else set())
+                assert changes == {
+                    f"extension_{e}" for e in used[name] if edited in (e, *extensions()[e].needs)
+                }
             if edited == "plane":
                 with pytest.raises(
                     BadInput, match=r"It differs in extension_plane \([0-9a-f]{16} in the folder, "

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...cli import options as cli
 from ...cli.atlases import file_of_scene, write_or_draw
-from ...errors import BadInput, allowed_text, say
+from ...errors import say
 
 
 @cli.command(
@@ -28,16 +28,7 @@ def draw_families(options: argparse.Namespace) -> None:
     from .periodic import periodic
 
     out, scene = file_of_scene(options, "periodic"), cli.read_scene(options.scene)
-    places = cli.axis_values("--at", options.at)
-    for name in places:
-        if name not in scene.axes:
-            raise BadInput(f"--at {name}: no axis of the scene; {allowed_text(name, [*scene.axes])}")
-    if missing := scene.axes.keys() - places:
-        raise BadInput(f"--at: needs a value of every axis; missing: {', '.join(sorted(missing))}")
-    located = grid.points_at(scene, {name: np.array([value]) for name, value in places.items()})
-    if not located.exists[0]:
-        reason = grid.Reason(located.reason[0])
-        raise BadInput(f"no motion: {grid.sentence(reason, scene.system, scene.family, scene.duration)}")
+    located = grid.point_at(scene, cli.axis_values("--at", options.at), "a family")
     point = {name: float(values[0]) for name, values in located.base.items() if not np.isnan(values[0])}
     ds = periodic(scene.system.name, point, frequency=options.frequency or "all", orbits=options.orbits)
     write_or_draw(ds, out, "periodic_diagram", options.variable)

@@ -39,7 +39,7 @@ LATER = 3.0  # times so much may multipliers change in a step beyond
 DIP, PAIRED, TOUCHING = 0.5, 5, 1e-9
 SAME = 0.02  # of a step: events that are one
 RETURNED = (
-    0.01  # of the size of an orbit: the distance from where it was, after a part of the period, that is none
+    0.01  # distance of a state from an earlier one, over the size of the orbit, below which they are the same
 )
 # A zero is on the polynomial of so many members if one is as near, of a step, and the function there as small, of its values.
 KNOWN, NEAR, SMALL = 6, 1e-5, 1e-3
@@ -164,17 +164,14 @@ class Section:
         """Keep members at some distance of a singular orbit, beside which they have few digits."""
         for share in SHARES:
             self.at(self.start.arc + share * self.length)
-        self.members = [
-            each
-            for each in self.members
-            if abs(each.arc - arc) > SAME * self.length or each is self.start or each is self.end
-        ]
+        inner = [each for each in self.members[1:-1] if abs(each.arc - arc) > SAME * self.length]
+        self.members = [self.start, *inner, self.end]
 
     def event(self, kind: Flag, arc: float) -> Event:
         period, energy = (
-            float(self.coefficients(attrgetter(name), arc)[0][0]) for name in ("orbit.period", "energy")
+            self.coefficients(attrgetter(name), arc)[0][0] for name in ("orbit.period", "energy")
         )
-        return Event(kind, period, energy, arc)
+        return Event(kind, float(period), float(energy), arc)
 
     def zeros(self, value: Value) -> list[float]:
         return [self.zero(value, a, b) for a, b in pairwise(self.members) if value(a) * value(b) < 0]
@@ -208,15 +205,8 @@ class Path:
     def __init__(self, family: Family) -> None:
         self.family = family
         orbit, energy = family.born(NODES), family.birth_energy
-        self.birth = Member(
-            orbit,
-            0.0,
-            energy,
-            np.empty(0),
-            np.empty((2, 0)),
-            {},
-            Solution(orbit, np.empty((0, SIZE, SIZE)), 0.0, 0, 0.0),
-        )
+        solution = Solution(orbit, np.empty((0, SIZE, SIZE)), 0.0, 0, 0.0)
+        self.birth = Member(orbit, 0.0, energy, np.empty(0), np.empty((2, 0)), {}, solution)
         self.sections: list[Section] = []  # from the birth on
         self.members: list[Member] = []
         self.fastest = 0.0
@@ -230,13 +220,10 @@ class Path:
     def beside(self, start: Member, step: float) -> Member | None:
         """The member after a step along the tangent; None if Newton's method fails or leads to another family."""
         solution = self.family.corrected(self.family.moved(start.orbit, step * start.orbit.tangent))
-        if (
-            solution is None
-            or solution.distance > FAR * abs(step)
-            or solution.orbit.tangent @ start.orbit.tangent < COSINE
-        ):
+        if solution is None or solution.distance > FAR * abs(step):
             return None
-        return member(self.family, solution, start.arc + step)
+        is_same = solution.orbit.tangent @ start.orbit.tangent >= COSINE
+        return member(self.family, solution, start.arc + step) if is_same else None
 
     def _follow(self) -> Event:
         before, step, failures = self.birth, FIRST, 0
@@ -247,9 +234,8 @@ class Path:
                 # At a singular orbit shorter steps fail as well: a longer one may lead across it.
                 step = step / 2 if failures % 5 else min(step * 40.0, LONGEST)
                 continue
-            change = before.far_from(new) / (
-                1.0 if before.orbit.period < COMPLETE * self.family.unit else LATER
-            )
+            change = before.far_from(new)
+            change /= 1.0 if before.orbit.period < COMPLETE * self.family.unit else LATER
             if change > 1.5:
                 step /= 2
                 continue

@@ -59,9 +59,8 @@ class Flow:
         powers, constant = self.equations.INTEGRALS, system.integral_scales(points)
         self.energy = next(iter(powers))
         self.momenta = [name for name in powers if powers[name] == 1 and not np.isnan(constant[name][0])]
-        self.held = (
-            self.momenta if self.rotates else ["length_gamma", *self.momenta]
-        )  # rotations keep lengths
+        # Rotations keep lengths.
+        self.held = self.momenta if self.rotates else ["length_gamma", *self.momenta]
         self.tangents = specialization.tangent_kernel(system)
         self.path = specialization.node_kernel(system, TANGENT_METHOD.name)
 

@@ -86,9 +86,8 @@ class SteadyMotion:
                 mode = mode + self.along * swing / (factor - 1)
                 mode = mode * np.exp(-0.5j * np.angle((mode * mode).sum())) / np.linalg.norm(mode)
                 result.append(Birth(float(exponent.imag), mode))
-        return sorted(result, reverse=True, key=lambda each: each.frequency), int(
-            (abs(exponents) <= ROUNDING * bound).sum()
-        )
+        zeros = int((abs(exponents) <= ROUNDING * bound).sum())
+        return sorted(result, reverse=True, key=lambda each: each.frequency), zeros
 
 
 class Family:
@@ -124,10 +123,8 @@ class Family:
         flow, m, n = self.flow, len(orbit.states), SIZE * len(orbit.states)
         ends, matrices = flow.run(orbit.states, orbit.period / m, orbit.bound)
         ends[-1:], matrices[-1] = flow.turned(ends[-1:], -orbit.chi), turn(-orbit.chi) @ matrices[-1]
-        slopes, along = (
-            each(np.concatenate([orbit.states, ends[-1:], ends[:-1]]))
-            for each in (flow.slopes, flow.symmetry)
-        )
+        states = np.concatenate([orbit.states, ends[-1:], ends[:-1]])
+        slopes, along = flow.slopes(states), flow.symmetry(states)
         jacobian = np.zeros((n + len(flow.held) + 2, n + 2))
         blocks, i, j = jacobian[:n, :n].reshape(m, SIZE, m, SIZE), np.arange(m), (np.arange(m) + 1) % m
         blocks[i, :, i] = matrices
@@ -141,11 +138,8 @@ class Family:
         jacobian[-1, -1] = not flow.symmetric
         residual = flow.difference(ends, orbit.states[j]).ravel()
         held = [flow.value(name, orbit.states[0]) for name in flow.held]
-        return (
-            np.concatenate([residual, np.subtract(held, self.level), [0, 0]]),
-            jacobian * self.scales(m),
-            matrices,
-        )
+        residual = np.concatenate([residual, np.subtract(held, self.level), [0, 0]])
+        return residual, jacobian * self.scales(m), matrices
 
     def energy(self, orbit: Orbit) -> float:
         return self.flow.value(self.flow.energy, orbit.states[0])
@@ -174,13 +168,8 @@ class Family:
             if size < CONVERGED or closed or 0.1 * last < size < STALLED:
                 tangent *= np.sign(tangent @ guess.tangent) / np.linalg.norm(tangent)
                 closing = float(np.abs(residual[: SIZE * len(orbit.states)]).max())
-                return Solution(
-                    replace(orbit, tangent=tangent),
-                    matrices,
-                    closing,
-                    iteration,
-                    float(np.linalg.norm(total)),
-                )
+                distance, orbit = float(np.linalg.norm(total)), replace(orbit, tangent=tangent)
+                return Solution(orbit, matrices, closing, iteration, distance)
             orbit, total, last = self.moved(orbit, step), total + step, size
             if not orbit.period > 0:
                 return None
@@ -256,8 +245,5 @@ def _solve(matrix: Array, right: Array) -> Array:
     """Least squares by orthogonal and triangular factors; infinite where the matrix is singular."""
     factors, solution, _ = dgels(matrix, right)
     diagonal, size = np.abs(np.diag(factors)), matrix.shape[1]
-    return (
-        solution[:size]
-        if diagonal.min() > SINGULAR * diagonal.max()
-        else np.full((size, right.shape[1]), np.inf)
-    )
+    regular = diagonal.min() > SINGULAR * diagonal.max()
+    return solution[:size] if regular else np.full((size, right.shape[1]), np.inf)

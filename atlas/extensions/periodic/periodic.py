@@ -63,7 +63,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], str, str, type[Flag] | None]] = {
     "complete": (
         FAMILY,
         "1",
-        "whether the events up to three periods of the birth are all listed",
+        "whether all events up to three periods of the birth are listed",
         EventsComplete,
     ),
     "event_kind": (EVENT, "1", "what happens along the family", PeriodicEvent),
@@ -159,13 +159,9 @@ def periodic(
     rows, refusals = list[list[dict[str, Any]]](), list[BadInput]()
     for i in range(len(points["A"])):
         try:
-            found = _families(description, subset(points, np.array([i])), family, frequency)
-            rows.append(
-                [
-                    values(Path(each).follow(max_period), points["Omega"][i] if "Omega" in points else None)
-                    for each in found
-                ]
-            )
+            born = _families(description, subset(points, np.array([i])), family, frequency)
+            Omega = points["Omega"][i] if "Omega" in points else None
+            rows.append([values(Path(each).follow(max_period), Omega) for each in born])
         except BadInput as error:
             rows.append([])
             refusals.append(error)
@@ -232,14 +228,8 @@ def _families(
 
 
 def _family_values(
-    path: Path,
-    Omega: float | None,
-    *,
-    orbits: int,
-    energy: list[float] | None,
-    above: list[float] | None,
-    events: bool,
-) -> dict[str, Any]:
+    path: Path, Omega: float | None, *, orbits: int, energy: list[float] | None, above: list[float] | None, events: bool
+) -> dict[str, Any]:  # fmt: skip
     """Values of a family by name."""
     family, flow, members = path.family, path.family.flow, path.members
     momenta = {name: flow.value(name, flow.start) for name in flow.momenta}
@@ -304,10 +294,8 @@ def _extremes(flow: Flow, each: Member) -> tuple[float, float, Array]:
         extremes.append(
             after(brentq(rise, *ends, args=(state,), xtol=1e-15), state) if turns else states[place]
         )
-    (low, high), sines = (
-        (np.arctan2(np.hypot(y[-3], y[-2]), y[-1]) for y in extremes),
-        np.hypot(*states[:, -3:-1].T),
-    )
+    low, high = (np.arctan2(np.hypot(y[-3], y[-2]), y[-1]) for y in extremes)
+    sines = np.hypot(*states[:, -3:-1].T)
     if np.sin(high) < POLE < sines.max():
         states = states[sines > 0.1 * sines.max()]
         extremes[1] = states[np.argmin(states[:, -1])]
@@ -328,12 +316,8 @@ def _starts(flow: Flow, states: Array, Omega: float | None) -> dict[str, Any]:
 
 
 def _variable(
-    system: Gyrostat,
-    name: str,
-    rows: Sequence[Sequence[Mapping[str, Any]]],
-    dims: tuple[Any, ...],
-    shape: tuple[int, ...],
-) -> tuple[tuple[Any, ...], Array, dict[str, Any]]:
+    system: Gyrostat, name: str, rows: Sequence[Sequence[Mapping[str, Any]]], dims: tuple[Any, ...], shape: tuple[int, ...]
+) -> tuple[tuple[Any, ...], Array, dict[str, Any]]:  # fmt: skip
     """A variable from the values of every body and family, nan (flags: 0, of ends lost) where one has fewer."""
     of_starts = (ORBIT, "", "", None) if name in STARTS else (FAMILY, "N m s", f"momentum held, {name}", None)
     own, unit, text, flags = _VARIABLES.get(name, of_starts)
@@ -345,9 +329,7 @@ def _variable(
         for j, each in enumerate(families):
             place: Any = (i, j, *map(slice, each.shape))
             full[place] = each
-    attributes: dict[str, Any] = Variable(
-        name, "int8", unit, text, flags.meanings() if flags else None
-    ).attributes()
     if name in STARTS:
-        attributes = {"long_name": system.parameters[name].meaning, "units": system.parameters[name].unit}
+        text, unit = system.parameters[name].meaning, system.parameters[name].unit
+    attributes = Variable(name, "int8", unit, text, flags.meanings() if flags else None).attributes()
     return (*dims, *own), full.reshape(*shape, *full.shape[1:]), attributes

@@ -124,8 +124,8 @@ def test_the_command_draws_and_writes_families_of_a_motion_of_a_scene(capsys, tm
         assert ds.sizes["orbit"] == 8
         assert ds.frequency.item() == pytest.approx(1.2899078641286588, rel=1e-10)
     for at, sentence in (
-        ("", "--at: needs a value of every axis; missing: theta0"),
-        ("--at C=1", "--at C: no axis of the scene; ..."),
+        ("", "theta0: has no value; a family needs a value of every axis: theta0"),
+        ("--at theta0=0.9 C=1", "C: is no axis of the scene; a family needs a value of every axis: theta0"),
         ("--at theta0=0.9 --frequency 5", "frequency = 5: the motion has 1..., in positions from 1 on"),
     ):
         assert_refused_in_shell(f"periodic scene.toml {at}", sentence, capsys)

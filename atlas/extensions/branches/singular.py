@@ -1,17 +1,18 @@
 """Degenerate critical points of quadratic functions on quadrics, over two parameters.
 
-Relative equilibria are critical points of the amended potential, x.Qx / 2 + c.x with Q diagonal, on the x with
-x.E_k x / 2 = e_k: x is gamma on the sphere for permanent rotations, (alpha, gamma) for a satellite, (alpha, beta, gamma) with drag,
-and the axis of symmetry of a symmetric satellite. A critical point with multipliers l is degenerate, with null vector v and m, where
+Relative equilibria are the critical points x of the amended potential x.Qx / 2 + c.x, with a diagonal matrix Q, under the
+conditions x.E_k x / 2 = e_k. The vector x is gamma for permanent rotations, (alpha, gamma) for a satellite, (alpha, beta, gamma)
+with drag, and the axis of symmetry for a symmetric satellite. Let l be the multipliers of a critical point. The point is
+degenerate if there is a null vector (v, m) with
 
     (Q + l.E) x + c = 0,    x.E x / 2 = e,    (Q + l.E) v + m.E x = 0,    x.E v = 0,    v.v = 1.
 
-These polynomials of degree 2 define curves of folds in (x, l, v, m) and both parameters, smooth at cusps too. At a pitchfork of
-a symmetric body their derivative is singular; there the first equation gets a term s v, with one more unknown s that is 0 on the
-curve, and x moves across v, that is in the plane of symmetry.
+These equations of degree 2 in (x, l, v, m) and both parameters define curves of folds, which are smooth at cusps too. The
+derivative of the equations is singular at a pitchfork of a symmetric body. There the first equation gets the term s v, where
+the unknown s is 0 on the curve, and x moves across v, which means in the plane of symmetry.
 
-On limits of stability the conditions with v and m are replaced by P(s) = P'(s) = 0, P the characteristic polynomial of the squares of
-the exponents. The double root s is an unknown, so that points with a triple root are regular.
+On limits of stability, P(s) = P'(s) = 0 replaces the conditions with v and m. P is the characteristic polynomial of the squares
+of the exponents. Its double root s is an unknown, so that the equations are regular at a triple root.
 """
 
 from __future__ import annotations
@@ -32,21 +33,23 @@ from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import Body, length, transverse_axes
 from ..equilibria.algebra import body_at_rest
 
-# Numbers of interpolation nodes along each axis, tried in turn; largest relative sizes of the last terms and of terms to drop.
+# The number of nodes grows until the last Chebyshev terms are below `_RESOLVED`. Terms below `_NO_TERM` are dropped.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
 _DAMPING = 1e-14  # relative damping of least squares
-_WEIGHT = 100.0  # in least squares multipliers and null vectors may change by this factor more than x
-_MAX_TURN = 0.3  # largest step of Newton's method, in rad and ranges
-# Number of iterations from a start; last step below which they count as converged (they are slow at pitchforks); force along the null vector below which
-# a point may be a pitchfork; least relative singular value of a regular point; largest residual, last step or force that counts as 0.
+_WEIGHT = 100.0  # In least squares, multipliers and null vectors may change by this factor more than x.
+_MAX_TURN = 0.3  # longest step of Newton's method: angles are in rad, positions are fractions of the box
+# A start is dropped if step `_ITERATIONS` of Newton's method exceeds `_NEAR`, which is large because pitchforks converge slowly.
+# Points with a force below `_LITTLE_FORCE` may be pitchforks. Regular points have singular values above `_REGULAR` times the largest
+# one. Residuals, steps and forces below `_EXACT` count as 0.
 _ITERATIONS, _NEAR, _LITTLE_FORCE, _REGULAR, _EXACT = 10, 1e-2, 1e-2, 1e-7, 1e-9
-_VANISHES = 1e-7  # coefficient of the characteristic polynomial / largest one, below which it counts as 0
-# Rounding error of the discriminant divided by the sum of its terms: two exponents may be equal along a whole curve.
+_VANISHES = 1e-7  # Smaller fractions of the largest coefficient of the characteristic polynomial count as 0.
+# A discriminant below this fraction of the sum of its terms counts as 0, because two exponents may be equal on a whole curve.
 _DISCRIMINANT_ROUNDING = 1e-13
-# Distance from a pitchfork at which solutions are compared, iterations to reach these, distances to search extrema of the momentum.
+# Solutions beside a pitchfork are compared at the distance `_BESIDE` and found in `_STEPS_BESIDE` steps of Newton's method. Extrema
+# of the momentum are sought at the distances `_ASIDE` from degenerate solutions.
 _BESIDE, _STEPS_BESIDE, _ASIDE = 1e-3, 5, (-0.1, -0.02, 0.02, 0.1)
-_ON_SIDE = 5  # number of iterations onto a side of the box
-# Quadratic forms of two and of three orthonormal vectors.
+_ON_SIDE = 5  # steps of Newton's method onto a side of the box
+# These matrices E_k say that two (`FRAMES`) or three (`TRIADS`) vectors are orthonormal.
 FRAMES = np.array(
     [np.kron(block, np.eye(3)) for block in ([[1, 0], [0, 0]], [[0, 0], [0, 1]], [[0, 1], [1, 0]])]
 )
@@ -56,7 +59,7 @@ TRIADS[3:] += TRIADS[3:].swapaxes(1, 2)
 
 
 def _solved(matrix: Array, right: Array) -> Array:
-    """Solutions of linear equations; matrices that are singular to the last bit are changed by rounding errors first."""
+    """Solve linear equations. Matrices that are singular to the last bit are first changed by rounding errors."""
     with suppress(np.linalg.LinAlgError):
         return np.asarray(np.linalg.solve(matrix, right))
     size = np.abs(matrix).max((1, 2), keepdims=True)
@@ -65,7 +68,7 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 
 class BorderKind(Flag):
-    """Kinds of borders; 0 does not occur."""
+    """Kinds of borders. No point of a border has the kind 0."""
 
     NONE = 0, "no border"
     FOLD = 1, "two solutions merge and vanish"
@@ -81,19 +84,19 @@ class BorderKind(Flag):
 
 
 class Potential(NamedTuple):
-    """Amended potentials of bodies over a box of two parameters; positions in the box are fractions of its sides."""
+    """Amended potentials of bodies over a box of two parameters. Positions in the box are fractions of its sides."""
 
     terms: Array  # Chebyshev coefficients of (Q, c) and of their derivatives by both parameters, (a, b, 6 n)
     forms: Array  # E_k, (m, n, n)
-    axis: int  # axis of symmetry of all bodies; -1: none
+    axis: int  # axis of symmetry that all bodies have, -1 if there is none
     upright: bool  # whether nothing acts along alpha and beta
     mirrored: bool  # whether alpha -> -alpha leaves all potentials the same
-    # Coefficients of I, k, Omega (2 I - tr I), Q and c along alpha, beta and gamma, and of their derivatives, (a, b, 81).
+    # Chebyshev coefficients of what `_linear` returns, and of the derivatives by both parameters, (a, b, 81).
     bodies: Array
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
-        """The potentials of bodies whose parameters are functions of positions (N, 2); BadInput where the parameters are not smooth."""
+        """Return the potentials of bodies with the parameters `points(positions)`, or raise BadInput unless these are smooth."""
         for count in _NODES:
             nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
@@ -122,7 +125,7 @@ class Potential(NamedTuple):
         n = terms.shape[2] // 2
         forms = {6: FRAMES, 9: TRIADS}.get(n, np.eye(n)[None])
         mirrored = n == 6 and not terms[..., n : n + 3].any()
-        bodies = bodies[: used[0] + 2, : used[1] + 2]  # c contains products with the turn
+        bodies = bodies[: used[0] + 2, : used[1] + 2]  # c has products with the turn
         return cls(_with_derivatives(terms), forms, axis, upright, mirrored, _with_derivatives(bodies))
 
     @property
@@ -131,7 +134,7 @@ class Potential(NamedTuple):
         return self.forms.shape[1]
 
     def at(self, positions: Array) -> Array:
-        """Q and c, and their derivatives by both parameters, (3, 2, N, n)."""
+        """Return Q and c and their derivatives by both parameters, (3, 2, N, n)."""
         values = _values(self.terms, positions)
         return np.moveaxis(values.reshape(3, len(positions), 2, self.size), 2, 1)
 
@@ -142,14 +145,14 @@ class Potential(NamedTuple):
 
     @property
     def cyclic(self) -> bool:
-        """Whether a turn changes nothing, so that two exponents are 0."""
+        """Whether the energy does not change with a turn about an axis, so that two exponents are 0."""
         return self.upright or self.axis >= 0
 
     def characteristic(self, x: Array, positions: Array) -> tuple[Array, Array]:
-        """Coefficients of the polynomial in the squares s of exponents, lowest first, and their derivatives by x and position.
+        """Return the characteristic polynomial of the squares s of the exponents, and its derivatives by x and position.
 
-        In the frame the body obeys I xi'' + v x xi' + H xi = 0, so that the polynomial is det(s I + H) + s v.(s I + H) v; a root that
-        is 0 by a symmetry is left out. (N, 4) and (N, 4, n + 2).
+        The coefficients (N, 4) are in ascending order, and the derivatives have the shape (N, 4, n + 2). In the frame the body obeys
+        I xi'' + v x xi' + H xi = 0, so that the polynomial is det(s I + H) + s v.(s I + H) v. A root that is 0 by symmetry is left out.
         """
         alpha, gamma = self.attitudes(x)
         inertia, rotor, turning, *along = np.split(_values(self.bodies, positions), 9, 2)
@@ -158,7 +161,6 @@ class Potential(NamedTuple):
         fields = list(zip(vectors, along[::2], along[1::2], strict=True))
         hessians = np.sum([_hessian(*field) for field in fields], 0)
         H, I, v = hessians[0], inertia[0, :, None] * np.eye(3), rotor + turning * gamma
-        # Derivatives of the coefficients by H, v and I.
         forces, nothing = np.einsum("njik,nk->nji", np.stack([H, I], 1), v[0]), np.zeros((len(x), 1, 3))
         K = np.stack([0.5 * _polar(H, H), _polar(H, I), 0.5 * _polar(I, I), 0 * I], 1)
         by_v = np.concatenate([nothing, 2 * forces, nothing], 1)
@@ -184,9 +186,9 @@ class Potential(NamedTuple):
         return values, slopes
 
     def stability_margins(self, coefficients: Array, left_out: Mask | bool = False) -> Array:
-        """Numbers that are positive where all exponents are imaginary and different, (N, 4); left_out: where to ignore one zero pair."""
+        """Return numbers (N, 4), positive where all exponents are imaginary and different. One zero pair is ignored where `left_out`."""
         c = coefficients.copy()
-        if self.size == 2:  # two symmetries, about gamma and the axis, unless these are parallel
+        if self.size == 2:  # A symmetry makes a second pair 0, unless the axis is along gamma.
             left_out = left_out | (np.abs(c[:, 0]) < _VANISHES * np.abs(c).max(1))
         out = np.broadcast_to(left_out, len(c))
         c[out] = np.roll(c[out], -1, 1) * [1.0, 1.0, 1.0, 0.0]
@@ -199,16 +201,16 @@ class Potential(NamedTuple):
         return np.where(degree[:, None] > [0, 1, 2, 1], conditions, 1.0)
 
     def constraints(self, x: Array) -> tuple[Array, Array]:
-        """Gradients B of the conditions on x, and (B B^T)^-1 B, which maps a vector to minus its multipliers, (N, m, n) each."""
+        """Return the gradients B of the conditions on x, and (B B^T)^-1 B, which maps a gradient to minus its multipliers."""
         B = np.einsum("kij,nj->nki", self.forms, x)
         return B, _solved(B @ np.swapaxes(B, 1, 2), B)
 
     def none(self) -> Degenerate:
-        """An object without points."""
+        """Return an object without points."""
         return Degenerate(self, np.zeros((0, self.mirror().size)), np.zeros(0, np.int8))
 
     def mirror(self) -> Array:
-        """Signs of the unknowns of `Degenerate` after alpha -> -alpha; all 1 if this changes the potentials."""
+        """Return the signs that alpha -> -alpha gives the unknowns of `Degenerate`, or ones if this changes the potentials."""
         n, m = self.forms.shape[1], len(self.forms)
         signs = np.ones(n + m)
         if self.mirrored:
@@ -216,7 +218,7 @@ class Potential(NamedTuple):
         return np.concatenate([signs, signs, np.ones(3)])
 
     def attitudes(self, x: Array) -> tuple[Array, Array]:
-        """alpha and gamma in body axes, (N, 3) each; alpha is an arbitrary normal of gamma if nothing acts across gamma."""
+        """Return alpha and gamma in body axes. If nothing acts across gamma, alpha is an arbitrary normal of gamma."""
         if self.size >= 6:
             return x[:, :3], x[:, -3:]
         if self.size == 2:
@@ -228,7 +230,7 @@ class Potential(NamedTuple):
         return frames[:, 0], frames[:, 2]
 
     def from_attitudes(self, alpha: Array, gamma: Array) -> Array:
-        """x of attitudes, (..., n); alpha has no meaning where nothing acts across gamma."""
+        """Return the x (..., n) of attitudes. If nothing acts across gamma, alpha has no meaning."""
         if self.axis < 0:
             vectors = [alpha, np.cross(gamma, alpha), gamma] if self.has_beta else [alpha, gamma]
             return gamma if self.upright else np.concatenate(vectors, -1)
@@ -238,7 +240,7 @@ class Potential(NamedTuple):
 
 
 def _with_derivatives(coefficients: Array) -> Array:
-    """Coefficients of Chebyshev series (a, b, k) and of their derivatives by both positions, (a, b, 3 k)."""
+    """Return the coefficients of Chebyshev series (a, b, k) and of their derivatives by both positions, (a, b, 3 k)."""
     a, b, k = coefficients.shape
     every = np.zeros((a, b, 3, k))
     every[:, :, 0] = coefficients
@@ -247,7 +249,7 @@ def _with_derivatives(coefficients: Array) -> Array:
 
 
 def _values(coefficients: Array, positions: Array) -> Array:
-    """Values of Chebyshev series and of their derivatives, (3, N, k / 3)."""
+    """Return the values of Chebyshev series and of their derivatives, (3, N, k / 3)."""
     a, b, k = coefficients.shape
     u, w = np.moveaxis(chebvander(2 * positions - 1, max(a, b) - 1), 1, 0)
     products = (u[:, :a, None] * w[:, None, :b]).reshape(-1, a * b)
@@ -255,14 +257,14 @@ def _values(coefficients: Array, positions: Array) -> Array:
 
 
 def _polar(a: Array, b: Array) -> Array:
-    """Polar form of the adjugate of symmetric matrices (..., 3, 3), twice the adjugate if a = b."""
+    """Return the polar form of the adjugate of symmetric matrices (..., 3, 3), which is twice the adjugate if a = b."""
     product, traces = a @ b, [np.einsum("...ii->...", each)[..., None, None] for each in (a, b, a @ b)]
     unit = (traces[0] * traces[1] - traces[2]) * np.eye(3)
     return product + np.swapaxes(product, -1, -2) - traces[0] * b - traces[1] * a + unit
 
 
 def _hessian(d: Array, q: Array, c: Array) -> Array:
-    """Hessian under rotations of d.(q d) / 2 + c.d for a direction d in body axes, symmetric part, (..., 3, 3)."""
+    """Return the symmetric part of the Hessian under rotations of d.(q d) / 2 + c.d, for a direction d in body axes."""
     outer, slope = d[:, :, None] * d[:, None], q * d + c
     mixed = 0.5 * slope[..., :, None] * d[:, None]
     tilt = _polar(outer, q[..., None] * np.eye(3))
@@ -270,14 +272,14 @@ def _hessian(d: Array, q: Array, c: Array) -> Array:
 
 
 def _by_direction(K: Array, d: Array, q: Array, c: Array) -> Array:
-    """Derivatives by d of the contractions of matrices K with `_hessian`, (N, matrices, 3)."""
+    """Return the derivatives by d of the products of the matrices K with `_hessian`, (N, matrices, 3)."""
     rest = K - np.einsum("njii->nj", K)[..., None, None] * np.eye(3)
     tilt = 2 * _polar(K, q[:, None, :, None] * np.eye(3)) + q[:, None, :, None] * rest
     return np.einsum("njik,nk->nji", tilt, d) + np.einsum("njik,nk->nji", rest, q * d + c)
 
 
 def _linear(body: Body) -> Array:
-    """I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma of bodies, in units of a moment and a rate, (bodies, 27)."""
+    """Return I, k, Omega (2 I - tr I), and Q and c along alpha, beta and gamma, scaled by a moment and a rate, (bodies, 27)."""
     square = float((body.turn**2 + body.steepness() / body.inertia.min(-1)).max()) or 1.0
     I, rate = body.inertia, np.sqrt(square)
     alpha, gamma = body.amended()
@@ -287,7 +289,7 @@ def _linear(body: Body) -> Array:
 
 
 def _coefficients(body: Body, upright: bool, axis: int) -> Array:
-    """Q and c of bodies, (bodies, 2 n)."""
+    """Return Q and c of bodies, (bodies, 2 n)."""
     alpha, gamma = body.amended()
     if axis < 0:
         across = [alpha, body.beta] if body.beta.field.any() else [alpha]
@@ -301,11 +303,11 @@ def _coefficients(body: Body, upright: bool, axis: int) -> Array:
 
 
 class Degenerate(NamedTuple):
-    """Degenerate critical points of potentials: the unknowns (x, l, v, m, position, s), (N, 2 n + 2 m + 3), and equations."""
+    """Degenerate critical points of potentials, with the unknowns (x, l, v, m, position, s) of shape (N, 2 n + 2 m + 3)."""
 
     potential: Potential
     unknowns: Array
-    # BorderKind, (N,): on pitchforks s is unknown and x moves across v, on limits s is the square of the double exponent and v = m = 0.
+    # On pitchforks s is unknown and x moves across v. On limits of stability s is the square of the double exponent, and v = m = 0.
     kind: NDArray[np.int8]
 
     @property
@@ -315,12 +317,12 @@ class Degenerate(NamedTuple):
 
     @property
     def limit(self) -> Mask:
-        """Which points are limits of stability, without a change of the number of solutions."""
+        """Which points are limits of stability, where the number of solutions does not change."""
         return np.asarray(self.kind >= BorderKind.LIMIT_OF_STABILITY)
 
     @property
     def excess(self) -> Array:
-        """Size |s| of the artificial force along the null vector, 0 on curves, (N,)."""
+        """Size |s| of the artificial force along the null vector, which is 0 on curves."""
         return np.where(self.limit, 0.0, np.abs(self.unknowns[:, -1]))
 
     @property
@@ -332,23 +334,23 @@ class Degenerate(NamedTuple):
 
     @property
     def place(self) -> Array:
-        """x, position and s, in which distances and lengths of curves are measured, (N, n + 3)."""
+        """The unknowns (x, position, s) by which distances and lengths of curves are measured, (N, n + 3)."""
         return np.concatenate([self.unknowns[:, : self.potential.size], self.unknowns[:, -3:]], 1)
 
     @classmethod
     def joined(cls, parts: Sequence[Degenerate]) -> Degenerate:
-        """All points of several parts, one or more."""
+        """Join the points of one or more objects."""
         return cls(
             parts[0].potential,
             *(np.concatenate(each) for each in zip(*(part[1:] for part in parts), strict=True)),
         )
 
     def take(self, where: Any) -> Degenerate:
-        """Some of the points."""
+        """Return some of the points."""
         return Degenerate(self.potential, self.unknowns[where], self.kind[where])
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l), the derivatives by (x, l) of their product with (v, m), and `Potential.at` the positions."""
+        """Return the second derivatives in (x, l), the derivatives of their product with (v, m), and `Potential.at` the positions."""
         x, l, v, m, position, _ = self.parts
         forms, (N, n) = self.potential.forms, x.shape
         diagonal = self.potential.at(position)
@@ -362,7 +364,7 @@ class Degenerate(NamedTuple):
         return first, second, diagonal
 
     def equations(self) -> tuple[Array, Array]:
-        """Residuals, (N, 2 n + 2 m + 2), and their derivatives by the unknowns."""
+        """Return the residuals (N, 2 n + 2 m + 2) of the equations and the derivatives by the unknowns."""
         x, l, v, m, position, s = self.parts
         first, second, (now, *by) = self.matrices()
         N, n, size = len(x), x.shape[1], first.shape[1]
@@ -395,7 +397,7 @@ class Degenerate(NamedTuple):
         return residual, slopes
 
     def characteristic(self) -> tuple[Array, Array]:
-        """The characteristic polynomial P(s), P'(s) and P''(s), (N, 3), and the derivatives of P and P' by x and position."""
+        """Return the characteristic polynomial P(s), P'(s) and P''(s), and the derivatives of P and P' by x and position."""
         x, _, _, _, position, s = self.parts
         s = np.where(self.limit[:, None], s, 0.0)
         coefficients, slopes = self.potential.characteristic(x, position)
@@ -405,19 +407,19 @@ class Degenerate(NamedTuple):
         return values, np.einsum("dkni,nkj->ndj", powers[:2], slopes)
 
     def response(self) -> tuple[Array, Array, Array]:
-        """Second derivatives in (x, l); derivatives by both parameters of the gradient, (N, n, 2); and of the solutions (x, l)."""
+        """Return the second derivatives in (x, l), and the derivatives of the gradient and of the solutions (x, l) by both parameters."""
         first, _, (_, *by) = self.matrices()
         forces = np.stack([q * self.parts[0] + c for q, c in by], -1)
         right = np.concatenate([forces, np.zeros((len(first), first.shape[1] - forces.shape[1], 2))], 1)
         return first, forces, -_solved(first + 1e-13 * np.eye(first.shape[1]), right)
 
     def values_and_rates(self) -> tuple[Array, Array]:
-        """The characteristic polynomial at s, (N,), and its derivatives by both parameters along the solution, (N, 2)."""
+        """Return the characteristic polynomial at s and its derivatives by both parameters along the solution."""
         n, (*_, moved), (values, slopes) = self.potential.size, self.response(), self.characteristic()
         return values[:, 0], slopes[:, 0, n:] + np.einsum("ni,nif->nf", slopes[:, 0, :n], moved[:, :n])
 
     def margins(self) -> Array:
-        """Numbers that are all positive where all nonzero exponents are imaginary, (N, 4)."""
+        """Return numbers (N, 4) that are all positive where all exponents that are not 0 are imaginary."""
         x, _, _, _, position, _ = self.parts
         coefficients, _ = self.potential.characteristic(x, position)
         left_out = self.pitchfork | self.limit | (not self.potential.cyclic)
@@ -425,9 +427,9 @@ class Degenerate(NamedTuple):
         return np.where(self.limit[:, None], -self.largest_square()[:, None], margins)
 
     def stable_change(self) -> NDArray[np.int64]:
-        """Change of the number of stable solutions across curves whose margins are positive, (N,).
+        """Return how the number of stable solutions changes across curves with positive margins.
 
-        One of two merging solutions is stable. With a cyclic angle both are, and their exponents vanish at extrema of the momentum.
+        One of two merging solutions is stable. With a cyclic angle both are stable, and exponents vanish at extrema of the momentum.
         """
         change, fork = np.where(self.potential.cyclic & ~self.limit, 2, 1), self.pitchfork
         if self.potential.size == 3 and fork.any():
@@ -435,7 +437,7 @@ class Degenerate(NamedTuple):
         return change
 
     def _change_at_pitchforks(self) -> NDArray[np.int64]:
-        """Change of the number of stable solutions to the side of a pitchfork with more solutions, from one solution beside it, (N,)."""
+        """Return how the number of stable solutions changes across pitchforks, towards the side with more solutions."""
         _, _, toward = self.character()
         toward = toward / np.maximum(length(toward), np.finfo(float).tiny)[:, None]
         _, rates = self.values_and_rates()
@@ -456,7 +458,7 @@ class Degenerate(NamedTuple):
         return np.where((rates * toward).sum(1) > 0, 1, -1) + 2 * (values[:, 0] > 0)
 
     def largest_square(self) -> Array:
-        """Largest square of the exponents at limits of stability, apart from a pair that vanishes; -inf elsewhere, (N,)."""
+        """Return the largest square of the exponents at limits of stability without a pair that vanishes, and -inf elsewhere."""
         limits, result = self.take(self.limit), np.full(len(self.kind), -np.inf)
         x, _, _, _, position, s = limits.parts
         (_, first, second, third), s = self.potential.characteristic(x, position)[0].T, s[:, 0]
@@ -471,11 +473,11 @@ class Degenerate(NamedTuple):
         return np.asarray((np.abs(self.parts[4] - 0.5) < 0.5 + _EXACT).all(1))
 
     def moved(self, change: Array) -> Degenerate:
-        """Points after a change of the unknowns."""
+        """Return the points with the unknowns changed by `change`."""
         return self._replace(unknowns=self.unknowns + change)
 
     def nearest(self, iterations: int) -> tuple[Degenerate, Array]:
-        """The nearest points of curves by Newton's method with damped least squares, and the size of the last steps."""
+        """Find the nearest points of curves by Newton's method with damped least squares. Return also the size of the last steps."""
         size = 2 * np.array(self.potential.forms.shape[:2]).sum()
         n = self.potential.size
         weight = np.ones(size + 3)
@@ -494,9 +496,10 @@ class Degenerate(NamedTuple):
 
     @np.errstate(all="ignore")  # Newton's method diverges where these equations are singular
     def corrected(self, row: Array, iterations: int) -> tuple[Degenerate, Array, Array, Array]:
-        """Points of the curves in hyperplanes through these points with normals `row`, last steps, unit tangents, and orientations.
+        """Find the points of the curves in hyperplanes through these points with the normals `row`.
 
-        The orientation, the sign of the determinant of the equations with the row, changes along a curve only at crossings.
+        The results are the points, the size of the last steps, unit tangents, and orientations. The orientation is the sign of the
+        determinant of the equations with the row, which changes along a curve only at crossings.
         """
         points = self
         for _ in range(iterations):
@@ -511,11 +514,11 @@ class Degenerate(NamedTuple):
         return points, np.abs(change).max(1), tangent, np.linalg.slogdet(matrix)[0]
 
     def condition(self, rows: Array) -> Array:
-        """Condition numbers of the equations' derivatives with one more row from `rows`, (N,)."""
+        """Return the condition numbers of the derivatives of the equations, with one more row from `rows`."""
         return np.linalg.cond(np.concatenate([self.equations()[1], rows[:, None]], 1), 1)
 
     def onto_sides(self) -> tuple[Degenerate, Array]:
-        """Points of the curves on the sides of the box, from points beyond these sides, and the last steps."""
+        """Find points of the curves on the sides of the box, from points outside. Return also the size of the last steps."""
         nearest, row = np.clip(self.parts[4], 0, 1), np.zeros_like(self.unknowns)
         row[:, -3:-1] = np.sign(self.parts[4] - nearest)
         points = self._replace(unknowns=self.unknowns.copy())
@@ -528,12 +531,12 @@ class Degenerate(NamedTuple):
         return np.asarray((np.abs(self.equations()[0]).max(1) < _EXACT) & self.inside())
 
     def flat(self) -> Mask:
-        """Which pitchforks have no bifurcating solutions, because equilibria of one body form a line."""
+        """Whether a pitchfork has no bifurcating solutions, because equilibria of one body form a line."""
         _, (product, bend), _ = self.character()
         return np.asarray(self.pitchfork & (np.abs(bend) <= _EXACT * np.abs(product)))
 
     def regular(self) -> tuple[Degenerate, Array]:
-        """The points at which curves are regular, after more steps of Newton's method, and their unit tangents."""
+        """Refine the points by Newton's method. Return the points at which curves are regular, with unit tangents."""
         residual, slopes = self.equations()
         _, sizes, right = np.linalg.svd(slopes)
         good = sizes[:, -1] > _REGULAR * sizes[:, 0]
@@ -544,14 +547,14 @@ class Degenerate(NamedTuple):
         points.unknowns[beyond] = onto.unknowns
         good[beyond] = step < _EXACT
         good &= ~points.flat()
-        limits = np.flatnonzero(points.limit)  # Newton's method is fast at singular limits too
+        limits = np.flatnonzero(points.limit)  # Newton's method converges fast at singular limits too.
         sizes = np.linalg.svd(points.take(limits).equations()[1], compute_uv=False)
         good[limits] &= sizes[:, -1] > _REGULAR * sizes[:, 0]
         return points.take(good), tangent[good]
 
     @classmethod
     def near(cls, potential: Potential, x: Array, position: Array, solves: Mask, reach: float) -> Degenerate:
-        """Unknowns at critical points (not `solves`: near complex ones) where an eigenvalue vanishes within `reach`, to first order."""
+        """Return unknowns at critical points, real where `solves`. To first order an eigenvalue vanishes within `reach`."""
         n, (N, m) = potential.size, (len(x), len(potential.forms))
         now, *by = potential.at(position)
         B, onto = potential.constraints(x)
@@ -581,7 +584,7 @@ class Degenerate(NamedTuple):
 
     @classmethod
     def near_limits(cls, potential: Potential, x: Array, position: Array, reach: float) -> Degenerate:
-        """Unknowns at stable, or nearly stable, solutions that lose their stability at a limit within `reach`, to first order."""
+        """Return unknowns at nearly stable solutions whose distance from a limit of stability is below `reach` to first order."""
         now, *_ = potential.at(position)
         _, onto = potential.constraints(x)
         l = -np.einsum("nki,ni->nk", onto, now[0] * x + now[1])
@@ -600,16 +603,16 @@ class Degenerate(NamedTuple):
         return cls.joined(parts)
 
     def extremal_momenta(self) -> Degenerate:
-        """Unknowns beside degenerate solutions, where extrema of the momentum often are."""
+        """Return unknowns beside degenerate solutions, where extrema of the momentum often are."""
         x, l, v, m, position, s = self.parts
         kind = np.full(len(x), BorderKind.EXTREMAL_MOMENTUM, np.int8)
         sides = [np.concatenate([x + size * v, l, 0 * v, 0 * m, position, 0 * s], 1) for size in _ASIDE]
         return Degenerate.joined([Degenerate(self.potential, unknowns, kind) for unknowns in sides])
 
     def settled(self, reach: float) -> Degenerate:
-        """Points of curves in the box to which Newton's method converges from these points, at most `reach` away."""
+        """Return the points of curves in the box to which Newton's method converges within the distance `reach`."""
         points, step = self.nearest(_ITERATIONS)
-        beyond = np.flatnonzero(~points.inside())  # a curve may be inside in part
+        beyond = np.flatnonzero(~points.inside())  # part of the curve may be inside
         onto, step[beyond] = points.take(beyond).onto_sides()
         points.unknowns[beyond] = onto.unknowns
         near = step < _NEAR
@@ -627,18 +630,18 @@ class Degenerate(NamedTuple):
         return Degenerate.joined([others, forks.take(symmetric)])
 
     def force(self) -> Array:
-        """Derivatives of the gradient by both parameters along the null vector, (N, 2): 0 at pitchforks."""
+        """Return the derivatives of the gradient by both parameters along the null vector, which are 0 at pitchforks."""
         x, _, v, _, position, _ = self.parts
         _, *by = self.potential.at(position)
         return np.stack([(v * (q * x + c)).sum(1) for q, c in by], -1)
 
     def character(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """Number of negative eigenvalues beside the vanishing one, two functions with zeros at special points, (2, N), and a covector.
+        """Return the number of other negative eigenvalues, two functions with zeros at special points, and a covector.
 
-        The functions are: on folds the third derivative along the null vector, 0 at cusps, and 1; on pitchforks the product of the
-        other eigenvalues, and this times the fourth derivative; on limits of stability the second derivative of the characteristic
-        polynomial, 0 at cusps, and the product of the eigenvalues. The covector, (N, 2), points to the side of the curve with two
-        more solutions, or with one more stable solution.
+        On folds the functions (2, N) are the third derivative along the null vector, which is 0 at cusps, and 1. On pitchforks they
+        are the product of the other eigenvalues, and this product times the fourth derivative. On limits of stability they are the second
+        derivative of the characteristic polynomial, which is 0 at cusps, and the product of the eigenvalues. The covector (N, 2) points
+        to the side of the curve with two more solutions, or with one more stable solution.
         """
         x, _, v, m, position, _ = self.parts
         forms, n = self.potential.forms, x.shape[1]
@@ -676,7 +679,7 @@ class Degenerate(NamedTuple):
 
 
 def _extrema(coefficients: Array) -> Array:
-    """Real numbers at which polynomials of degree 2 or 3 have extrema, else nan, (N, 2)."""
+    """Return the real numbers at which polynomials of degree 2 or 3 have extrema, and nan where there are none, (N, 2)."""
     _, first, second, third = coefficients.T
     with np.errstate(all="ignore"):
         larger = -second - np.copysign(np.sqrt(second**2 - 3 * first * third), second)

@@ -1,4 +1,4 @@
-"""Points on the curves of degenerate critical points: by closed forms on spheres, else from all equilibria of some bodies."""
+"""Points on the curves of degenerate critical points, from closed forms on spheres, else from all equilibria of some bodies."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ...systems.gyrostat.secular import SecularEquation
 from .continuation import Curve, Segments, curves, with_turns, with_zeros
 from .singular import BorderKind, Degenerate, Potential
 
-# Number of lines along each axis and of samples on each line; size of the grid on which zeros of a component are traced.
+# `_LINES` lines along each axis have `_SAMPLES` samples each. Zeros of a component are traced on a grid of `_CONTOUR` points.
 _LINES, _SAMPLES, _CONTOUR = 3, 121, 81
-_ZERO = 1e-20  # replaces a component of c where it is 0; folds there are limits of other folds
-_ON_SPHERE = 8  # number of iterations of Newton's method
+_ZERO = 1e-20  # replaces a component of c that is 0, so that folds on its zeros are limits of other folds
+_ON_SPHERE = 8  # steps of Newton's method
 _ANY = np.array([0.31, 0.55, 0.77])  # an arbitrary direction
-CELLS = 13  # cells of the coarse grid along each axis: odd, since bodies in the middle are often symmetric
-_RIM = 0.004  # distance of the outermost lines from the border of the box, where bodies are often symmetric
-# The grid has one more line at this distance from the middle: between corners on both sides of a symmetry, mirrored curves cancel.
+CELLS = 13  # cells of the coarse grid along each axis; odd, because bodies in the middle are often symmetric
+_RIM = 0.004  # distance of the outermost lines from the sides of the box, where bodies are often symmetric
+# One more line of the grid has this distance from the middle, because mirrored curves cancel between symmetric corners.
 _BESIDE_MIDDLE = 5e-4
-REACH = 2.0  # distance from an equilibrium within which curves are sought, in cells
-# Number of further searches, of points on an interval in each search, and of divisions of a segment of a curve.
+REACH = 2.0  # distance in cells within which curves are sought from an equilibrium
+# Up to `_SEARCHES` more searches take `_BETWEEN` points on an interval. A segment of a curve has `_DIVISIONS` parts.
 _SEARCHES, _BETWEEN, _DIVISIONS = 2, 8, 4
 
 
@@ -45,7 +45,7 @@ class Cell(Flag):
 
 
 def on_sphere(potential: Potential) -> Degenerate:
-    """Points of all curves in the box, for x on a sphere or circle.
+    """Return points of all curves in the box, for x on a sphere or circle.
 
     With Q = d and c = b the solutions are -b / (d - L) for all L at which F(L) = sum b_i^2 / (d_i - L)^2 is 1. At a fold the minimum
     of F between two poles with b_i != 0 is 1. If a parameter moves one component of b alone, or scales d, every curve of folds
@@ -63,7 +63,7 @@ def on_sphere(potential: Potential) -> Degenerate:
     position, zero = np.concatenate([line for line, _ in lines]), np.array([i for _, i in lines])[owner]
 
     def levels(position: Array, zero: NDArray[np.int64]) -> tuple[Array, Array, Array, Array]:
-        """log F and L, (levels, N), at the minima between poles, then at the poles of absent components; d and b."""
+        """Return log F and L at the minima between poles and at the poles of absent components, (levels, N), and d and b."""
         d, b = np.moveaxis(potential.at(position)[0], -1, 1)
         b = np.where((zero == np.arange(n)[:, None]) | (np.abs(b) < _ZERO), _ZERO, b)
         b[absent] = 0.0
@@ -99,15 +99,16 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and numbers of solutions.
+    """Return unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and numbers.
 
-    The first include nearly real solutions. The numbers are of all and of stable solutions, (2, bodies), nan where not certain.
+    Nearly real solutions count as solutions that may be degenerate. The numbers (2, bodies) count all solutions and stable
+    solutions of each body. They are nan where the count is not certain.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])
     x, solves = potential.from_attitudes(alpha, listed["gamma"]), listed["index"] >= 0
     certain = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (potential.axis >= 0)
-    weight = 1 + (listed["circle"] & (potential.size == 2))  # a circle meets the plane of x twice
+    weight = 1 + (listed["circle"] & (potential.size == 2))  # Circles meet the plane of x twice.
     known = ~np.isnan(x[..., -1])
     if potential.mirrored:
         known &= x[..., :3] @ _ANY > 0
@@ -131,22 +132,22 @@ def near_solutions(
 def all_curves(
     system: Gyrostat, potential: Potential, points: Callable[[Array], Points], stability: bool
 ) -> tuple[list[Curve], Array, NDArray[np.int8]]:
-    """The curves of bodies over two parameters, the axis of a coarse grid, and a value of `Cell` for each of its cells.
+    """Return the curves of bodies over two parameters, the axis of a coarse grid, and a value of `Cell` for each of its cells.
 
-    stability: whether to find limits of stability too. Where the curves between two neighbouring corners do not explain the
-    change of the number of equilibria, or of stable ones, more curves are sought from points between the corners.
+    Limits of stability are found only with `stability`. Between two neighbouring corners of the grid the numbers of equilibria and
+    of stable equilibria change. If the curves do not explain this change, more curves are sought from points between the corners.
     """
     axis, reach = _RIM + (1 - 2 * _RIM) * np.arange(CELLS + 1) / CELLS, REACH / CELLS
     nodes = np.insert(axis, CELLS // 2 + 1, 0.5 + _BESIDE_MIDDLE) if stability else axis
     i, j = np.divmod(np.arange(nodes.size**2), nodes.size)
-    j = np.where(i % 2, nodes.size - 1 - j, j)  # a serpentine: successive bodies are similar
+    j = np.where(i % 2, nodes.size - 1 - j, j)  # The path is a serpentine: successive bodies are similar.
     numbers = np.empty((2, nodes.size, nodes.size))
     positions = nodes[np.stack([i, j], -1)]
     near, limits, numbers[:, i, j] = near_solutions(system, potential, points, positions, reach, stability)
     jumps = [np.diff(numbers, axis=along) for along in (1, 2)]
     seeds = near.settled(2 * reach) if potential.size >= 6 else on_sphere(potential)
     seeds = Degenerate.joined([seeds, limits.settled(2 * reach)])
-    # At the zeros of these functions the side of a curve with more solutions, or more stable ones, changes.
+    # At the zeros of these functions the side of a curve with more solutions, or with more stable solutions, changes.
     tests: list[Callable[[Degenerate], Array]] = [
         lambda points: points.character()[1][1],
         lambda points: np.where(points.pitchfork, 1.0, points.character()[1][0]),
@@ -159,7 +160,7 @@ def all_curves(
     for attempt in range(_SEARCHES + 1):
         lines = curves(*seeds.take(~seeds.limit).regular())
         if stability:
-            # Curves of extremal momentum end where the stable solutions at a pitchfork change, or run close to a curve.
+            # A curve of extremal momentum ends where the change of stable solutions across a pitchfork jumps, or runs close to it.
             lines, ends = with_zeros(
                 lines,
                 lambda points: np.where(points.pitchfork, np.abs(points.stable_change() - 1.0) - 1.0, 1.0),
@@ -203,28 +204,28 @@ def all_curves(
 
 
 def _margin(condition: int) -> Callable[[Degenerate], Array]:
-    """A function of points: the margin of one condition of stability."""
+    """Return a function of points that gives the margin of one condition of stability."""
     return lambda points: points.margins()[:, condition]
 
 
 def _crossing(points: Degenerate) -> Array:
-    """A function that vanishes where limits of stability cross, because the covector vanishes, or have cusps."""
+    """Return values that vanish where limits of stability have cusps, or cross each other because the covector vanishes."""
     _, (bend, _), covector = points.character()
     return np.where(points.limit, bend * (covector @ _ANY[:2]), 1.0)
 
 
 def cells_of(positions: Array, axis: Array) -> tuple[NDArray[np.int64], ...]:
-    """Indices of the cells of a grid that contain positions (N, 2), or are nearest to positions outside."""
+    """Return the indices of the grid cells that contain the positions (N, 2) or, for positions outside, are nearest."""
     return tuple(np.clip(np.searchsorted(axis, positions) - 1, 0, axis.size - 2).T)
 
 
 def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
-    """The lower Morse index of the solutions beside segments, and how many more solutions are left than right of the segments.
+    """Return the lower Morse index beside segments, and how many more solutions are on their left than on their right.
 
-    The latter numbers are of all and of stable solutions, (2, segments).
+    The differences (2, segments) are of the numbers of all solutions and of stable solutions.
     """
     middle = parts.cubic(np.full(parts.curve.size, 0.5))
-    fork = middle.pitchfork  # off the curve, solutions may seem to bifurcate to the wrong side
+    fork = middle.pitchfork  # Off the curve, solutions may seem to bifurcate to the wrong side.
     middle.unknowns[fork] = middle.take(fork).nearest(1)[0].unknowns
     index, _, covector = middle.character()
     chord = parts.end.parts[4] - parts.start.parts[4]
@@ -236,7 +237,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """How the numbers of all and of stable solutions change from each node of a grid to the next, as curves predict; one array for each axis."""
+    """Predict from curves how both numbers of equilibria change between nodes of a grid, in one array for each axis."""
     result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result
@@ -244,7 +245,7 @@ def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Ar
     _, left = sides(parts)
     shares = np.arange(_DIVISIONS + 1) / _DIVISIONS
     for start, end in pairwise(parts.cubic(np.full(parts.curve.size, share)).parts[4] for share in shares):
-        for along in (0, 1):  # direction of the intervals between neighbours
+        for along in (0, 1):  # axis along which the nodes are neighbours
             low, high = start[:, 1 - along], end[:, 1 - along]
             part, line = np.nonzero((low[:, None] > axis) != (high[:, None] > axis))
             share = (axis[line] - low[part]) / (high - low)[part]

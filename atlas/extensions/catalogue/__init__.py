@@ -1,4 +1,4 @@
-"""Tables of families of steady motions, and of papers held against the equations of motion."""
+"""Tables of families of steady motions, and of papers that are compared with the equations of motion."""
 
 from ...extension import Extension
 

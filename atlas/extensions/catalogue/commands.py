@@ -18,13 +18,13 @@ from ...errors import BadInput, say, text_table
 from ...files import atomic_write, writable
 
 OUT, FORCE = out_options("FILE", "the table as .csv, or as .tex for a paper")
-# Name of the first column of rows -> columns of the table for a paper, each with its heading.
+# A table for a paper has these columns and headings. The key is the name of the first column of the rows.
 PAPER = {
     "family": {"family": "family", "motion": "motion", "conditions": "conditions", "errata": "errata"},
     "equation": {"equation": "equation", "family": "family", "printed": "as printed", "true": "as true"},
     "source": {"source": "source", "quantity": "number", "printed": "printed", "ours": "ours"},
 }
-RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> heading
+RESIDUALS = {"residual_printed": "as printed", "residual_true": "as true"}  # column -> heading of a residual
 
 
 @command(
@@ -55,7 +55,7 @@ def print_conditions(options: argparse.Namespace) -> None:
 
     if options.published and options.family is not None:
         raise BadInput("--published: numbers of others belong to no family; leave out --family")
-    if options.errata in systems.names():  # conditions --errata SYSTEM
+    if options.errata in systems.names():  # for conditions --errata SYSTEM
         options.system, options.errata = options.errata, True
     out = options.out and writable(options.out, (".csv", ".tex"), force=options.force)
     system, number = systems.get(options.system), None
@@ -124,7 +124,7 @@ def print_conditions(options: argparse.Namespace) -> None:
 
 
 def _write_csv(rows: Sequence[Mapping[str, Any]], file: TextIO) -> None:
-    """Write rows as comma-separated values."""
+    """Write `rows` to `file` as comma-separated values."""
     writer = csv.DictWriter(file, rows[0] if rows else ["equation"], lineterminator="\n")
     writer.writeheader()
     writer.writerows(
@@ -134,13 +134,13 @@ def _write_csv(rows: Sequence[Mapping[str, Any]], file: TextIO) -> None:
 
 
 def _with_residuals(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row with residuals as texts of two digits, or a dash if no residual is measured."""
+    """Return a row with residuals as texts of two digits, or as a dash if no residual is measured."""
     texts = {name: "-" if row[name] is None else f"{row[name]:.1e}" for name in RESIDUALS if name in row}
     return {**row, **texts}
 
 
 def _print_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
-    """Print the given columns (name -> heading) of rows."""
+    """Print the `columns` (name -> heading) of `rows`."""
     cells = [[row[name] or "-" for name in columns] for row in map(_with_residuals, rows)]
     lines = [[" ".join(each) if isinstance(each, list) else each for each in row] for row in cells]
     say(*text_table([[*columns.values()], *lines]).split("\n"))

@@ -1,7 +1,7 @@
 """Equations of papers, as printed and as true, with their residuals in the equations of motion.
 
-Each paper is an extension. Its `equations.toml` contains the texts and, where possible, both readings as expressions. Its
-`MEASURES` map the number of an equation, or a key in its entry, to the function that measures the residual.
+Each paper is an extension. Its file `equations.toml` contains the texts of the equations and, where possible, both readings as
+expressions. Its `MEASURES` map the number of an equation, or a key of an entry in this file, to the function that measures it.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from ...systems.base import PublishedEquation, System
 
 Measure = Callable[[np.random.Generator], float]
 Entry = Mapping[str, Any]
-# (entry, reading, random generator) -> residual of the equation in the reading, "printed" or "true"
+# Such a function maps (entry, reading, generator) to the residual of the equation in the reading "printed" or "true".
 EntryMeasure = Callable[[Entry, str, np.random.Generator], float]
 
 TEXTS = ("number", "family", "printed", "true", "verdict", "measure", "effect")
-expression = cache(Expression)  # a few expressions are evaluated at many random points
+expression = cache(Expression)  # The same expressions are evaluated at many random points.
 
 
 def published_equations(system: System) -> Sequence[PublishedEquation]:
-    """Equations about a system from the papers of all extensions."""
+    """Return the equations about a system that the papers of all extensions print."""
     return [row for rows in extension.of_each("published", system.name) for row in rows]
 
 
 def published_numbers(system: System) -> list[dict[str, str]]:
-    """Rows of published numbers beside ours, from all extensions."""
+    """Return rows that compare the numbers published in all extensions with ours."""
     functions = extension.of_each("published_numbers", system.name)
     return [row for function in functions for row in function(system.name)]
 
 
 def load(package: str) -> tuple[dict[str, Any], dict[str, Entry]]:
-    """Content of the equations.toml in the package of a paper, and its equations by number."""
+    """Return the content of `equations.toml` in the package of a paper, and the entries of its equations by number."""
     content = tomllib.loads(resources.files(package).joinpath("equations.toml").read_text("utf-8"))
     return content, {entry["number"]: entry for entry in content["equation"]}
 
 
 def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callable[[str], Any]) -> Any:
-    """Sum of `value` over the terms of an equation in a reading; for terms given as an equation's number, over its true terms."""
+    """Return the sum of `value` over the terms of a reading. If this names an equation, the true terms of the equation count."""
     terms = entry.get(f"terms_{reading}") or entry["terms_true"]
     return sum(map(value, entries[terms]["terms_true"] if isinstance(terms, str) else terms))
 
@@ -53,7 +53,7 @@ def side(entry: Entry, reading: str, entries: Mapping[str, Entry], value: Callab
 def rows(
     content: Mapping[str, Any], measures: Mapping[str, EntryMeasure | None]
 ) -> tuple[PublishedEquation, ...]:
-    """Rows of the catalogue of a paper; measures: equation or key -> function, None if the extension named by the key is missing."""
+    """Return the catalogue of a paper. `measures` maps numbers or keys to functions, or to None if an extension is missing."""
     made = []
     for entry in content["equation"]:
         key = next((key for key in measures if key == entry["number"] or key in entry), "")

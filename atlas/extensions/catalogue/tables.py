@@ -20,8 +20,8 @@ from .papers import Measure, published_equations
 if TYPE_CHECKING:
     import pandas as pd
 
-TRUE = "true"  # verdict on an equation without erratum
-N_SAMPLES = 5  # number of random parameter sets (seeds 0, 1, ...) for each largest residual
+TRUE = "true"  # verdict on an equation that is printed without error
+N_SAMPLES = 5  # Residuals are maxima over this number of random parameter sets, with the seeds 0, 1, ...
 
 
 @typed
@@ -35,22 +35,22 @@ def conditions(system: str, family: str | None = None, errata: bool = False) -> 
     family : str, optional
         Name of the only family in the table.
     errata : bool, optional
-        Table of the equations that are misprinted in papers, instead of families.
+        Whether the table lists the misprinted equations of papers instead of families.
 
     Returns
     -------
     pandas.DataFrame
-        Indexed by `family`, with the columns of ``atlas conditions SYSTEM --csv``; a cell with several texts is a list. The column
-        `errata` lists the numbers of misprinted equations; the table of errata is indexed by these numbers. `residual_printed`
-        and `residual_true` are the largest residuals of the printed and the corrected equations in the equations of motion, at
-        random parameters.
+        Table with the columns of ``atlas conditions SYSTEM --csv``. Families are indexed by `family`, and the column `errata` lists
+        the numbers of their misprinted equations. Errata are indexed by these numbers. A cell with several texts is a list.
+        The columns `residual_printed` and `residual_true` contain the largest residuals of the printed and of the corrected
+        equations in the equations of motion, at random parameters.
 
     Raises
     ------
     BadInput
         For an unknown system or family.
     """
-    import pandas as pd  # slow to import
+    import pandas as pd  # Pandas is slow to import.
 
     described, key = systems.get(system), "equation" if errata else "family"
     rows = published(described, family, True) if errata else families(described, family)
@@ -58,7 +58,7 @@ def conditions(system: str, family: str | None = None, errata: bool = False) -> 
 
 
 def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
-    """Rows about families of exact steady motions, with the largest residuals of published equations."""
+    """Return rows about families of exact steady motions, with the largest residuals of published equations."""
     every = families_of(system)
     if name is not None and name not in every:
         raise BadInput(f"family {name}: unknown; {unknown_family(name, every)}")
@@ -95,7 +95,7 @@ def families(system: System, name: str | None = None) -> list[dict[str, Any]]:
 def published(
     system: System, family: str | None = None, errata: bool = False, number: str | None = None
 ) -> list[dict[str, Any]]:
-    """Rows about published equations of a system, printed and true; errata: only wrong ones; number: only this equation."""
+    """Return rows about published equations. `errata` chooses the wrong equations, and `number` chooses one equation."""
     every = equations = published_equations(system)
     if number is not None:
         every = [row for row in equations if re.search(rf"(?<![\w']){re.escape(number)}(?!\d)", row.number)]
@@ -119,7 +119,7 @@ def published(
 
 
 def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]:
-    """Largest residuals of the printed and the true equations, None if no residual is measured."""
+    """Return the largest residuals of the printed and of the true equations, or None if no residual is measured."""
     maxima = {}
     for key in ("residual_printed", "residual_true"):
         residuals = [measure for row in rows if (measure := getattr(row, key)) is not None]
@@ -128,7 +128,7 @@ def _max_residuals(rows: Iterable[PublishedEquation]) -> dict[str, float | None]
     return maxima
 
 
-@cache  # several tables contain the same residual
+@cache  # Several tables contain the same residual.
 def residual(measure: Measure, seed: int) -> float:
-    """The residual of an equation at random parameters from a seed."""
+    """Return the residual of an equation at random parameters from a seed."""
     return measure(np.random.default_rng(seed))

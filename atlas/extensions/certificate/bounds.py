@@ -1,4 +1,4 @@
-"""Bounds of a motion for all time and the label that follows from them: scalar functions, compiled by `theory.compiled`."""
+"""Bounds of a motion for all time, and the label that follows. `theory.compiled` compiles these scalar functions."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ...theory.point import Vector, larger, smaller
 
 BOUND = "proof_bound"
 PROOFS_OF = {"label": "label_proof", "label_inertial": "label_inertial_proof"}
-KEPT = 1e-9  # safety margin, as a fraction of a tolerance
-# In `reach`: halvings of the limit that bracket the distance, then bisections of the bracket.
+KEPT = 1e-9  # safety margin of comparisons, as a fraction of a tolerance
+# `reach` doubles a distance up to `DOWN` times to find a bracket below the limit, and bisects the bracket `WITHIN` times.
 DOWN, WITHIN = 40, 34
 
 
@@ -28,14 +28,14 @@ class Proof(Flag):
 
 
 class Direction(NamedTuple):
-    """Gradient and field of the potential along a direction at rest in the frame, as in `gyrostat.body.Direction`."""
+    """Gradient and field of the potential along a direction at rest in the frame, see `gyrostat.body.Direction`."""
 
     gradient: float
     field: Vector
 
 
 class GyrostatBody(NamedTuple):
-    """A gyrostat and the potential in its frame, as in `gyrostat.body.Body`, in numbers instead of arrays."""
+    """A gyrostat and the potential in its frame, as numbers. `gyrostat.body.Body` contains the same as arrays."""
 
     inertia: Vector
     rotor: Vector
@@ -54,11 +54,11 @@ class Tolerances(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Limits of theta and of the rates for all time; nan where nothing is known."""
+    """Limits of theta and of the rates for all time, nan where nothing is known."""
 
     least_sine: float
     largest_sine: float
-    theta_dot: float  # largest magnitude
+    theta_dot: float  # limit of the magnitude
     psi_dot: float  # centre of the range
     psi_width: float  # half the width of the range
     phi_dot: float
@@ -67,7 +67,7 @@ class Bounds(NamedTuple):
 
 
 def unknown():
-    """No bounds."""
+    """Return bounds that say nothing."""
     return Bounds(np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan, np.nan)
 
 
@@ -80,7 +80,7 @@ def is_away(bounds, tolerances):
 
 
 def largest_deviation(bounds, tolerances):
-    """Bound of the deviation of every rate, half the width of its range; nan where no label follows."""
+    """Return half the width of the widest range of a rate, or nan where no label follows."""
     if is_inside(bounds, tolerances):
         return bounds.normal_rate
     if is_away(bounds, tolerances):
@@ -89,7 +89,7 @@ def largest_deviation(bounds, tolerances):
 
 
 def label_of(bounds, deviation, tolerances, frame_rate):
-    """The label for every duration, 0 if none follows; the mean of a rate lies in the range of the rate."""
+    """Return the label for every duration, or 0 if none follows. The mean of a rate lies in the range of the rate."""
     rate = tolerances.rate * (1 - KEPT)
     if not deviation <= rate:
         return Label.NOT_COMPUTED
@@ -109,9 +109,9 @@ def value_at(coefficients, distance):
 
 
 def reach(coefficients, limit, start):
-    """A distance that no motion passes, in (start, limit], where the polynomial is negative; nan if none is found.
+    """Return a distance in (start, limit] where the polynomial with `coefficients`, lowest degree first, is negative.
 
-    coefficients: in ascending order of degree.
+    No motion passes such a distance. The result is nan if none is found.
     """
     if not limit > start:
         return np.nan
@@ -129,7 +129,7 @@ def reach(coefficients, limit, start):
 
 
 def sine_range(theta, angle):
-    """Least and largest sine of the angles between theta - angle and theta + angle."""
+    """Return the least and the largest sine of the angles between theta - angle and theta + angle."""
     low, high = theta - angle, theta + angle
     first, second = np.sin(larger(low, 0.0)), np.sin(smaller(high, np.pi))
     least = smaller(first, second) if low > 0 and high < np.pi else np.float64(0.0)

@@ -1,9 +1,9 @@
 """Wells of an energy, which hold a motion near a minimum for all time.
 
-In a frame that turns at the rate n about the vertical, J = u.I u / 2 + W is constant, or falls with damping, where u is the
-angular velocity relative to the frame. So where W >= W* along the motion, u.I u <= 2 (J - W*). A symmetric satellite without
-damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis. `size` is the sum of the magnitudes of
-the terms of the second derivatives of W; rounding errors are relative to this size.
+Consider a frame that turns at the rate n about the vertical, and the angular velocity u relative to this frame. The energy
+J = u.I u / 2 + W is constant, or falls with damping. If W >= W* along the motion, then u.I u <= 2 (J - W*). A symmetric
+satellite without damping also keeps S = C w3 + k3, and the energy A u_perp^2 / 2 + W_S of its third axis. `size` is the sum
+of the magnitudes of the terms in the second derivatives of W. Rounding errors are relative to `size`.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from ...theory.point import (
 )
 from .bounds import Bounds, Direction, reach, sine_range, unknown
 
-STEPS = 5  # steps of Newton's method; if they do not reach a minimum, nothing is proved
-FLAT = 1e-6  # least eigenvalue of the Hessian / `size`; below it Newton's method takes a gradient step
-EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient of W, divided by `size`
-TINY = 2.0**-1022  # makes a Hessian of zeros invertible
-SWEEPS = 6  # sweeps of Jacobi's method
+STEPS = 5  # Nothing is proved if this number of steps of Newton's method does not reach a minimum.
+FLAT = 1e-6  # Newton's method takes a gradient step if an eigenvalue is below this fraction of the size.
+EIGENVALUE, GRADIENT = 1e-13, 1e-14  # rounding errors of eigenvalues and gradient, divided by `size`
+TINY = 2.0**-1022  # added to the diagonal of a Hessian, which may be 0, to make the Hessian invertible
+SWEEPS = 6  # largest number of sweeps of Jacobi's method
 
 
 def in_space(body, w, gamma):
-    """Bounds of a body about a fixed point near a rotation about the vertical; the frame's rate n is free, but 0 with damping."""
+    """Return bounds of a body about a fixed point near a rotation about the vertical. With damping the frame is at rest."""
     inertia, rotor, z = body.inertia, body.rotor, gamma
     momentum = dot(plus(times(inertia, w), rotor), z)
     n = dot(times(inertia, w), z) / dot(times(inertia, z), z)
@@ -48,7 +48,7 @@ def in_space(body, w, gamma):
             n = 0.0
         Q, c = scaled(body.gamma.gradient - n**2, inertia), minus(body.gamma.field, scaled(n, rotor))
         z = minimum(Q, c, z)
-        if step < 2:  # J - W* is least for the n at which the minimum has the momentum of the start
+        if step < 2:  # J - W* is least for the n at which the minimum has the momentum of the start.
             slope = plus(times(scaled(2 * n, inertia), z), rotor)
             change = dot(times(inertia, z), z) + dot(slope, solved(Q, c, z, slope))
             n = n + (momentum - dot(plus(times(scaled(n, inertia), z), rotor), z)) / change
@@ -61,7 +61,7 @@ def in_space(body, w, gamma):
 
 
 def symmetric(body, w, alpha, gamma):
-    """Bounds of a symmetric body in a frame of two directions, from the energy of its third axis at the S of the start."""
+    """Return bounds of a symmetric body in a frame of two directions, from the energy of its third axis."""
     A, _, C = body.inertia
     turn, w3, k3 = body.turn, w[2], body.rotor[2]
     start = alpha[2], cross(gamma, alpha)[2], gamma[2]
@@ -84,7 +84,7 @@ def symmetric(body, w, alpha, gamma):
 
 
 def upright(body, w, alpha, gamma):
-    """Bounds near theta = 0 or pi if rotor and fields are along the third axis: W - W* >= a x - b x^2 / 2, x = 1 - |cos(theta)|."""
+    """Return bounds near theta = 0 or pi, from W - W* >= a x - b x^2 / 2 with x = 1 - |cos(theta)|, for an axial rotor and field."""
     radius, normal = amended(body)
     across = length(radius.field) + length(body.beta.field) + np.hypot(normal.field[0], normal.field[1])
     if across + np.hypot(body.rotor[0], body.rotor[1]) > 0:
@@ -104,11 +104,11 @@ def upright(body, w, alpha, gamma):
 
 
 def attitude(body, w, alpha, gamma):
-    """Bounds near any minimum of W in a frame of two directions: W - W* >= l d^2 / 2 - M d^3 / 6 - g d after a turn by d."""
+    """Return bounds near any minimum of W, from W - W* >= l d^2 / 2 - M d^3 / 6 - g d after a turn by the angle d."""
     radius, normal = amended(body)
     a, b, g = alpha, cross(gamma, alpha), gamma
     spread = greatest(body.inertia) - smallest(body.inertia)
-    # Added to the Hessian's diagonal, to keep the Hessian invertible also without torque.
+    # This number on the diagonal keeps the Hessian invertible without torque.
     drag = length(body.beta.field)
     regular = GRADIENT * (size_of(radius, spread) + size_of(normal, spread) + drag) + TINY
     for _ in range(STEPS):
@@ -124,7 +124,7 @@ def attitude(body, w, alpha, gamma):
     if not least > 0:
         return unknown()
     slope = length(torque(body, a, g)) + GRADIENT * size
-    third = (1 + 17**0.5 / 4) * spread  # bound of the third derivative of v.I v / 2
+    third = (1 + 17**0.5 / 4) * spread  # This is a bound of the third derivative of v.I v / 2.
     M = size_of(radius, third) + size_of(normal, third) + drag + GRADIENT * size
     limit = smaller(np.pi, (least + np.sqrt(least**2 - 2 * M * slope)) / M)
     offsets = minus(a, alpha), minus(b, cross(gamma, alpha)), minus(g, gamma)
@@ -141,12 +141,12 @@ def amended(body):
 
 
 def size_of(direction, moment):
-    """Sum of the magnitudes of the terms in the second derivatives of a direction's potential."""
+    """Return the sum of the magnitudes of the terms in the second derivatives of the potential along a direction."""
     return moment * abs(direction.gradient) + length(direction.field)
 
 
 def torque(body, a, g):
-    """Gradient of W under rotations."""
+    """Return the gradient of W under rotations."""
     radius, normal = amended(body)
     first = cross(plus(times(scaled(radius.gradient, body.inertia), a), radius.field), a)
     first = plus(first, cross(body.beta.field, cross(g, a)))
@@ -154,7 +154,7 @@ def torque(body, a, g):
 
 
 def hessian(body, a, g):
-    """Symmetric part of the Hessian of W: its diagonal, then its entries yz, zx, xy."""
+    """Return the diagonal of the symmetric part of the Hessian of W, and the entries yz, zx and xy."""
     radius, normal = amended(body)
     diagonal, mixed = hessian_of(body.inertia, radius, a)
     for direction, v in ((body.beta, cross(g, a)), (normal, g)):
@@ -175,7 +175,7 @@ def hessian_of(inertia, direction, v):
 
 
 def square_of(inertia, w, turn, components):
-    """Upper bound of u.I u, u = w - turn, which includes the rounding errors of u."""
+    """Return an upper bound of u.I u for u = w - turn. The bound includes the rounding errors of u."""
     square = 0.0
     for i in range(components):
         square += inertia[i] * (abs(w[i] - turn[i]) + TERM_ROUNDING * (abs(w[i]) + abs(turn[i]))) ** 2
@@ -183,7 +183,7 @@ def square_of(inertia, w, turn, components):
 
 
 def excess(body, w, alpha, gamma, a, g):
-    """Upper bound of J - W(a, g), rounding errors included, and `size`."""
+    """Return an upper bound of J - W(a, g), with rounding errors included, and `size`."""
     radius, normal = amended(body)
     energy = 0.5 * square_of(body.inertia, w, scaled(body.turn, gamma), 3)
     energy = energy + difference(body, radius, alpha, a) + difference(body, normal, gamma, g)
@@ -201,7 +201,7 @@ def difference(body, direction, start, v):
 
 
 def rigid(body, theta, angle, square, n):
-    """Bounds of a body that stays within `angle` of theta, with u.I u <= square in the frame that turns at the rate n."""
+    """Return bounds of a body that stays within `angle` of theta. Its u.I u <= `square` in the frame with the rate n."""
     if angle != angle:
         return unknown()
     least, largest = sine_range(theta, angle)
@@ -213,10 +213,10 @@ def rigid(body, theta, angle, square, n):
 
 
 def on_sphere(Q, c, start, z, square, size):
-    """Theta at a minimum z of W = z.Q z / 2 + c.z, |z| = 1, and bounds of the angle from z and of u.I u for all time.
+    """Return theta at a minimum z of W on the unit sphere, and bounds of the angle from z and of u.I u for all time.
 
-    With Q z + c = L z, W(x) - W(z) = (x - z).(Q - L)(x - z) / 2 exactly. Where Q - L is positive the whole sphere is the well; else
-    a polynomial in the distance r = |x - z| bounds W from below. square: u.I u at the start.
+    W(x) is x.Q x / 2 + c.x, and `square` is u.I u at the start. If Q z + c = L z, then W(x) - W(z) = (x - z).(Q - L)(x - z) / 2
+    exactly. If Q - L is positive, the whole sphere is the well. Otherwise a polynomial in r = |x - z| bounds W from below.
     """
     curved, offset = times(Q, z), minus(start, z)
     slope = plus(curved, c)
@@ -242,7 +242,7 @@ def on_sphere(Q, c, start, z, square, size):
 
 
 def minimum(Q, c, z):
-    """The minimum of z.Q z / 2 + c.z on the sphere that Newton's method reaches from z."""
+    """Return the minimum of z.Q z / 2 + c.z on the unit sphere that Newton's method reaches from z."""
     for _ in range(STEPS):
         step = solved(Q, c, z, plus(times(Q, z), c))
         z = minus(z, divided(step, larger(1.0, length(step))))
@@ -251,7 +251,7 @@ def minimum(Q, c, z):
 
 
 def solved(Q, c, z, vector):
-    """The inverse Hessian on the sphere times a vector; a Hessian that is not positive is replaced by size times the identity."""
+    """Multiply a vector by the inverse Hessian on the sphere. `size` times the identity replaces a Hessian that is not positive."""
     first, second = across_axes(z)
     v1, v2 = dot(first, vector), dot(second, vector)
     size = greatest(magnitude(Q)) + length(c)
@@ -263,7 +263,7 @@ def solved(Q, c, z, vector):
 
 
 def across_axes(z):
-    """Two unit vectors that are normal to each other and to z."""
+    """Return two unit vectors that are normal to each other and to z."""
     x, y, t = magnitude(z)
     if x <= y and x <= t:
         first = 0.0, z[2], -z[1]
@@ -276,19 +276,19 @@ def across_axes(z):
 
 
 def second_form(M, first, second):
-    """Entries of the diagonal matrix M in the plane of two axes, and its smaller eigenvalue there."""
+    """Return the entries of a quadratic form, with the diagonal M, in the plane of two axes, and the smaller eigenvalue there."""
     a, b, d = dot(times(M, first), first), dot(times(M, first), second), dot(times(M, second), second)
     return a, b, d, 0.5 * (a + d) - np.hypot(0.5 * (a - d), b)
 
 
 def rotated(v, xi):
-    """Body components of a vector at rest in the frame after the body turned by the rotation vector xi."""
+    """Return the body components of a vector at rest in the frame after the body has turned by the rotation vector xi."""
     angle = length(xi)
     return rotate(v, unit(xi, xi), np.cos(angle), -np.sin(angle))
 
 
 def solved3(diagonal, mixed, vector):
-    """The solution of a symmetric system of three equations; nan where it is singular."""
+    """Solve a symmetric system of three equations. The solution is nan where the matrix is singular."""
     (a, b, c), (f, g, h) = diagonal, mixed
     x, y, z = (a, h, g), (h, b, f), (g, f, c)
     first, second, third = cross(y, z), cross(z, x), cross(x, y)
@@ -296,7 +296,7 @@ def solved3(diagonal, mixed, vector):
 
 
 def least_eigenvalue(diagonal, mixed):
-    """The smallest eigenvalue of a symmetric matrix, by Jacobi's rotations."""
+    """Return the smallest eigenvalue of a symmetric matrix, found by Jacobi's rotations."""
     (a, b, c), (f, g, h) = diagonal, mixed
     size = abs(a) + abs(b) + abs(c) + abs(f) + abs(g) + abs(h)
     for _ in range(SWEEPS):
@@ -309,7 +309,7 @@ def least_eigenvalue(diagonal, mixed):
 
 
 def jacobi(a, b, h, g, f):
-    """Jacobi rotation that makes h, the entry between the diagonal entries a and b, 0; g, f: their entries with the third axis."""
+    """Apply the Jacobi rotation that makes h 0, the entry between the diagonal entries a and b. The other two entries are g and f."""
     if h == 0:
         return a, b, h, g, f
     ratio = (b - a) / (2 * h)

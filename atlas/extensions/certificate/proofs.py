@@ -1,4 +1,4 @@
-"""The instrument of labels that are proved for every duration, from starts and tolerances alone."""
+"""The instrument that proves labels for every duration, from starts and tolerances alone."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Proofs(Instrument):
     def proofs(
         self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
     ) -> dict[str, NDArray[Any]]:
-        from .rules import prove_points  # only scenes that ask for proofs import it
+        from .rules import prove_points  # Only scenes that ask for proofs need this module.
 
         assert isinstance(system, Gyrostat)
         return prove_points(system, points, tolerances, in_machine_code)

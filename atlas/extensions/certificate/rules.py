@@ -1,4 +1,4 @@
-"""Rules that may prove the label of one start, momenta before the energy, and the loop over many starts."""
+"""Rules that may prove the label of one start, and the loop over many starts. Momenta are tried before the energy."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from .top import top
 
 
 class LabelProofs(NamedTuple):
-    """Labels proved for every duration and their kinds of proof, in the system's frame and in inertial space."""
+    """Labels that are proved for every duration, and their kinds of proof, in the system's frame and in inertial space."""
 
-    kind: int  # value of Proof
-    label: int  # 0 where none is proved
+    kind: int  # value of `Proof`
+    label: int  # 0 if no label is proved
     inertial_kind: int
     inertial_label: int
-    bound: float  # limit of the deviation of a rate
+    bound: float  # limit of the deviations of the rates
 
 
 def prove_in_space(body, w, gamma, is_axial, tolerances):
-    """Proofs for a body about a fixed point."""
+    """Return what can be proved for a body about a fixed point."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if body.turn != 0:
         return proofs
@@ -42,10 +42,10 @@ def prove_in_space(body, w, gamma, is_axial, tolerances):
 
 
 def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
-    """Proofs for a body in a frame of two directions."""
+    """Return what can be proved for a body in a frame of two directions."""
     proofs = LabelProofs(Proof.NONE, 0, Proof.NONE, 0, np.nan)
     if is_axial:
-        # The other rules need an isolated minimum; here the energy does not change with a turn about the axis.
+        # The energy does not change with a turn about the axis, but the other rules need an isolated minimum.
         bounds = symmetric(body, w, alpha, gamma)
         return with_bounds(proofs, Proof.ENERGY, bounds, frame_rate, tolerances)
     if not (body.damping >= 0 and is_slow(body, w, scaled(body.turn, gamma), tolerances)):
@@ -57,13 +57,13 @@ def prove_in_frame(body, w, alpha, gamma, is_axial, frame_rate, tolerances):
 
 
 def is_slow(body, w, turn, tolerances):
-    """Whether the rates at the start allow limits within the tolerance, because limits of rates hold at the start too."""
+    """Whether the rates at the start are within the tolerance, as limits of the rates for all time require."""
     u = minus(w, turn)
     return dot(times(body.inertia, u), u) <= greatest(body.inertia) * tolerances.rate**2
 
 
 def with_bounds(proofs, kind, bounds, frame_rate, tolerances):
-    """The proofs, completed by the bounds of one more rule; the first proof of a label counts."""
+    """Add to `proofs` what the bounds of one more rule prove. The first proof of a label counts."""
     deviation = largest_deviation(bounds, tolerances)
     label = label_of(bounds, deviation, tolerances, 0.0)
     inertial = label_of(bounds, deviation, tolerances, frame_rate)
@@ -76,7 +76,7 @@ def with_bounds(proofs, kind, bounds, frame_rate, tolerances):
 
 
 class Bodies(NamedTuple):
-    """Bodies and states at the starts of runs, see GyrostatBody; vectors are arrays (3, points)."""
+    """Bodies, as in `GyrostatBody`, and states at the starts of runs. Vectors are arrays (3, points)."""
 
     w: Array
     alpha: Array
@@ -86,7 +86,7 @@ class Bodies(NamedTuple):
     radial_field: Array
     velocity_field: Array
     normal_field: Array
-    turn: Array  # (points,), as the arrays below
+    turn: Array  # This array and the next ones have the shape (points,).
     radial_gradient: Array
     normal_gradient: Array
     damping: Array
@@ -114,7 +114,7 @@ def load(block, i):
 
 
 def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bound):
-    """Write the proofs of every start into kinds, labels and bound; single: whether the frame has one direction."""
+    """Write the proofs of every start into `kinds`, `labels` and `bound`. The frame has one direction if `single`."""
     for i in range(bound.size):
         w, alpha, gamma = load(bodies.w, i), load(bodies.alpha, i), load(bodies.gamma, i)
         body = body_at(bodies, i)
@@ -131,7 +131,7 @@ def prove_all(bodies, axial, frame_rate, single, rate, angle, kinds, labels, bou
 def prove_points(
     system: Gyrostat, points: Points, tolerances: instrument.Tolerances, in_machine_code: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """Variables of the instrument, and proved labels (0 if none) under the names of predicted labels, (points,)."""
+    """Return the variables of the instrument, and proved labels under the names of predicted labels. 0 means no proof."""
     bodies, one = Bodies.of(system, points), np.ones(shape_of(points))
     names = ["label"] if system.frame_rate is None else ["label", "label_inertial"]
     frame_rate = one if system.frame_rate is None else system.frame_rate(points) * one

@@ -1,8 +1,8 @@
 """The symmetric top about a fixed point, whose two momenta leave one degree of freedom.
 
-With S = C r + l3, K the momentum about the vertical and x = cos(theta), (A x')^2 = f(x) for a polynomial f of degree 4. So x
-stays where f >= 0 about its start x0, and psi', phi' and the rate about the vertical are functions of x alone. f in powers of
-x - x0 has no cancellation near the start.
+Let S = C r + l3, K be the momentum about the vertical, and x = cos(theta). Then (A x')^2 = f(x) for a polynomial f of degree 4,
+and x stays in the interval about its start x0 where f >= 0. Rates psi', phi' and the rate about the vertical are functions of x
+alone. In powers of x - x0 the polynomial has no cancellation near the start.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from .bounds import Bounds, is_away, is_inside, reach
 
 
 def top(body, w, gamma, tolerances):
-    """Bounds of a body with A = B, and rotor and field along its third axis, without damping."""
+    """Return bounds of a body with A = B and no damping, if rotor and field are along its third axis."""
     A, _, C = body.inertia
     p, q, r = w
     g1, g2, x0 = gamma
     sine2 = g1**2 + g2**2
-    # The potential is V(x0) + v1 y + v2 y^2, y = x - x0; a = A psi' sin^2 at the start.
+    # The potential is V(x0) + v1 y + v2 y^2 with y = x - x0, and a is A psi' sin^2 at the start.
     v2 = 0.5 * body.gamma.gradient * (C - A)
     v1 = body.gamma.field[2] + 2 * v2 * x0
     S, a, e = C * r + body.rotor[2], A * (p * g1 + q * g2), A**2 * (p**2 + q**2)
-    # Rounding errors are relative to the terms of the sums S and v1; the spin r is m + n cos(theta).
+    # Rounding errors are relative to the terms of S and v1, because the spin r is the sum m + n cos(theta).
     across = np.sqrt(e * sine2)
     spin = across / (A * sine2) if sine2 > 0 else 0.0
     S_size = abs(C * r) + C * spin + abs(body.rotor[2])
@@ -55,10 +55,10 @@ def top(body, w, gamma, tolerances):
     bounds = Bounds(least_sine, largest_sine, np.nan, np.nan, np.nan, np.nan, np.nan, normal_rate)
     if is_inside(bounds, tolerances) or not is_away(bounds, tolerances):
         return bounds
-    # f(y) <= (y - low) (high - y) times minus the second divided difference of f at y, low and high.
+    # f(y) is at most (y - low) (high - y) times minus the second divided difference of f at y, low and high.
     bent = -f2 + 3 * abs(f3) * farthest + 6 * abs(f4) * farthest**2 + errors[2]
     theta_dot = half * np.sqrt(larger(bent, 0.0) / least) / A
-    # psi' = (K - S x) / (A sin^2) and x psi' are extreme at the ends or where their derivatives vanish.
+    # Extrema of psi' = (K - S x) / (A sin^2) and of x psi' are at the ends, or where the derivatives vanish.
     K, n = a + S * x0, a / (A * sine2)
     constants = a, S, A, sine2, x0, low, high
     psi_least, psi_largest = phi_least, phi_largest = np.inf, -np.inf
@@ -76,7 +76,7 @@ def top(body, w, gamma, tolerances):
 
 
 def top_end(f, errors, sine2, x0, sign):
-    """Bound of the change of cos(theta) in the direction `sign`."""
+    """Return a bound of the change of cos(theta) in the direction `sign`."""
     limit = sine2 / (1 + abs(x0)) if sign * x0 > 0 else 1 + abs(x0)
     sided = (
         f[0] + errors[0], sign * f[1] + errors[1], f[2] + errors[2], sign * f[3] + errors[3], f[4] + errors[4],
@@ -86,7 +86,7 @@ def top_end(f, errors, sine2, x0, sign):
 
 
 def change_of_psi(which, over, other, constants):
-    """A candidate y for an extremum of psi' or x psi' (an end, or a zero of the derivative), and the change of psi' at y."""
+    """Return a y that may be an extremum of psi' or x psi', an end or a zero of the derivative, and the change of psi' at y."""
     a, S, A, sine2, x0, low, high = constants
     y = low if which == 0 else high
     if which > 1:

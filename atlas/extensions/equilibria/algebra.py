@@ -18,15 +18,16 @@ from ...systems.gyrostat.secular import NEARLY, critical_directions
 from ...systems.gyrostat.system import FREQUENCIES, stability_kind
 from . import homotopy
 
-_STARTS = 200  # orientations from which the search begins
-# Bounds of eigenvalues of the Hessian / its scale. Below them, in this order: two mean a surface of equilibria; an equilibrium is
-# degenerate; rounding decides the sign; on circles, rounding decides the number; Newton's method may miss equilibria.
+_STARTS = 200  # number of random orientations from which the first search begins
+# Eigenvalues of the Hessian are compared with fractions of `_scale`. Two below `_FLAT` mean a surface of equilibria. One below
+# `_DEGENERATE` means a degenerate equilibrium. Below `_UNCERTAIN` rounding decides the sign, below `_UNCERTAIN_CIRCLE` the number of
+# equilibria on a circle. Below `_MISSED` the search may miss equilibria.
 _FLAT, _DEGENERATE, _UNCERTAIN, _UNCERTAIN_CIRCLE, _MISSED = 1e-6, 1e-4, 1e-14, 1e-7, 1e-3
-_ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria / the same scale
-_SAME = 1e-4  # largest distance of rotation matrices that count as equal
-# Potentials are equal if they differ by less than this fraction of their scale, unit vectors if they agree to _DECIMALS decimals.
+_ON_CIRCLE = 1e-13  # largest gradient along a circle of equilibria, as a fraction of `_scale`
+_SAME = 1e-4  # Rotation matrices count as equal if their distance is smaller.
+# Potentials count as equal if they differ by less than this fraction of `_scale`, unit vectors if `_DECIMALS` decimals agree.
 _SAME_POTENTIAL, _DECIMALS = 1e-9, 6
-_MAX_SCALE = 1e60  # largest unit, rate or torque; products of a few of these are finite
+_MAX_SCALE = 1e60  # Units, rates and torques must be smaller, so that products of a few of them are finite.
 _BLOCK = 512  # number of bodies that are computed together
 NOT_CERTAIN = (
     "equilibria: their number or index is not certain at a bifurcation, or so near to a symmetry;"
@@ -34,9 +35,8 @@ NOT_CERTAIN = (
 )
 ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
-# Variables of equilibria, in their order.
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
-# Fill values of the unused places of padded arrays; nan for other variables.
+# Unused places of padded arrays have these values, or nan for other variables.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
     "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),
@@ -45,13 +45,14 @@ _UNUSED = {
 
 
 def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of one body, the orientations at rest in the frame; methods as in `equilibria_of_bodies`.
+    """Return all relative equilibria of one body, which are the orientations at rest in the frame.
 
-    points: every parameter, arrays (1,); start values are ignored. Returns theta0, psi0, phi0 (rad), the amended potential,
-    its Morse index, circle (whether the solution stands for a circle of equilibria), degenerate (always False) and STABILITY,
-    (E,); alpha, gamma and the axis of turns along a circle (nan for isolated equilibria), in body axes, (E, 3).
-    Raises BadInput where a surface of orientations is in equilibrium, where the numbers of the body differ too much in
-    magnitude, and where the number of equilibria is not certain.
+    `points` maps every parameter to an array (1,), and start values are ignored. The methods are those of `equilibria_of_bodies`.
+    Scalar results have the shape (E,). They are theta0, psi0, phi0 (rad), potential (amended), index (Morse index), circle (whether
+    the solution stands for a circle of equilibria), degenerate (always False) and `STABILITY`. Vectors in body axes have the shape
+    (E, 3). They are alpha, gamma and the axis of turns along a circle, which is nan for isolated equilibria. BadInput is raised where a
+    surface of orientations is in equilibrium, where the numbers of the body differ too much in magnitude, and where the number
+    of equilibria is not certain.
     """
     (flag,), _, columns = _at_once(system, points, stability=True, ordered=False)
     if flag == Completeness.NOT_LISTED:
@@ -62,10 +63,7 @@ def equilibria(system: Gyrostat, points: Points) -> dict[str, NDArray[Any]]:
 
 
 def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dict[str, NDArray[Any]]]:
-    """The equilibria of one body by Newton's method from _STARTS orientations, doubled until no new equilibria appear and the list is whole.
-
-    Raises BadInput where no whole list is found.
-    """
+    """Find the equilibria of one body by Newton's method from many orientations, or raise BadInput if the list is not complete."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -91,9 +89,10 @@ def _list_by_search(system: Gyrostat, points: Points) -> tuple[Completeness, dic
 
 
 def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> NDArray[np.int64]:
-    """Order of the equilibria by body, potential / its scale, alpha and gamma (of circles: the means of these vectors).
+    """Return the order of equilibria by body, by potential as a fraction of `_scale`, and by alpha and gamma.
 
-    Potentials and components that differ by rounding alone count as equal, so that rounding does not decide the order.
+    On a circle the means of alpha and gamma count. Potentials and components that differ by rounding alone count as equal, so that
+    rounding does not decide the order.
     """
     by_potential = np.lexsort((potential, body))
     steps = np.diff(potential[by_potential], prepend=0.0) > _SAME_POTENTIAL
@@ -106,7 +105,7 @@ def _order(body: NDArray[Any], potential: Array, frames: Array, axis: Array) -> 
 
 
 def _scale(body: Body) -> Array:
-    """Size of the gradient of the potential, (bodies,)."""
+    """Return the size of the gradient of the potential, (bodies,)."""
     vectors = (
         np.abs(body.rotor) + np.abs(body.alpha.field) + np.abs(body.gamma.field) + np.abs(body.beta.field)
     )
@@ -114,18 +113,18 @@ def _scale(body: Body) -> Array:
 
 
 def body_at_rest(system: Gyrostat, points: Points) -> Body:
-    """The body in the frame in which its relative equilibria rest; about a fixed point this frame turns at the rate n."""
+    """Return the body in the frame in which its relative equilibria rest. About a fixed point the frame turns at the rate n."""
     body = system.body(points)
     return body._replace(turn=points["n"]) if isinstance(system, FixedPoint) else body
 
 
 def frames_of(alpha: Array, gamma: Array) -> Array:
-    """Frames with the rows alpha, gamma x alpha and gamma, (..., 3, 3)."""
+    """Return frames with the rows alpha, gamma x alpha and gamma, (..., 3, 3)."""
     return np.stack([alpha, np.cross(gamma, alpha), gamma], -2)
 
 
 def rotated(frames: Array, xi: Array) -> Array:
-    """Frames after the body turned by the rotation vectors xi (body axes)."""
+    """Return the frames after the body has turned by the rotation vectors `xi`, given in body axes."""
     angle = np.linalg.norm(xi, axis=-1)[..., None, None]
     hat = cross_matrix(xi)
     turn = np.eye(3) + np.sinc(angle / np.pi) * hat + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (hat @ hat)
@@ -133,7 +132,7 @@ def rotated(frames: Array, xi: Array) -> Array:
 
 
 def attitudes(frames: Array) -> dict[str, Any]:
-    """Euler angles, alpha and gamma of frames (..., 3, 3); psi0 = 0 where only psi +- phi is defined."""
+    """Return Euler angles, alpha and gamma of frames (..., 3, 3). Where only psi +- phi is defined, psi0 is 0."""
     alpha, beta, gamma = np.moveaxis(frames, -2, 0)
     sine = np.hypot(gamma[..., 0], gamma[..., 1])
     upright = sine < 1e-9
@@ -149,7 +148,7 @@ def attitudes(frames: Array) -> dict[str, Any]:
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Stability and frequencies of equilibria; start: their angles and rates, members: parameters of their bodies, (E,)."""
+    """Return stability and frequencies of equilibria with the angles `start` and the parameters `members`, (E,)."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)
@@ -169,17 +168,19 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """All relative equilibria of many bodies, on an orbit by homotopy continuation; see `homotopy`.
+    """Return all relative equilibria of many bodies, found on an orbit by homotopy continuation (see `homotopy`).
 
-    Equilibria of bodies with an axis of symmetry (moments equal and components across 0, to the last bit) follow from the secular
-    equation. A list is complete if the sum of (-1)^index is that of Poincare and Hopf, 0 on SO(3) and 2 on the sphere of the
-    axis of symmetry, and the sign of every eigenvalue of the Hessian is certain: near a symmetry from differences of the
-    moments of 1e-12 on, near bifurcations if solutions are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION, and
-    solutions that merge are listed once, as degenerate. Bodies with A = B = C, bodies without an orbit and bodies with a lost path are
-    searched one by one, in about 70 ms each. pause: called at least once a second; may raise an exception. stability: whether
-    to compute STABILITY. ordered: see `homotopy.solve`; adds attitudes near complex solutions, with index -1. Returns arrays
-    (bodies, places) in the order of the potential, then of the attitude, unused places at the end (nan, index -1, stable 0),
-    and completeness (bodies,), values of flags.Completeness.
+    A secular equation gives the equilibria of bodies with an axis of symmetry, if moments are equal and components across 0 to the
+    last bit. A list is complete if two tests pass. The sum of (-1)^index must have the value of Poincare and Hopf, 0 on SO(3) and 2
+    on the sphere of an axis of symmetry. The sign of every eigenvalue of the Hessian must be certain. Near a symmetry this needs
+    moments that differ by 1e-12, and near a bifurcation solutions that are 1e-5 apart. Otherwise completeness is NEAR_BIFURCATION,
+    and solutions that merge are listed once, as degenerate. Bodies with A = B = C, without an orbit, or with a lost path are
+    searched one by one, in about 70 ms each.
+
+    `pause` is called at least once a second and may raise an exception. `stability` asks for the variables `STABILITY`. `ordered`,
+    see `homotopy.solve`, adds attitudes near complex solutions, with index -1. The arrays (bodies, places) are in the order of the
+    potential and then of the attitude. Unused places are last, with nan, index -1 and stable 0. completeness (bodies,) has values of
+    `flags.Completeness`.
     """
     count = points["A"].size
     completeness = np.empty(count, np.int8)
@@ -203,7 +204,7 @@ def equilibria_of_bodies(
 
 
 def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
-    """Counts of all equilibria, of linearly stable equilibria and of minima of each body, (bodies,); nan for incomplete lists."""
+    """Count all equilibria, linearly stable equilibria and minima of each body. Counts are nan for lists that are not complete."""
     complete = equilibria["completeness"] == Completeness.COMPLETE
     masks = {
         "equilibrium_count": equilibria["index"] >= 0,
@@ -214,7 +215,7 @@ def numbers(equilibria: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
 
 
 def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict[str, NDArray[Any]]:
-    """Columns over all equilibria as arrays (bodies, places), unused places last; the column "row" has the body of each equilibrium."""
+    """Return columns over all equilibria as arrays (bodies, places). The column "row" tells the body of each equilibrium."""
     order = np.argsort(columns["row"], kind="stable")
     row = columns["row"][order]
     place = np.arange(row.size) - np.searchsorted(row, row)
@@ -230,7 +231,7 @@ def padded(columns: Mapping[str, NDArray[Any]], count: int, places: int) -> dict
 def _at_once(
     system: Gyrostat, points: Points, stability: bool, ordered: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.int64], dict[str, NDArray[Any]]]:
-    """Completeness of the list of each body (NOT_LISTED: to be searched alone); body and variables of each equilibrium."""
+    """List the equilibria of all bodies together. Return completeness of the lists, and body and variables of each equilibrium."""
     given = system.body(points)
     rate = np.where(given.turn == 0, 1.0, given.turn)
     with np.errstate(all="ignore"):
@@ -255,7 +256,7 @@ def _at_once(
     real = np.concatenate([real[path, body], known])
     bodies, circle = bodies.subset(row), symmetric[row]
     scale, values = _scale(bodies), np.linalg.eigvalsh(bodies.hessian(frames[:, 0], frames[:, 2]))
-    # The eigenvalue along a circle is 0 but for rounding.
+    # Rounding errors alone make the eigenvalue along a circle differ from 0.
     values[circle, np.abs(values[circle]).argmin(1)] = np.inf
     least = np.abs(values).min(1) / scale
     index = np.where(real, (values < 0).sum(1), -1)
@@ -287,7 +288,7 @@ def _at_once(
 
 
 def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Body and frame of each solution of bodies symmetric about axis i, from critical directions on a sphere, and whether it is real."""
+    """Return body and frame of each solution of bodies symmetric about the axes `i`, and whether the solution is real."""
     own = np.arange(i.size)
     excess, none = bodies.inertia[own, i] - bodies.inertia[own, (i + 1) % 3], np.zeros(i.size)
     alpha, gamma = bodies.amended()
@@ -303,14 +304,14 @@ def _by_symmetry(bodies: Body, i: NDArray[np.int64], ordered: bool) -> tuple[NDA
 
 
 def _search(bodies: Body, scale: float) -> Array:
-    """Frames of the equilibria, one of each circle, shape (E, 3, 3)."""
+    """Return frames (E, 3, 3) of the equilibria, one for each circle of equilibria."""
     generator = np.random.default_rng(0)
     frames, starts, previous_count, is_whole = np.empty((0, 3, 3)), _STARTS, -1, False
     while len(frames) != previous_count or not is_whole:
         if starts > 64 * _STARTS:
             raise BadInput(NOT_CERTAIN)
         previous_count = len(frames)
-        # Uniform orientations, rows alpha, beta, gamma in body axes.
+        # The orientations are uniform, with the rows alpha, beta and gamma in body axes.
         w, x, y, z = np.moveaxis(generator.normal(size=(starts, 4)), -1, 0)
         first = np.stack([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)], -1)
         second = np.stack([2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)], -1)
@@ -331,12 +332,12 @@ def _search(bodies: Body, scale: float) -> Array:
 
 
 def _critical(bodies: Body, frames: Array, scale: float) -> Array:
-    """Orientations to which Newton's method converges from given orientations."""
+    """Return the orientations to which Newton's method converges from the given orientations."""
     frames, active = frames.copy(), np.arange(len(frames))
     for _ in range(40):
         gradient, hessian = bodies.gradient(frames[active, 0], frames[active, 2])
-        # Least squares with the Jacobian, not its symmetric part: a symmetry of the body makes one of its rows
-        # vanish everywhere, and Newton's method across the circles converges quadratically.
+        # Least squares use the whole Jacobian, because a symmetry of the body makes one of its rows 0 everywhere. Newton's method
+        # across the circles then converges quadratically.
         left, values, right = np.linalg.svd(hessian)
         inverse = values / (values**2 + (1e-7 * scale) ** 2)
         step = -np.einsum("nji,nj,nkj,nk->ni", right, inverse, left, gradient)
@@ -349,7 +350,7 @@ def _critical(bodies: Body, frames: Array, scale: float) -> Array:
 
 
 def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int64], Array, Mask]:
-    """Morse index, axis of the circle of equilibria through each frame (nan: isolated), and whether the equilibrium is degenerate."""
+    """Return the Morse index, the axis of turns along a circle of equilibria (or nan), and whether the equilibrium is degenerate."""
     values, vectors = np.linalg.eigh(bodies.hessian(frames[:, 0], frames[:, 2]))
     flat = np.abs(values) < _MISSED * scale
     if ((np.abs(values) < _FLAT * scale).sum(1) > 1).any():
@@ -357,7 +358,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
             "equilibria: this body has a surface of equilibria, not single ones or circles of them"
         )
     axis = np.take_along_axis(vectors, np.abs(values).argmin(1)[:, None, None], 2)[..., 0]
-    # A circle arises when a symmetry turns an equilibrium, about an axis of the body or about the normal.
+    # A symmetry turns an equilibrium along a circle, about an axis of the body or about the normal.
     turned = rotated(frames, np.array([0.3, 1.1, 2.5, 4.0])[:, None, None] * axis)
     gradient, _ = bodies.gradient(turned[:, :, 0], turned[:, :, 2])
     circle = flat.any(1) & (np.linalg.norm(gradient, axis=2).max(0) < _ON_CIRCLE * scale)
@@ -365,7 +366,7 @@ def _classify(bodies: Body, frames: Array, scale: float) -> tuple[NDArray[np.int
 
 
 def _distinct(bodies: Body, frames: Array, scale: float) -> Array:
-    """The first frame of each equilibrium, and of each circle of equilibria."""
+    """Return the first frame of each equilibrium, and of each circle of equilibria."""
     _, axis, _ = _classify(bodies, frames, scale)
     kept: list[int] = []
     for i, frame in enumerate(frames):

@@ -17,7 +17,7 @@ from . import algebra, rotations
 
 
 def equilibria(system: System, body: Mapping[str, float]) -> dict[str, NDArray[Any]] | None:
-    """All relative equilibria of one body, see `algebra.equilibria`; about a fixed point all permanent rotations at the rate n."""
+    """Return all relative equilibria of one body or, about a fixed point, all permanent rotations at the rate n."""
     if not isinstance(system, Gyrostat):
         return None
     points = system.with_defaults(body)
@@ -36,7 +36,7 @@ def equilibria_of_bodies(
     stability: bool = True,
     ordered: bool = False,
 ) -> dict[str, NDArray[Any]] | None:
-    """Equilibria of many bodies, see `algebra.equilibria_of_bodies`; `stability` has no effect on permanent rotations."""
+    """Return equilibria of many bodies, see `algebra.equilibria_of_bodies`. Permanent rotations do not depend on `stability`."""
     if isinstance(system, FixedPoint):
         return rotations.rotations_of_bodies(system, _without_vectors(points), ordered)
     if isinstance(system, Gyrostat):
@@ -45,10 +45,10 @@ def equilibria_of_bodies(
 
 
 def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Every parameter of the distinct bodies of some points, start values at their defaults, and the body of each point."""
+    """Return all parameters of the distinct bodies of some points, with the default start, and the body of each point."""
     names = [name for name, p in system.parameters.items() if not p.start]
     columns = np.stack([points[name] for name in names], -1)
-    key = np.where(np.isnan(columns), -np.inf, columns)  # because nan != nan
+    key = np.where(np.isnan(columns), -np.inf, columns)  # because nan is not equal to nan
     varying = (key != key[:1]).any(0)
     _, first, row = np.unique(key[:, varying], axis=0, return_index=True, return_inverse=True)
     bodies = {name: np.full(first.size, p.default) for name, p in system.parameters.items()}
@@ -56,5 +56,5 @@ def bodies_of(system: System, points: Points) -> tuple[Points, NDArray[np.int64]
 
 
 def _without_vectors(points: Points) -> dict[str, Array]:
-    """The points with p0 .. gamma30 set to nan, which means a start by angles."""
+    """Return the points with nan for p0 .. gamma30, which means that angles give the start."""
     return {**points, **{name: np.full_like(points["A"], np.nan) for name in VECTORS}}

@@ -49,7 +49,7 @@ _FLAGS = {
     "stability_kind": StabilityKind.meanings(), "completeness": Completeness.meanings(),
 }  # fmt: skip
 _NOT_COUNTED = "nan where completeness is not complete"
-# Fill values of impossible bodies and of unused places; 0 or nan for other variables.
+# Impossible bodies and unused places have these values. In other variables they have nan or 0.
 UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
 _DIMS = ("equilibrium", "body_axis")
 
@@ -63,13 +63,13 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     system : str
         "satellite" or "fixed_point".
     body : mapping of str to float, array_like or DataArray
-        Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n
-        of the fixed_point, the rate of rotation in rad per time unit (default 0: rest). For many bodies, DataArrays of
-        any dimensions, which are broadcast against each other, or 1-D arrays of one length; or a table of bodies, in the
-        forms of points in `label_points`.
+        Parameter -> number. Parameters that are left out take their defaults. Start values have no effect, except n of the
+        fixed_point, which is the rate of rotation in rad per time unit (default 0, at rest). Many bodies are given by DataArrays of
+        any dimensions, which are broadcast against each other, by 1-D arrays of one length, or by a table in one of the forms of
+        points in `label_points`.
     max_equilibria : int, optional
-        Length of the dimension "equilibrium"; default: for one body the number of its equilibria, for many 24 (satellite) or 12.
-        Required for arrays of dask, for which the result is lazy. A satellite without circles of equilibria has at most 24.
+        Length of the dimension "equilibrium". By default it is the number of equilibria for one body, and 24 (satellite) or 12 for
+        many. Arrays of dask need this length, and give a lazy result. A satellite without circles of equilibria has at most 24.
 
     Returns
     -------
@@ -78,13 +78,14 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
         theta0, phi0 and, for the satellite, psi0 (rad), gamma (equilibrium, body_axis), index, circle,
         stable, energy_stable, stability_kind (flags), growth_rate and frequency_1 to frequency_3 (rad per time unit). For the
         satellite also alpha, axis, degenerate and potential; for the fixed_point also dimension. Satellites are ordered by the
-        potential, then the components of alpha and gamma (on a circle, their means), rotations of the fixed_point by theta0.
+        potential, then by the components of alpha and gamma (on a circle, by their means). Rotations of the fixed_point are
+        ordered by theta0.
 
-        For many bodies: the same over the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
-        "equilibrium". Each body uses the first places; in the others index is -1, and variables other than flags are nan.
+        For many bodies the variables have the dimensions of the DataArrays, or the dimension "point" of 1-D arrays, and
+        "equilibrium". Each body uses the first places. In unused places index is -1, and variables other than flags are nan.
         completeness (flags) states for each body whether all equilibria are listed. equilibrium_count,
         equilibrium_stable_count (linearly stable) and equilibrium_energy_stable_count (minima of the amended potential) are
-        nan where equilibria are not isolated or not certain; solutions that merge are then listed once, as degenerate.
+        nan where equilibria are not isolated or not certain. Solutions that merge are then listed once, as degenerate.
 
     Raises
     ------
@@ -96,11 +97,11 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
     Notes
     -----
     Equilibria form circles where two moments are equal and rotor, magnet and drag have no component across, all to the last bit.
-    Near such a body all isolated equilibria are listed if moments differ by at least about 1e-12 (relative) or, with equal
-    moments, components across by at least about 1e-7. Nearer to it, and within about 1e-10 of a bifurcation, where solutions
-    are closer than 1e-5, their number is not certain.
+    Near such a body all isolated equilibria are listed if moments differ by at least about 1e-12 (relative). With equal moments,
+    components across the axis must be at least about 1e-7. Nearer to such a body the number of equilibria is not certain, as within
+    about 1e-10 of a bifurcation, where solutions are closer than 1e-5.
 
-    10 000 satellites take about seven seconds of one processor, less with an axis of symmetry; a single one near a symmetry
+    10 000 satellites take about seven seconds of one processor, less with an axis of symmetry. A single satellite near a symmetry
     or a bifurcation takes up to 0.2 seconds.
     """
     description = systems.get(system)
@@ -135,7 +136,7 @@ def equilibria(system: str, body: Table, *, max_equilibria: int | None = None) -
 
 
 def attributes(name: str) -> dict[str, object]:
-    """CF attributes of a variable of equilibria."""
+    """Return the CF attributes of a variable of equilibria."""
     units, long_name = _UNITS.get(name, ("1", name))
     comment = _NOT_COUNTED if name.endswith("_count") else ""
     return Variable(name, "int8", units, long_name, _FLAGS.get(name), comment).attributes()
@@ -143,13 +144,13 @@ def attributes(name: str) -> dict[str, object]:
 
 @cache
 def _kinds(system: System) -> dict[str, np.ndarray]:
-    """Variables of the default body, as examples of their types and shapes."""
+    """Return the variables of the default body, as examples of types and shapes."""
     body = flat_columns(system, (), (), (), None)
     return {name: values[0] for name, values in _with_counts(system, body).items()}
 
 
 def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
-    """Equilibria of possible bodies, and the counts of these equilibria."""
+    """Return the equilibria of possible bodies, with counts."""
     every = system.equilibria_of_bodies(bodies, lambda: None)
     return {**every, **numbers(every)}
 
@@ -157,9 +158,10 @@ def _with_counts(system: System, bodies: Points) -> dict[str, np.ndarray]:
 def _equilibria_of_bodies(
     system_name: str, names: Sequence[str], places: int | None, source: Any, *arrays: Array
 ) -> tuple[np.ndarray, ...]:
-    """Variables of the equilibria of bodies; `xr.apply_ufunc` calls this function, with dask for each chunk.
+    """Return the variables of the equilibria of bodies. `xr.apply_ufunc` calls this function, with dask for each chunk.
 
-    places: length of the dimension equilibrium, None: 24 or 12; source: table of the bodies for messages, None: all may be impossible.
+    The dimension equilibrium has the length `places`, or 24 or 12 if this is None. Messages name rows of the table `source`. If
+    `source` is None, all bodies may be impossible.
     """
     system, shape = systems.get(system_name), np.broadcast_shapes(*(array.shape for array in arrays))
     columns = flat_columns(system, names, arrays[: len(names)], shape, source)
@@ -188,7 +190,7 @@ def _equilibria_of_bodies(
 def _dataset(
     description: System, title: str, ds: xr.Dataset, arrays: Mapping[str, xr.DataArray]
 ) -> xr.Dataset:
-    """Dataset of equilibria with CF attributes, and with the parameters of the bodies as coordinates."""
+    """Return a dataset of equilibria with CF attributes. The parameters of the bodies are coordinates."""
     for name in map(str, ds.data_vars):
         ds[name].attrs = attributes(name)
     starts = {name for name, parameter in description.parameters.items() if parameter.start}

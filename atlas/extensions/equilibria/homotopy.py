@@ -5,14 +5,14 @@ An equilibrium is a critical point on the rotation group of
     W = 3/2 alpha.I alpha + p.alpha + r.beta - 1/2 gamma.I gamma + q.gamma,
     p = h1 mu / Omega^2, r = drag / Omega^2, q = h3 mu / Omega^2 - k / Omega.
 
-For p = r = q = 0 and distinct moments these are the 24 orientations with the principal axes along the axes of the frame,
-for complex moments too. The path of each orientation is followed while (I, p, r, q) goes along a straight line from (I0, 0, 0, 0), I0
-complex and arbitrary, to the body: for almost every I0 no two paths meet before the end, and the ends are all
-isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of Polynomials, World
-Scientific 2005, chapters 7 and 8). For general p, r and q there are 24 solutions as well: in a quaternion W is a quartic form with 40 eigenvectors
-(D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942), 16 of which are isotropic and no rotations
-(`tests/extensions/equilibria/test_satellite_equilibria.py`). The real ends are the equilibria of the body: if 24 different ends are
-reached, none is missed.
+For p = r = q = 0 and distinct moments, real or complex, the critical points are the 24 orientations with the principal axes
+along the axes of the frame. The moments I0 of the start are complex and arbitrary. While (I, p, r, q) goes along a straight line
+from (I0, 0, 0, 0) to the body, the path of each orientation is followed. For almost every I0 no two paths meet before the end,
+and the ends are all isolated complex equilibria (A. J. Sommese, C. W. Wampler, The Numerical Solution of Systems of
+Polynomials, World Scientific 2005, chapters 7 and 8). For general p, r and q there are 24 solutions as well. In a quaternion W is
+a quartic form with 40 eigenvectors (D. Cartwright, B. Sturmfels, Linear Algebra Appl. 438 (2013) 942). Of these
+eigenvectors 16 are isotropic and no rotations (`tests/extensions/equilibria/test_satellite_equilibria.py`). The real
+ends are the equilibria of the body. If 24 different ends are reached, none is missed.
 
 Complex orientations have rows alpha, beta, gamma with alpha.alpha = 1 etc., without conjugation. Arrays are (3, paths).
 """
@@ -29,39 +29,39 @@ from numpy.typing import NDArray
 from ...systems.base import Array, Mask
 
 Complex = NDArray[np.complex128]
-Three = Any  # the components of vectors: three arrays (paths,), or their stack
+Three = Any  # components of vectors, as three arrays (paths,) or as one array (3, paths)
 
 PATHS = 24
 AXES = np.eye(3)
-# Arbitrary; a choice that needs few steps.
+# With these arbitrary moments the paths need few steps.
 _START_INERTIA = np.array([-0.985 - 0.174j, 0.631 - 0.366j, 0.354 + 0.540j])
-# For each attempt the largest correction by Newton's method (rad, sum over the axes), the largest step and the Newton iterations
-# at the end. Later attempts are for bodies with a lost path, or with equal ends because one path jumped to another. Near a
-# bifurcation each iteration only halves the error.
+# Each attempt has a largest correction by Newton's method (rad, summed over the axes), a largest step, and a number of iterations at
+# the end. Later attempts are for bodies with a lost path, or with equal ends because a path has jumped to another. Later attempts
+# iterate more often, because near a bifurcation each iteration only halves the error.
 _ATTEMPTS = ((0.05, 0.25, 6), (0.01, 0.1, 40), (1e-5, 0.1, 40))
-# Near a symmetric body paths turn sharply where 1 - t is as small as the distance from symmetry.
+# Steps may become short, because paths near a symmetric body turn sharply where 1 - t is as small as the distance from symmetry.
 _FIRST_STEP, _MIN_STEP, _MAX_STEPS = 0.1, 1e-16, 600
-# A path goes to infinity (the body has fewer than 24 solutions) if a component exceeds _FAR at t > _FAR_FROM.
+# A path goes to infinity if a component exceeds `_FAR` at t > `_FAR_FROM`. The body then has fewer than 24 solutions.
 _FAR, _FAR_FROM = 100.0, 0.99
-_STRIDE = 5  # paths are followed for every fifth body
-_GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at an end
-# A solution with imaginary parts below _REAL is real. Imaginary parts between _REAL and _DISTINCT, or distances of
-# solutions below _DISTINCT, leave the number of real solutions uncertain.
+_STRIDE = 5  # Paths are followed for one of this many neighbouring bodies.
+_GRADIENT_ROUNDING = 1e-11  # largest rounding error of the gradient at the end of a path
+# A solution with imaginary parts below `_REAL` is real. Imaginary parts between `_REAL` and `_DISTINCT`, or distances of solutions
+# below `_DISTINCT`, leave the number of real solutions uncertain.
 _REAL, _DISTINCT = 1e-9, 1e-5
-_MERGED = 1e-4  # distance, or imaginary part, below which solutions count as one if their number is uncertain
-_NEARLY_REAL = 1.0  # largest imaginary part of solutions that count as nearly real
+_MERGED = 1e-4  # If the number is uncertain, closer solutions count as one, smaller imaginary parts as 0.
+_NEARLY_REAL = 1.0  # largest imaginary part of a solution that counts as nearly real
 
 
 def solve(
     inertia: Array, p: Array, r: Array, q: Array, ordered: bool = False
 ) -> tuple[Array, Array, Mask, Mask, Mask]:
-    """Critical points of W of some bodies; one number added to all three moments has no effect.
+    """Find the critical points of W for some bodies. A number added to all three moments has no effect.
 
-    ordered: whether neighbouring bodies are similar, so that Newton's method may start from the complex solutions of a neighbour.
-    Returns alpha and gamma, (3, 24, bodies), unit vectors of real critical points and the real parts of other ones; the masks real
-    and nearly (one of each nearly real conjugate pair), (24, bodies); and complete, (bodies,): whether every path ends at infinity
-    or at its own solution, clearly real or clearly not. In other bodies one of several merged solutions counts as real,
-    and none if a path is lost.
+    If neighbouring bodies are similar, `ordered` lets Newton's method start from the complex solutions of a neighbour. The results
+    alpha and gamma (3, 24, bodies) are unit vectors at real critical points, and real parts elsewhere. The masks `real` and `nearly`
+    (24, bodies) choose the real solutions, and one of each pair of nearly real conjugates. `complete` (bodies,) tells whether every path
+    ends at infinity or at its own solution, which is clearly real or clearly not. Otherwise one of several merged solutions counts
+    as real, and none if a path is lost.
     """
     inertia = inertia - inertia.mean(0)
     sizes = [np.abs(vector).max(0) for vector in (inertia, p, r, q)]
@@ -89,13 +89,13 @@ def solve(
 
 
 def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """alpha and gamma at the ends of the paths, nan at infinity, (6, 24, bodies), and whether all paths arrive, (bodies,)."""
+    """Return alpha and gamma at the ends of the paths, or nan at infinity, (6, 24, bodies), and whether all paths of a body arrive."""
     count = target[0].shape[1]
-    # Of the 24 rotations that permute the axes the second half has -alpha.
+    # The second half of the 24 rotations that permute the axes has -alpha instead of alpha.
     pairs = [(AXES[i], sign * AXES[j]) for i, j in permutations(range(3), 2) for sign in (1.0, -1.0)]
     alpha, gamma = (np.array(vectors).T for vectors in zip(*pairs, strict=True))
     starts = np.concatenate([alpha, -alpha], 1), np.concatenate([gamma, gamma], 1)
-    # Without p and r the solutions come in pairs +-alpha, +-beta: only one of each pair is followed.
+    # Without p and r the solutions come in pairs +-alpha, +-beta, and only one solution of each pair is followed.
     mirrored = not (target[1].any() or target[2].any())
     paths = PATHS // 2 if mirrored else PATHS
     repeated = [np.repeat(values[:, None], paths, 1).reshape(3, -1) for values in target]
@@ -108,9 +108,9 @@ def _ends(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
-    """As `_ends`, with paths only for every _STRIDE-th body, whose solutions start Newton's method for its neighbours.
+    """Do the same as `_ends`, but follow paths for every `_STRIDE`-th body only. The ends start Newton's method for other bodies.
 
-    Wherever Newton's method starts, 24 different solutions are all that exist.
+    Bodies have at most 24 solutions, so that 24 different results are complete wherever Newton's method starts.
     """
     count = target[0].shape[1]
     followed = np.arange(0, count, _STRIDE)
@@ -124,7 +124,7 @@ def _ends_of_neighbours(target: Three, *attempt: Any) -> tuple[Complex, Mask]:
 
 
 def _all_different(ends: Complex) -> Mask:
-    """Whether all finite solutions of a body are clearly different, and each is clearly real or clearly not, (bodies,)."""
+    """Whether all finite solutions of a body are clearly different, and each is clearly real or clearly not real."""
     distance = np.full(ends.shape[1:], np.inf)
     for shift in range(1, PATHS // 2 + 1):
         distance = np.fmin(distance, np.abs(ends - np.roll(ends, shift, 1)).max(0))
@@ -136,7 +136,7 @@ def _all_different(ends: Complex) -> Mask:
 def _follow(
     target: Three, alpha: Complex, gamma: Complex, tolerance: float, max_step: float, polish: int
 ) -> tuple[Complex, Complex, Mask]:
-    """Ends of paths, and which were reached: midpoint predictor and Newton corrector, each path alone with its step size."""
+    """Follow paths with a midpoint predictor and a Newton corrector. Return the ends, and whether each path arrived."""
     start = _START_INERTIA[:, None]
     change = (target[0] - start, *target[1:])  # change of inertia, p, r and q along the line
     t, step = np.zeros(alpha.shape[1]), np.full(alpha.shape[1], _FIRST_STEP)
@@ -148,7 +148,7 @@ def _follow(
         now, length = t[active], np.minimum(step[active], 1 - t[active])
 
         def rate(a: Complex, g: Complex, s: Array, dI=dI, dv=dv) -> Three:
-            """Rotation vector xi of the solution per unit of t."""
+            """Return the rotation vector of the solution per unit of t."""
             return _newton(_gradient((dI, *dv), a, g), (start + s * dI, *(s * v for v in dv)), a, g)
 
         a, g = alpha[:, active], gamma[:, active]
@@ -175,7 +175,7 @@ def _follow(
 
 
 def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> tuple[Complex, Complex, Mask]:
-    """Solutions by Newton's method from approximate ones, and which of them are exact up to rounding."""
+    """Refine solutions by Newton's method. Return also whether each solution is exact up to rounding."""
     for _ in range(iterations):
         xi = _newton(_gradient(target, alpha, gamma), target, alpha, gamma)
         small = _size(xi) < 0.3
@@ -186,12 +186,12 @@ def _polish(target: Three, alpha: Complex, gamma: Complex, iterations: int) -> t
 
 
 def _size(xi: Three) -> Array:
-    """Sum of the magnitudes of three components."""
+    """Return the sum of the magnitudes of three components."""
     return np.abs(xi[0]) + np.abs(xi[1]) + np.abs(xi[2])
 
 
 def _gradient(body: Sequence[Three], a: Three, g: Three) -> Three:
-    """Gradient of W under rotations, body = (I, p, r, q): (3 I alpha + p) x alpha + r x beta + (q - I gamma) x gamma."""
+    """Return the gradient of W under rotations, (3 I alpha + p) x alpha + r x beta + (q - I gamma) x gamma."""
     inertia, p, r, q = body
 
     def component(j: int, k: int) -> Complex:
@@ -205,10 +205,10 @@ def _gradient(body: Sequence[Three], a: Three, g: Three) -> Three:
 
 
 def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three:
-    """-H^-1 gradient by Cramer's rule, H the derivatives of the gradient of W."""
+    """Return -H^-1 gradient by Cramer's rule, where H contains the derivatives of the gradient of W."""
     inertia, p, r, q = body
     b = _cross(g, a) if np.any(r) else None
-    by = {}  # (j, k) -> the factors of a_i and g_i in H_ij, k the third axis
+    by = {}  # (j, k) -> factors of a_i and g_i in H_ij, where k is the third axis
     for j, k in ((0, 1), (1, 2), (2, 0)):
         d = inertia[j] - inertia[k]
         by[j, k] = 3 * d * a[j] + p[j], q[j] - d * g[j]
@@ -233,12 +233,12 @@ def _newton(gradient: Three, body: Sequence[Three], a: Three, g: Three) -> Three
 
 
 def _cross(a: Three, b: Three) -> Three:
-    """Vector product."""
+    """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _turn(a: Three, g: Three, xi: Three, length: Array | float) -> tuple[Complex, Complex]:
-    """alpha and gamma after the body turned by length * xi, to second order (Cayley's rotation)."""
+    """Return alpha and gamma after a turn by length * xi. Cayley's rotation approximates the turn to second order."""
     half = [0.5 * length * x for x in xi]
     factor = 2 / (1 + half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
 

@@ -14,16 +14,16 @@ from ...systems.gyrostat.oscillations import Equilibria
 from ...systems.gyrostat.secular import NEARLY, PLACES, directions
 from .algebra import body_at_rest, padded, stability_at_rest
 
-_UNCERTAIN = 1e-13  # eigenvalue of the potential's Hessian / size, below which rounding decides the sign
+_UNCERTAIN = 1e-13  # Rounding decides the sign of an eigenvalue below this fraction of the Hessian's size.
 
 
 def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[str, NDArray[Any]]:
-    """All permanent rotations of bodies about the vertical, each at its rate n (0: positions of rest).
+    """Return all permanent rotations of bodies about the vertical, each at its rate n, where 0 means rest.
 
-    points: every parameter, arrays (bodies,). A connected set of solutions is represented by one member. Returns, in the order
-    of theta, row: the number of the body; dimension of the set; index: number of directions in which the amended potential
-    decreases (0: stable); flat: whether the index is uncertain; theta0, phi0 (rad), gamma and algebra.STABILITY. nearly: whether
-    to add attitudes near complex solutions, with index -1.
+    `points` maps every parameter to an array (bodies,). A connected set of solutions is represented by one member. Results in the
+    order of body and theta are row (the number of the body), dimension (of the set), index (the number of directions in which the
+    amended potential decreases, 0 if stable), flat (whether the index is uncertain), theta0, phi0 (rad), gamma, circle and
+    `algebra.STABILITY`. With `nearly`, attitudes near complex solutions are added, with index -1.
     """
     turning = body_at_rest(system, points)
     vectors, dimensions = directions(turning, nearly=nearly)
@@ -52,7 +52,7 @@ def rotations(system: Gyrostat, points: Points, nearly: bool = False) -> dict[st
 
 
 def rotations_of_bodies(system: Gyrostat, points: Points, nearly: bool) -> dict[str, NDArray[Any]]:
-    """Results of `rotations` as arrays (bodies, places), and completeness, values of flags.Completeness."""
+    """Return the results of `rotations` as arrays (bodies, places), with completeness, a value of `flags.Completeness`."""
     result = padded(rotations(system, points, nearly), points["n"].size, PLACES)
     flags = np.where(result.pop("flat").any(1), Completeness.NEAR_BIFURCATION, Completeness.COMPLETE)
     flags = np.where((result["dimension"] > 0).any(1), Completeness.NOT_ISOLATED, flags)

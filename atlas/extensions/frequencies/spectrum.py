@@ -1,8 +1,8 @@
-"""Frequencies of one motion: the strongest lines in the spectra of its angles.
+"""Frequencies of one motion, which are the strongest lines in the spectra of its angles.
 
-Numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R): the maximum of the windowed
-Fourier integral is refined to far below the distance of lines in a discrete transform, all lines so far are fitted together, and
-the next line is found in the residual. The method is written here, on top of SciPy, because packages for it have restrictive licences.
+The method is numerical analysis of fundamental frequencies (Laskar 1993, doi 10.1016/0167-2789(93)90210-R). The maximum of the
+windowed Fourier integral is refined to far below the distance of lines in a discrete transform. All lines so far are fitted
+together, and the next line is found in the residual. Packages for this method have restrictive licences, so it is written here.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ MAX_LINES = 1000  # largest number of spectral lines of a signal
 
 # A line above this fraction of the Nyquist frequency of the samples may be the alias of a faster line.
 MAX_SHARE_OF_NYQUIST = 0.8
-# A line is compared with the derivative of the signal if its amplitude is above this fraction of the signal's largest value.
+# A line is compared with the derivative of the signal if its amplitude exceeds this fraction of the largest value of the signal.
 MIN_AMPLITUDE = 1e-5
-# Number of refinements of all lines after each new line.
-PASSES = 2
+PASSES = 2  # refinements of all lines after each new line
 
 
 def frequencies(
@@ -51,7 +50,7 @@ def frequencies(
     lines : int
         Number of lines of each signal.
     samples : int
-        Number of instants of the motion; more are taken if a line is too fast for them.
+        Number of instants of the motion. More instants are taken if a line is too fast for this number.
     trajectory : Dataset, optional
         A motion from `atlas.trajectory`, in place of the point's; its samples must resolve the lines.
     degrees : bool, optional
@@ -84,7 +83,7 @@ def frequencies(
 
 
 def frequencies_of_motion(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
-    """Strongest lines of each signal of a motion; BadInput for too few samples."""
+    """Return the strongest lines of each signal of a motion, or raise BadInput if there are too few samples."""
     trajectory = in_rad(trajectory)
     ds, (name, fastest) = _lines(trajectory, lines)
     if fastest:
@@ -96,7 +95,7 @@ def frequencies_of_motion(trajectory: xr.Dataset, lines: int) -> xr.Dataset:
 
 
 def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, samples: int) -> xr.Dataset:
-    """Strongest lines of a motion; trajectory(samples) is called with more samples until they resolve the lines."""
+    """Return the strongest lines of a motion. `trajectory` is called with more `samples` until the samples resolve the lines."""
     while True:
         motion = trajectory(samples)
         ds, (_, fastest) = _lines(motion, lines)
@@ -107,13 +106,13 @@ def frequencies_of_point(trajectory: Callable[[int], xr.Dataset], lines: int, sa
 
 
 def _samples_for(trajectory: xr.Dataset, frequency: float) -> int:
-    """Number of samples of a motion for which a frequency is well below the Nyquist frequency."""
+    """Return the number of samples of a motion for which a frequency is well below the Nyquist frequency."""
     duration = float(trajectory["time"][-1] - trajectory["time"][0])
     return 1 + math.ceil(1.25 * frequency * duration / (MAX_SHARE_OF_NYQUIST * np.pi))
 
 
 def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, float]]:
-    """Strongest spectral lines of a motion, and signal and frequency of the fastest line that is too fast for the samples (0: none)."""
+    """Return the strongest lines, and the signal and frequency of the fastest line that the samples do not resolve, 0 if none."""
     time = trajectory["time"].values
     columns = _signals(trajectory)
     dims, shape = ("signal", "line"), (len(columns), lines)
@@ -128,8 +127,8 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
         count = len(line_frequencies)
         frequency[i, :count], amplitude[i, :count] = line_frequencies, np.abs(coefficients)
         share[i, :count] = np.abs(coefficients) ** 2 / power * (0.5 if real else 1.0)
-        # A line too fast for the samples appears at another frequency, or as a constant; the ratio of its amplitudes in
-        # derivative and signal is i times the true frequency. The frequency of a weak line is not checked.
+        # A line that is too fast for the samples appears at another frequency, or as a constant. The ratio of the amplitudes in
+        # derivative and signal is i times the true frequency. Weak lines are not checked.
         candidates = [*line_frequencies, 0.0]
         fitted, slopes = (_fit(time, each, candidates, weight, real)[0] for each in (signal, slope))
         strong = np.abs(fitted) > MIN_AMPLITUDE * np.abs(signal).max()
@@ -150,10 +149,10 @@ def _lines(trajectory: xr.Dataset, lines: int) -> tuple[xr.Dataset, tuple[str, f
 
 
 def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
-    """Signals of a motion (from theta, psi and phi, or the observables) and their time derivatives, by name."""
+    """Return the signals of a motion by name, from theta, psi and phi or the observables, with their time derivatives."""
     system = system_of(trajectory) if "atlas_system" in trajectory.attrs else None
     if system is not None and system.observables:
-        # Derivatives by central differences: a short step forward and back along the right-hand side.
+        # Central differences along the right-hand side give the time derivatives.
         points = {
             name: np.array([float(trajectory.get(f"{name}_start", trajectory.get(name, np.nan)))])
             for name in system.parameters
@@ -181,7 +180,7 @@ def _signals(trajectory: xr.Dataset) -> dict[str, tuple[Signal, Signal]]:
 
 
 def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = False) -> tuple[Array, Signal]:
-    """Frequencies w (rad per unit of time) and amplitudes c of a sum of c exp(i w t), in the order of extraction.
+    """Find the frequencies w (rad per unit of time) and amplitudes c of a sum of c exp(i w t), in the order of extraction.
 
     There are fewer than `count` lines if the residual is rounding. A `real` signal has w >= 0 and amplitudes of cosines.
     """
@@ -200,10 +199,10 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
             break
         frequencies.append(_refine(time, residual * weight, grid[highest], grid[1]))
         coefficients, residual = _fit(time, signal, frequencies, weight, real)
-        # Lines shift each other's maxima, so each is refined again after the others are subtracted.
+        # Lines shift each other's maxima, so that each line is refined again after the other lines are subtracted.
         for _ in range(PASSES):
             for i, frequency in enumerate(frequencies):
-                half = coefficients[[i]] / (2 if real else 1)  # without the line at the opposite frequency
+                half = coefficients[[i]] / (2 if real else 1)  # leaves the line at the opposite frequency out
                 single = (residual + np.exp(1j * np.outer(time, [frequency])) @ half) * weight
                 frequencies[i] = _refine(time, single, frequency, grid[1])
                 coefficients, residual = _fit(time, signal, frequencies, weight, real)
@@ -211,10 +210,10 @@ def spectral_lines(time: Array, signal: Signal, count: int, *, real: bool = Fals
 
 
 def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
-    """Frequency of the maximum of the Fourier integral within `width` of a guess."""
+    """Return the frequency of the maximum of the Fourier integral within `width` of `guess`."""
 
     def negative(frequency: float) -> float:
-        """Negative magnitude of the Fourier integral, to be minimised."""
+        """Return the negative magnitude of the Fourier integral, which is minimised."""
         return -abs(complex(np.exp(-1j * frequency * time) @ weighted))
 
     result = minimize_scalar(
@@ -226,7 +225,7 @@ def _refine(time: Array, weighted: Signal, guess: float, width: float) -> float:
 def _fit(
     time: Array, signal: Signal, frequencies: list[float], weight: Array, real: bool
 ) -> tuple[Signal, Signal]:
-    """Coefficients of all lines, fitted together with a constant by weighted least squares, and the residual of the signal."""
+    """Fit all lines and a constant by weighted least squares. Return the coefficients of the lines, and the residual."""
     waves, count = np.exp(1j * np.outer(time, frequencies)), len(frequencies)
     basis = np.concatenate([waves, waves.conj() if real else waves[:, :0], np.ones((time.size, 1))], axis=1)
     weighted = basis.conj().T * weight

@@ -5,9 +5,9 @@ function R the equations of motion are
 
     M v' = f,    M_ij = d2L/dv_i dv_j,    f_i = dL/dq_i - sum_j v_j d2L/dv_i dq_j + Q_i - dR/dv_i.
 
-They are solved for v' symbolically, separately for each group of velocities that M couples: one by division, two by
-the inverse matrix, more by the factors M = K D K^T, with K lower triangular and D diagonal. The factors need a
-positive definite mass matrix, as in mechanics.
+The equations are solved for v' symbolically, separately for each group of velocities that M couples. One velocity needs a division,
+two need the inverse matrix, and more need the factors M = K D K^T, with K lower triangular and D diagonal. The factors exist
+for a positive definite mass matrix, as in mechanics.
 """
 
 from __future__ import annotations
@@ -27,18 +27,17 @@ from ...files import atomic_write
 from ...systems.arithmetic import FUNCTIONS, TIME_UNIT
 from .sympy_text import function_text, lines_of, require_arithmetic
 
-# Any expression or symbol of sympy, which is imported only when it is used.
+# This stands for expressions and symbols of SymPy, which is imported only when it is used.
 Expression = Any
-# Names that have a meaning in the modules of equations or in the kernels that contain their functions.
+# These names have a meaning in modules of equations, or in kernels that contain the functions of such modules.
 RESERVED = frozenset(
     {"state", "constants", "rhs", "energy", TIME_UNIT, *FUNCTIONS}
     | {"STATE", "CONSTANTS", "ONES", "INTEGRALS", "LOSSES", "OBSERVABLES", "SOURCES"}
 )
-# A mass matrix is singular if its determinant, with rows divided by their norms, is below SINGULAR or, if the matrix has no
-# floats, below SINGULAR_EXACT; the determinant is computed with DIGITS digits.
+# A mass matrix is singular if its determinant, computed with `DIGITS` digits after rows are divided by their norms, is below
+# `SINGULAR`. For a matrix without floats the limit is `SINGULAR_EXACT`.
 SINGULAR, SINGULAR_EXACT, DIGITS = 1e-13, 1e-30, 50
-# Longer expressions are simplified by fast methods only.
-MAX_OPERATIONS = 70
+MAX_OPERATIONS = 70  # Expressions with more operations are simplified by fast methods only.
 
 
 def from_lagrangian(
@@ -71,7 +70,7 @@ def from_lagrangian(
     forces : mapping of sympy.Symbol to sympy.Expr, optional
         Generalised forces that the Lagrangian does not contain, by coordinate.
     dissipation : sympy.Expr, optional
-        Rayleigh's function: its derivatives by the velocities are subtracted from the forces.
+        Rayleigh's function. The derivatives of this function by the velocities are subtracted from the forces.
     omit : sequence of sympy.Symbol, optional
         Cyclic coordinates to leave out of the state; their velocities stay.
     functions : mapping of str to sympy.Expr or sequence of sympy.Expr, optional
@@ -86,15 +85,15 @@ def from_lagrangian(
     str
         Source of a module with ``STATE``, ``CONSTANTS``, ``INTEGRALS`` and the functions ``rhs``, the first integrals
         and the given `functions`. First integrals are ``energy``, unless a force does work, and ``momentum_NAME`` for every cyclic
-        coordinate on which no force acts. Where the dissipation changes a first integral NAME, ``LOSSES`` names the
-        function NAME_loss, its rate of decrease.
+        coordinate on which no force acts. If dissipation changes a first integral NAME, the module has a function NAME_loss for
+        the rate of decrease, which ``LOSSES`` names.
 
     Raises
     ------
     BadInput
         If SymPy is not installed; if a symbol is neither coordinate, velocity nor parameter; if an expression is not
-        arithmetic; if the mass matrix is singular, or has a leading minor 0 where it couples more than two velocities; if a
-        coordinate to be omitted is not cyclic.
+        arithmetic; if a coordinate to be omitted is not cyclic; if the mass matrix is singular, or couples more than two
+        velocities and has a leading minor that is 0.
 
     References
     ----------
@@ -114,13 +113,13 @@ def from_lagrangian(
 
 @dataclass(frozen=True)
 class _Mechanics:
-    """Checked arguments of `from_lagrangian`, as expressions of sympy."""
+    """Checked arguments of `from_lagrangian`, as expressions of SymPy."""
 
     lagrangian: Expression
     coordinates: tuple[Expression, ...]
     velocities: tuple[Expression, ...]
     parameters: tuple[Expression, ...]
-    forces: tuple[Expression, ...]  # force of each coordinate
+    forces: tuple[Expression, ...]  # one force for each coordinate
     dissipation: Expression
     omit: tuple[Expression, ...]
     functions: Mapping[str, tuple[Expression, ...] | Expression] = field(default_factory=dict)
@@ -134,7 +133,7 @@ class _Mechanics:
         dissipation: Expression,
         functions: Mapping[str, Expression | Sequence[Expression]],
     ) -> _Mechanics:
-        """The arguments after all checks except that of the mass matrix; groups: symbols by the name of their argument."""
+        """Check the arguments, apart from the mass matrix. `groups` maps the name of an argument to symbols."""
         import sympy
 
         for name, group in groups.items():
@@ -216,12 +215,12 @@ class _Mechanics:
         return all(self.coordinates[i] not in expression.free_symbols for expression in given)
 
     def total_forces(self) -> list[Expression]:
-        """Generalised forces, dissipation included."""
+        """Return the generalised forces, dissipation included."""
         pairs = zip(self.forces, self.velocities, strict=True)
         return [force - self.dissipation.diff(velocity) for force, velocity in pairs]
 
     def mass_matrix(self) -> list[list[Expression]]:
-        """M, the second derivatives of the Lagrangian by the velocities; BadInput if it is singular."""
+        """Return the second derivatives M of the Lagrangian by the velocities, or raise BadInput if M is singular."""
         momenta = [self.lagrangian.diff(velocity) for velocity in self.velocities]
         for velocity, momentum in zip(self.velocities, momenta, strict=True):
             if momentum == 0:
@@ -237,7 +236,7 @@ class _Mechanics:
         return matrix
 
     def right_side(self, matrix: list[list[Expression]]) -> list[Expression]:
-        """f of M v' = f, from the Lagrangian as given or by powers of the velocities, whichever is shorter."""
+        """Return f of M v' = f, in the shorter of two forms. The Lagrangian is as given, or by powers of the velocities."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         total = self.total_forces()
         result = []
@@ -251,7 +250,7 @@ class _Mechanics:
         return result
 
     def _by_powers(self, matrix: list[list[Expression]]) -> Expression:
-        """The Lagrangian by powers of the velocities, with the simplified M; as given if it is not quadratic in them."""
+        """Return the Lagrangian by powers of the velocities, with the simplified M, or as given if it is not quadratic in them."""
         import sympy
 
         v = sympy.Matrix(self.velocities)
@@ -262,13 +261,13 @@ class _Mechanics:
         return (v.T * sympy.Matrix(matrix) * v)[0] / 2 + linear + self.lagrangian.subs(at_rest)
 
     def integrals(self) -> dict[str, tuple[str, list[Expression]]]:
-        """First integrals by name: meaning and terms, which come from single terms of the Lagrangian."""
+        """Return the meaning and the terms of each first integral. Each term comes from one term of the Lagrangian."""
         import sympy
 
         result, balances = {}, self.balances()
         terms = sympy.Add.make_args(sympy.expand_mul(self.lagrangian, deep=False))
         if "energy" in balances:
-            energies = []  # from a term T of the Lagrangian: T if its degree in v is 2, -T if it is 0
+            energies = []  # A term T of the Lagrangian gives T if it has degree 2 in v, -T if degree 0.
             for term in terms:
                 momentum = sum(velocity * term.diff(velocity) for velocity in self.velocities)
                 quadratic = momentum != 0 and sympy.expand(momentum - 2 * term) == 0
@@ -285,7 +284,7 @@ class _Mechanics:
         return result
 
     def balances(self) -> dict[str, Expression]:
-        """First integral -> rate at which dissipation decreases it, 0 if it is constant."""
+        """Return the rates at which dissipation decreases the first integrals. The rate of a constant integral is 0."""
 
         def power(forces: Sequence[Expression]) -> Expression:
             return _simplest(sum(q * v for q, v in zip(forces, self.velocities, strict=True)))
@@ -300,7 +299,7 @@ class _Mechanics:
         return result
 
     def accelerations(self) -> list[Expression]:
-        """v' as expressions."""
+        """Return v' as expressions."""
         import sympy
 
         matrix = self.mass_matrix()
@@ -313,7 +312,7 @@ class _Mechanics:
         return result
 
     def module(self, title: str) -> str:
-        """Text of the module of equations."""
+        """Return the text of the module of equations."""
         pairs = list(zip(self.coordinates, self.velocities, strict=True))
         slopes = tuple(v for q, v in pairs if q not in self.omit) + tuple(self.accelerations())
         integrals = self.integrals()
@@ -340,7 +339,7 @@ class _Mechanics:
         return "\n".join(head) + "\n\n" + "\n\n\n".join(functions) + "\n"
 
     def docstring(self, title: str) -> str:
-        """Docstring of the module, with the Lagrangian and the forces."""
+        """Return the docstring of the module, with the Lagrangian and the forces."""
         lines = [f'"""{title}.', "", "Written by atlas.systems.from_lagrangian from the Lagrangian", ""]
         lines += lines_of("    L = ", self.lagrangian)
         if self.dissipation != 0:
@@ -356,7 +355,7 @@ class _Mechanics:
 
 
 def _expression(name: str, value: Any, allowed: set[Expression]) -> Expression:
-    """An expression of sympy that is arithmetic of known symbols; else BadInput."""
+    """Return an expression of SymPy that is arithmetic of known symbols, or raise BadInput."""
     import sympy
 
     if isinstance(value, int | float):
@@ -372,7 +371,7 @@ def _expression(name: str, value: Any, allowed: set[Expression]) -> Expression:
 
 
 def _is_singular(matrix: list[list[Expression]]) -> bool:
-    """Whether the determinant vanishes at three complex points, where every root and logarithm has a value."""
+    """Whether the determinant vanishes at three complex points. Every root and logarithm of complex numbers exists."""
     import mpmath
     import sympy
 
@@ -392,7 +391,7 @@ def _is_singular(matrix: list[list[Expression]]) -> bool:
 
 
 def _simplest(expression: Expression) -> Expression:
-    """The form with the fewest functions; of equal ones the shortest, then the first."""
+    """Return the form of an expression with the least `_cost`. The first form counts if several have the same cost."""
     import sympy
 
     forms = [expression, sympy.expand(expression), sympy.factor_terms(expression)]
@@ -407,7 +406,7 @@ def _simplest(expression: Expression) -> Expression:
 
 
 def _cost(expression: Expression) -> tuple[int, int, int, int]:
-    """Numbers: of multiple angles and tangents; of functions; of operations, with repeated parts once; of all operations."""
+    """Return numbers of multiple angles and tangents, functions, operations with repeated parts once, and all operations."""
     import sympy
 
     functions, multiples = expression.atoms(sympy.Function), 0
@@ -420,7 +419,7 @@ def _cost(expression: Expression) -> tuple[int, int, int, int]:
 
 
 def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) -> list[Expression]:
-    """Solution of linear equations with a symmetric matrix: of two by the inverse matrix, of more by the factors K D K^T."""
+    """Solve linear equations with a symmetric matrix, two by the inverse matrix, and more by the factors K D K^T."""
     import sympy
 
     n, given = len(matrix), sympy.Matrix(right_side)
@@ -442,5 +441,5 @@ def _solution(matrix: list[list[Expression]], right_side: Sequence[Expression]) 
 
 
 def _names(symbols: Sequence[Expression]) -> str:
-    """Source text of a tuple with the names of symbols, or with given names."""
+    """Return the source text of a tuple with the names of `symbols`."""
     return "({})".format(", ".join(f'"{symbol}"' for symbol in symbols) + ("," if len(symbols) == 1 else ""))

@@ -11,10 +11,10 @@ from typing import Any
 from ...errors import BadInput, shown
 from ...systems.arithmetic import FUNCTIONS
 
-# Any expression or symbol of sympy, which is imported only when it is used.
+# This stands for expressions and symbols of SymPy, which is imported only when it is used.
 Expression = Any
 LINE_LENGTH = 110
-MAX_NAME = 30  # characters of a name made from an expression
+MAX_NAME = 30  # largest number of characters of a name made from an expression
 
 
 def require_arithmetic(what: str, expression: Expression) -> None:
@@ -60,13 +60,13 @@ def _printer() -> Any:
 
 
 def text(expression: Expression) -> str:
-    """An expression as Python source."""
+    """Return an expression as Python source."""
     spaced = ast.unparse(ast.parse(_printer().doprint(expression), mode="eval"))
     return spaced.replace(" ** ", "**")
 
 
 def lines_of(start: str, body: Any, indent: int = 0) -> list[str]:
-    """`start` and an expression or text, wrapped at LINE_LENGTH; further lines are indented, by default as far as `start`."""
+    """Return `start` and `body`, wrapped at `LINE_LENGTH`. Further lines are indented, by default as far as `start`."""
     following = " " * (indent or len(start))
     return wrap(
         f"{start}{body}", LINE_LENGTH, subsequent_indent=following, break_long_words=False, break_on_hyphens=False
@@ -81,7 +81,7 @@ def function_text(
     constants: Sequence[Expression],
     shapes: Iterable[Expression],
 ) -> str:
-    """Source of a function that returns an expression or a tuple of them; parts that repeat get names.
+    """Return the source of a function of an expression, or of a tuple of expressions. Repeated parts get names.
 
     An expression without states gets the shape of its symbol in `shapes`, by the term 0.0 * symbol.
     """
@@ -119,7 +119,7 @@ def function_text(
 
 
 def _statement(start: str, body: str) -> list[str]:
-    """A statement of a function, in parentheses if it takes several lines."""
+    """Return the statement of a function, in parentheses if it takes several lines."""
     if len(start) + len(body) < LINE_LENGTH - 4:
         return [f"    {start}{body}"]
     return lines_of(f"    {start}(", f"{body})", indent=8)

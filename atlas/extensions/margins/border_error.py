@@ -1,4 +1,4 @@
-"""Errors of the borders of a map: cells across them, curves of theory beside them, and changes at half the step."""
+"""Errors of the borders of a map, from cells across a border, curves of theory beside it, and changes at half the step."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from ...errors import BadInput, attribute_text
 from ...flags import Status
 from ...systems.base import Array, families_of
 
-BORDER = ["first", "second", "curve"]  # the flags on both sides, and the kind of the nearest curve of theory
-# Variable along each axis -> column of the table of pairs of neighbours, and the statistic of this column.
+BORDER = ["first", "second", "curve"]  # flags on both sides, kind of the nearest curve of theory
+# Variables along each axis are statistics of columns of the table of pairs of neighbours.
 OF_AXES = {
     "pairs": ("half", "count"),
     "half_cell": ("half", "max"),
@@ -37,7 +37,7 @@ OF_AXES = {
 
 
 class BorderError(xr.Dataset):
-    """Borders of a map; `str` gives a sentence about them."""
+    """Borders of a map. The text of the dataset by `str` is a sentence about the borders."""
 
     __slots__ = ()
 
@@ -53,7 +53,7 @@ class BorderError(xr.Dataset):
 
 
 def _about(border: xr.Dataset) -> str:
-    """Text about one border."""
+    """Return the text about one border."""
 
     def lengths(name: str) -> str:
         of_axes = zip(border[name].values, border["unit"].values, border["axis"].values, strict=True)
@@ -98,19 +98,19 @@ def border_error(
     Returns
     -------
     Dataset
-        `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. Over "border", the longest
-        first: `first` and `second`, the flags on both sides, and `curve`, the kind of the nearest line of `boundary()`.
-        Also over "axis": `pairs`, the number of pairs of neighbours on both sides of the border, `half_cell`, and
-        `distance_median` and `distance_largest` between the middle of a pair and the curve. In the whole run the labels of
-        `points_changed` among `points_checked` points changed at half the step; with check_half_step = "all", `sensitive`
-        among the `checked` points of the pairs are sensitive to the step.
+        `str` of the dataset, or of a part such as ``.isel(border=0)``, is a sentence to cite. Variables over "border", with the
+        longest border first, are `first` and `second`, the flags on both sides, and `curve`, the kind of the nearest line of
+        `boundary()`. Variables over "border" and "axis" are `pairs`, the number of pairs of neighbours on both sides of the border,
+        `half_cell`, and `distance_median` and `distance_largest` between the middle of a pair and the curve. `points_checked`
+        and `points_changed` count the points of the whole run that were checked at half the step, and those with another label.
+        With check_half_step = "all", `checked` counts the points of the pairs, and `sensitive` those that are sensitive to the step.
     """
     plane, dims, panels = plane_of(ds, x, y, select or {}, degrees=degrees)
     for dim in panels:
         raise BadInput(f"{dim} has {plane.sizes[dim]} values here: choose one by select")
     array = plane.data_vars.get(variable)
     is_number = array is not None and array.dtype.kind in "iuf" and not has_flags(array)
-    if array is not None and is_number and not (array % 1 > 0).any():  # such as numbers of equilibria
+    if array is not None and is_number and not (array % 1 > 0).any():  # for example a number of equilibria
         array = array.fillna(-1)
     else:
         array = flag_variable(plane, variable)
@@ -166,7 +166,7 @@ def border_error(
 def _crossings(
     lines: xr.Dataset | None, dim: str, across: Sequence[tuple[str, float]], logs: Collection[str]
 ) -> tuple[Array, np.ndarray]:
-    """Values of axis `dim` where lines cross a row of points, and the kinds of the lines; across: other axis and its value."""
+    """Return where lines cross a row of points along `dim`, and the kinds of the lines. `across` is the other axis with a value."""
     if lines is None:
         return np.zeros(0), np.zeros(0, str)
     place, kinds = lines[dim].values, lines["kind"].values

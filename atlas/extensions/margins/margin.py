@@ -28,8 +28,8 @@ from ...measure.instrument import Variable
 from ...scene.model import Scene
 from ...systems.base import Array, families_of
 
-CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # curves of theory
-# Variable that changes at the curves -> frame of the curves.
+CURVES = [KINDS[name].classes for name in (STABILITY, LABEL, EXISTENCE)]  # classes beside curves of theory
+# Variable that changes at curves of theory -> frame of the curves.
 FRAMES = dict.fromkeys(("label", "predicted", "stable", "stability_kind"), "")
 FRAMES |= dict.fromkeys(("label_inertial", "predicted_inertial"), IN_SPACE)
 
@@ -65,15 +65,15 @@ def margin(
     -------
     Dataset
         `margin`, the lesser of `down` and `up`: inf if nothing changes within the atlas, nan without a label. The flags
-        `source_margin`, `source_down` and `source_up` tell how the place of the change is known: halfway between neighbouring
-        points (on a logarithmic axis in the logarithm), or from a limit of stability or precession or an edge of existence
+        `source_margin`, `source_down` and `source_up` tell how the place of the change is known. It may be halfway between
+        neighbouring points (on a logarithmic axis in the logarithm), or on a limit of stability or precession or an edge of existence
         that theory predicts between these points. ``ds.atlas.margin("k3").atlas.map("margin")`` draws a map.
 
     Notes
     -----
     A margin concerns one known point; for uncertain parameters use random draws, see `probability`.
     """
-    flag_variable(ds, variable)  # BadInput if it is no flag variable
+    flag_variable(ds, variable)  # BadInput for other variables
     if axis not in (axes := neighbour_axes(ds)):
         raise BadInput(f"axis = {shown(axis)}: no axis with neighbouring points; {allowed_text(axis, axes)}")
     part = nearest_on_axes(ds, {dim: value for dim, value in coords.items() if dim != axis}, degrees)
@@ -90,7 +90,7 @@ def margin(
         places = np.where(np.isnan(curves), places, curves)
     missing = (flags == Label.NOT_COMPUTED) & (variable in LABELS)
     if axis in coords:
-        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # BadInput for a value outside of the atlas
+        nearest_on_axes(part, {axis: coords[axis]}, degrees)  # BadInput if the value is outside
         at = np.array(coords[axis] / factor(part[axis].attrs, degrees))
         nearest = int(np.abs(values - at).argmin())
         tied = [name for name, each in line.coords.items() if axis in each.dims and name != axis]
@@ -120,7 +120,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """The nearest of increasing places below (side -1) or above (side 1) a value, or each sample if `value` is None; nan if there is none."""
+    """Return the nearest place below (`side` -1) or above (`side` 1) `value`, or nan. None means the value of each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:
@@ -129,7 +129,7 @@ def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
 
 
 def _curves(scene: Scene, line: xr.DataArray, axis: str, frame: str, index: tuple[np.ndarray, ...]) -> Array:
-    """Value of the axis at which a border of theory runs between neighbours, else nan; index: indices of the second neighbours."""
+    """Return the values of `axis` where a border of theory runs between the points `index` and the points before, or nan."""
     whole = {
         dim: line[dim].values[index[line.dims.index(dim)]]
         if dim in line.dims

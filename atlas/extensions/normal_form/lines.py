@@ -1,4 +1,4 @@
-"""Lines of nonlinear stability: resonances where the energy does not decide, and zeros of the determinant."""
+"""Lines of nonlinear stability, which are resonances where the energy does not decide, and zeros of the determinant."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VERDICT, _DETERMINANT = "nonlinear_stability", "birkhoff_determinant"
 
 
 def lines(plane: Plane, ds: xr.Dataset) -> Lines:
-    """Borders of motions and, on two axes, lines of nonlinear stability."""
+    """Return borders of motions and, on two axes, lines of nonlinear stability."""
     two_axes = len(plane.extent) == 2
     return borders(plane) | (
         cached_lines(lambda: nonlinear_lines(plane), plane, _VERDICT) if two_axes else {}
@@ -33,13 +33,13 @@ def lines(plane: Plane, ds: xr.Dataset) -> Lines:
 
 
 def nonlinear_lines(plane: Plane) -> Lines:
-    """Resonances where the energy does not decide, and as DETERMINANT_ZERO the curves where the normal form does not decide either."""
+    """Return resonances where the energy does not decide, and curves DETERMINANT_ZERO where the normal form does not decide."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     columns = plane.derived(coordinates, (_VERDICT, _DETERMINANT))
     shown = not_unstable(plane, coordinates) & (columns[_VERDICT] != NonlinearStability.ENERGY)
 
     def determinant(positions: Array) -> Array:
-        """D at positions given as fractional indices of the lattice."""
+        """Return D at positions, which are fractional indices of the lattice."""
         coordinates = dict(zip(plane.extent, values_at(positions, axes).T, strict=True))
         return plane.derived(coordinates, (_DETERMINANT,))[_DETERMINANT]
 

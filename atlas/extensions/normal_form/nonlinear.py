@@ -1,28 +1,29 @@
 """Nonlinear stability of equilibria with two degrees of freedom, by Birkhoff's normal form of degree 4.
 
-A gyrostat whose rotation about one direction e is cyclic keeps the momentum about e, and two degrees of freedom remain. Either e
-is an axis of symmetry of the body; then e and the angular momentum m are taken in the frame. Or e = gamma is the vertical, if
-nothing acts along alpha; then both are taken in the body. In both cases |e| = 1, m.e = S is constant, m and e have the brackets
-of the Euclidean group, and
+A gyrostat whose rotation about one direction e is cyclic keeps the momentum about e, and two degrees of freedom remain. If e is an
+axis of symmetry of the body, e and the angular momentum m are taken in the frame. If nothing acts along alpha, e = gamma is the
+vertical, and both are taken in the body. In both cases |e| = 1, m.e = S is constant, m and e have the brackets of the Euclidean
+group, and
 
-    H = m.J m / 2 + b.m + e.G e / 2 + c.e,
+    H = m.J m / 2 + b.m + e.G e / 2 + c.e.
 
-axis of symmetry: J = 1/I_t, I_t the moment across it, b = -Omega gamma, G and c from the potentials of alpha, beta and gamma;
-vertical: J = 1/I, b = -k/I, G = gradient I, c = field.
+For an axis of symmetry, J = 1/I_t with the moment I_t across the axis, b = -Omega gamma, and the potentials of alpha, beta and
+gamma give G and c. For the vertical, J = 1/I, b = -k/I, G = gradient I and c = field.
 
 Let e = (cos v cos u, cos v sin u, sin v), where the longitude u and the latitude v are 0 at the equilibrium. With
 
     m = S (cos u, sin u, 0)/cos v + p_u (-tan v cos u, -tan v sin u, 1) + p_v (sin u, -cos u, 0)
 
-u, v, p_u and p_v are canonical, and regular near the equilibrium. The Taylor polynomials of m and e are the same for all points; the
-coefficients of H's polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
+u, v, p_u and p_v are canonical, and regular near the equilibrium. The Taylor polynomials of m and e are the same for all points.
+The coefficients of H's polynomial are linear in the products of J, b, G, c and the components of m at the equilibrium.
 
-In H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., |l1| > |l2|, J = (q^2 + p^2)/2, an equilibrium is stable for l1 l2 > 0.
-For l1 l2 < 0 without resonance up to order 4 it is stable if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0 (V. I. Arnold, Sov. Math. Dokl. 2
-(1961) 247; J. Moser, Lectures on Hamiltonian Systems, Mem. AMS 81 (1968)). By A. P. Markeev, Libration Points in Celestial Mechanics
-and Cosmodynamics (1978), it is unstable at l1 = -2 l2 if there is a resonant cubic term; at l1 = -3 l2 it is stable for
-|c20 + 3 c11 + 9 c02| > 3 sqrt(3) B, else unstable, where B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) is the resonant term. With
-three degrees of freedom invariant tori do not separate the motions (Arnold diffusion), and these criteria do not show stability.
+The normal form is H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2 + ..., with |l1| > |l2| and J = (q^2 + p^2)/2. An equilibrium is
+stable for l1 l2 > 0. For l1 l2 < 0 without resonance up to order 4 it is stable if D = c20 l2^2 - c11 l1 l2 + c02 l1^2 is not 0
+(V. I. Arnold, Sov. Math. Dokl. 2 (1961) 247; J. Moser, Lectures on Hamiltonian Systems, Mem. AMS 81 (1968)). The resonances follow
+A. P. Markeev, Libration Points in Celestial Mechanics and Cosmodynamics (1978). At l1 = -2 l2 the equilibrium is unstable if there
+is a resonant cubic term. At l1 = -3 l2 let B sqrt(J1 J2^3) cos(phi1 + 3 phi2 + const) be the resonant term. The equilibrium is then
+stable for |c20 + 3 c11 + 9 c02| > 3 sqrt(3) B, else unstable. With three degrees of freedom invariant tori do not separate the
+motions (Arnold diffusion), and these criteria do not show stability.
 """
 
 from __future__ import annotations
@@ -48,17 +49,17 @@ if TYPE_CHECKING:
 
     from ...systems.gyrostat import Gyrostat
 
-_ZERO = 1e-9  # smallest |sum| / sum of |terms| that counts as different from 0 in a verdict
+_ZERO = 1e-9  # A sum counts as different from 0 in a verdict if |sum| / sum of |terms| is larger.
 _DEGREE = 4
 _EXPONENTS = np.array([e for e in np.ndindex(*4 * [_DEGREE + 1]) if sum(e) <= _DEGREE])
-_CHUNK = 256  # points computed together; their arrays stay in the processor's cache
-# Monomials of c20, c11, c02 and of the resonance 3:1 as indices of factors: 0 and 1 mean zeta_1 and zeta_2, 2 and 3 their
-# conjugates, where z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
+_CHUNK = 256  # number of points computed together, so that arrays stay in the processor's cache
+# These are the monomials of c20, c11, c02 and of the resonance 3:1, as indices of factors. 0 and 1 mean zeta_1 and zeta_2, and 2 and
+# 3 mean the conjugates, where z = w_1 zeta_1 + w_2 zeta_2 + conjugates.
 _MONOMIALS = (0, 0, 2, 2), (0, 1, 2, 3), (1, 1, 3, 3), (0, 1, 1, 1)
 
 
 class NormalForm(NamedTuple):
-    """Coefficients of normal forms of degree 4, arrays (points,); nan where the characteristic exponents are not imaginary."""
+    """Coefficients (points,) of normal forms of degree 4, nan where the characteristic exponents are not imaginary."""
 
     l1: Array
     l2: Array
@@ -70,7 +71,7 @@ class NormalForm(NamedTuple):
 
     @classmethod
     def of(cls, second: Array, third: Array, fourth: Array) -> NormalForm:
-        """Normal forms from the derivatives of H by (q1, q2, p1, p2) of order 2, 3 and 4: (points, 4, 4), (points, 4, 4, 4) and so on."""
+        """Return normal forms from the derivatives of H by (q1, q2, p1, p2) of order 2 (points, 4, 4), order 3 and order 4."""
         frequencies, modes = _modes(second)
         t = (third.reshape(-1, 16, 4) @ modes).reshape(-1, 4, 4, 4)
         transposed = np.swapaxes(modes, 1, 2)
@@ -80,13 +81,13 @@ class NormalForm(NamedTuple):
         actions = [_product(w, w.conj()).real for w in (first, other)]
         square = _product(other, other)
         images = np.stack([*actions, square.real, square.imag], 1) @ fourth.reshape(-1, 16, 16)
-        direct = [  # fourth derivative * number of permutations of the monomial / 4!
+        direct = [  # fourth derivative times the number of permutations of the monomial, / 4!
             (actions[0] * images[:, 0]).sum(1) / 4,
             (actions[0] * images[:, 1]).sum(1),
             (actions[1] * images[:, 1]).sum(1) / 4,
             (_product(first, other) * (images[:, 2] + 1j * images[:, 3])).sum(1) / 6,
         ]
-        # Half of {H3, chi}, with chi such that {H2, chi} = -H3.
+        # This is half of {H3, chi}, where chi solves {H2, chi} = -H3.
         (a, b, c, e, d), weights, starts = _brackets()
         rates = np.concatenate([frequencies, -frequencies], 1)
         products = t[:, a, b, d] * t[:, c, e, (d + 2) % 4] * weights
@@ -99,11 +100,11 @@ class NormalForm(NamedTuple):
 
     @property
     def determinant(self) -> Array:
-        """D = c20 l2^2 - c11 l1 l2 + c02 l1^2."""
+        """The determinant D = c20 l2^2 - c11 l1 l2 + c02 l1^2."""
         return self.c20 * self.l2**2 - self.c11 * self.l1 * self.l2 + self.c02 * self.l1**2
 
     def verdict(self) -> Flags:
-        """Values of flags.NonlinearStability; degenerate where no normal form exists."""
+        """Return values of `flags.NonlinearStability`, which are degenerate where no normal form exists."""
         sizes = [np.abs(c) for c in (self.c20, self.c11, self.c02)]
         ratio = np.abs(self.l1 / self.l2)
         near = {order: np.abs(ratio - order) < RESONANCE_BAND for order in (1, 2, 3)}
@@ -124,7 +125,7 @@ class NormalForm(NamedTuple):
 
 
 def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
-    """Values of flags.NonlinearStability, (points,), and c20, c11, c02 and D, (4, points), nan where no normal form exists."""
+    """Return values of `flags.NonlinearStability` (points,), and c20, c11, c02 and D (4, points), nan where no normal form exists."""
     flags, kind = steady_families(system, points), kinds_of_stability(system, points)
     result = np.full(flags.shape, NonlinearStability.UNDECIDED, np.int8)
     values = np.full((4, flags.size), np.nan)
@@ -152,14 +153,14 @@ def of_points(system: Gyrostat, points: Points) -> tuple[Flags, Array]:
 
 
 def stability(rest: Equilibria) -> tuple[Flags, Array]:
-    """Verdicts of the normal form, (points,), and c20, c11, c02 and D in units of 1 / moment, (4, points), nan if no form exists.
+    """Return verdicts of the normal form (points,), and c20, c11, c02 and D in units of 1 / moment (4, points), nan without a form.
 
-    With fewer than two degrees of freedom, where the energy decides, the verdict is degenerate; with more it is undecided.
+    With fewer than two degrees of freedom the energy decides, and the verdict is degenerate. With more it is undecided.
     """
     count = (rest.cyclic != 0).any(1).sum(1)
     verdicts = np.where(count, NonlinearStability.DEGENERATE, NonlinearStability.UNDECIDED).astype(np.int8)
     values = np.full((4, count.size), np.nan)
-    # A body symmetric about the vertical, or a free body, has one degree of freedom less.
+    # A body that is symmetric about the vertical, or free, has one degree of freedom less.
     symmetric = rest.symmetric()
     about_axis = (rest.cyclic[..., 1] != 0).any(1)
     members = (count == 1) & (about_axis | ~symmetric) & ~rest.free & (rest.body.damping == 0)
@@ -173,7 +174,7 @@ def stability(rest: Equilibria) -> tuple[Flags, Array]:
 
 
 def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at the equilibria with the indices `members`."""
+    """Return the derivatives of order 2, 3 and 4 of H by (u, v, p_u, p_v) at the equilibria with the indices `members`."""
     body, alpha, gamma = rest.body.subset(members), rest.alpha[members], rest.gamma[members]
     axis, inertia, turn = rest.cyclic[members, :, 1], body.inertia, body.turn[:, None]
     axial = (axis != 0).any(1, keepdims=True)
@@ -207,21 +208,21 @@ def derivatives(rest: Equilibria, members: NDArray[np.int64]) -> tuple[Array, Ar
     ]
     table, places = _taylor()
     values = (table @ np.concatenate([factor.reshape(members.size, -1) for factor in factors], 1).T).T
-    # np.take makes the derivatives of one point contiguous in memory; values[:, place] would make the points contiguous.
+    # `np.take` makes the derivatives of one point contiguous in memory, while values[:, place] would make the points contiguous.
     second, third, fourth = (np.take(values, place, axis=1) for place in places)
     return second, third, fourth
 
 
 @cache
 def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
-    """Derivatives at 0 of the terms of H, (monomials, terms), and for each order the indices of its derivatives among the monomials."""
+    """Return derivatives at 0 of the terms of H (monomials, terms), and for each order the monomials of the derivatives."""
     from scipy.sparse import csr_array
 
     cos_u, sin_u = cos_v, sin_v = np.array([[1, 0, -1 / 2, 0, 1 / 24], [0, 1, 0, -1 / 6, 0]])
     one, sec, tan = np.array([[1, 0, 0, 0, 0], [1, 0, 1 / 2, 0, 5 / 24], [0, 1, 0, 1 / 3, 0]])
 
     def polynomial(*terms: tuple[Array, Array, tuple[int, int]]) -> Array:
-        """Sum of terms, each given by its Taylor coefficients in u and in v and its exponents of p_u and p_v."""
+        """Return the sum of terms, given by Taylor coefficients in u and in v and by the exponents of p_u and p_v."""
         dense = np.zeros(4 * [_DEGREE + 1])
         for in_u, in_v, momenta in terms:
             dense[(..., *momenta)] += np.outer(in_u, in_v)
@@ -249,7 +250,7 @@ def _taylor() -> tuple[csr_array, list[NDArray[np.int64]]]:
 
 
 def _times(a: Array, b: Array) -> Array:
-    """Products of polynomials (..., monomials), up to the degree _DEGREE."""
+    """Return products of polynomials (..., monomials), up to the degree `_DEGREE`."""
     sums = _EXPONENTS[:, None] + _EXPONENTS
     i, j = np.nonzero(sums.sum(2) <= _DEGREE)
     result = np.zeros((len(_EXPONENTS), *np.broadcast_shapes(a.shape, b.shape)[:-1]))
@@ -259,12 +260,12 @@ def _times(a: Array, b: Array) -> Array:
 
 
 def _product(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Outer products of vectors (points, 4), as rows (points, 16)."""
+    """Return the outer products of vectors (points, 4), as rows (points, 16)."""
     return (a[:, :, None] * b[:, None]).reshape(len(a), 16)
 
 
 def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
-    """Frequencies l1, l2 of z' = J H'' z, (points, 2), and w_1, w_2 and their conjugates in columns, (points, 4, 4).
+    """Return the frequencies l1, l2 of z' = J H'' z (points, 2), and w_1, w_2 and conjugates as columns (points, 4, 4).
 
     w is an eigenvector to the eigenvalue -i l with w* J w = -i, so that zeta* zeta = (q^2 + p^2)/2 is an action.
     """
@@ -280,7 +281,7 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
         frequencies = np.sqrt(squares)
         vectors = []
         for i in (0, 1):
-            # By Cayley-Hamilton A^2 + l^2, with l of the other mode, maps every vector into the plane of this mode.
+            # By the theorem of Cayley and Hamilton, A^2 + l^2 with l of the other mode maps every vector into the plane of this mode.
             part = square + squares[:, 1 - i, None, None] * np.eye(4)
             column = np.take_along_axis(part, (part**2).sum(1).argmax(1)[:, None, None], 2)[..., 0]
             vector = (A @ column[..., None])[..., 0] - 1j * frequencies[:, i, None] * column
@@ -293,9 +294,9 @@ def _modes(second: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 @cache
 def _brackets() -> tuple[NDArray[np.int64], Array, list[int]]:
-    """Terms factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d) of {H3, chi} / 2; t: third derivatives of H by zeta; zeta_d*: conjugate of zeta_d.
+    """Return the terms of {H3, chi} / 2, as rows of indices a, b, c, e, d, factors, and the first term of each of `_MONOMIALS`.
 
-    Returns the rows of indices a, b, c, e, d, the factors, and the position of the first term of each of _MONOMIALS.
+    A term is factor * t_abd t_ce(d*) / (rate_c + rate_e - rate_d), with third derivatives t by zeta and the conjugate zeta_d*.
     """
     indices: list[tuple[int, ...]] = []
     weights, starts = [], []

@@ -1,4 +1,4 @@
-"""Stability by the normal form, and its coefficients, as variables that a scene may ask for."""
+"""Variables that a scene may ask for: stability by the normal form, and the coefficients of the form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FORM = "of H = l1 J1 + l2 J2 + c20 J1^2 + c11 J1 J2 + c02 J2^2; nan without two
 
 
 def normal_form(system: System) -> dict[str, DerivedVariable]:
-    """Verdicts and coefficients of the normal form of a gyrostat."""
+    """Return the verdict and the coefficients of the normal form of a gyrostat as variables."""
     if not isinstance(system, Gyrostat):
         return {}
 

@@ -51,14 +51,13 @@ THEORY = (
     "energy_stable", "frequency_1", "frequency_2", "frequency_3",
 )  # fmt: skip
 NUMERICS = ("status", "computed", "error_estimate", "step", "step_ratio", "integral_drift", "end_time")
-# Largest number of maps for which lines of theory are computed, which takes some seconds for each map.
-MAX_SLICES = 24
+MAX_SLICES = 24  # largest number of maps with lines of theory, which take some seconds for each map
 SHADES = 256
 HATCHED = {"slow": SLOW, "undecided": cells.UNDECIDED, "notYet": NOT_YET}  # regions that are hatched
 
 
 def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: str) -> dict[str, Any]:
-    """All that a page shows; motions: result of `motion_table`, or {"fault": reason}; file: name of the atlas in the commands shown."""
+    """Return all that a page shows. `motions` is a result of `motion_table`, or {"fault": reason}. Commands name the atlas `file`."""
     ds, system, attributes = layout.ds, layout.system, layout.ds.attrs
     notes = list(layout.notes)
     if "atlas_scene" not in attributes:
@@ -90,7 +89,7 @@ def page_table(layout: Layout, store: Store, motions: Mapping[str, Any], file: s
 
 
 def axes_table(layout: Layout) -> list[dict[str, Any]]:
-    """Axes of the atlas, or of single points the coordinates that vary, with the axes of the map first."""
+    """Return the axes of the atlas, or the coordinates of single points that vary. The axes of the map are first."""
     ds, system, names = layout.shown, layout.system, layout.dims
     if layout.points:
         columns = {name: ds[name].values for name in numeric_coordinates(ds, POINT)}
@@ -122,7 +121,7 @@ def axes_table(layout: Layout) -> list[dict[str, Any]]:
 
 
 def _defined_name(symbol: list[Run]) -> list[Run]:
-    """The name that a formula such as K1 = (C - A)/B defines; other symbols unchanged."""
+    """Return the name that a formula such as K1 = (C - A)/B defines. Other symbols stay unchanged."""
     for number, run in enumerate(symbol):
         before, equals, _ = run["t"].partition(" = ")
         if equals:
@@ -132,7 +131,7 @@ def _defined_name(symbol: list[Run]) -> list[Run]:
 
 
 def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
-    """Variables of the atlas over its points, in the order of the file, each with its values, colours and texts."""
+    """Return the variables of the atlas over its points, in the order of the file, with values, colours and texts."""
     variables = []
     for name, array in layout.shown.data_vars.items():
         usable = (
@@ -164,7 +163,7 @@ def variables_table(layout: Layout, store: Store) -> list[dict[str, Any]]:
 
 
 def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
-    """Values of a variable with their colours, and for flags with their sentences."""
+    """Return the values of a variable with colours, and for flags with sentences."""
     array = layout.shown[name]
     values, flags = motion.over_points(_nearest_values(layout, name), layout.sizes), flag_names(array)
     if not flags:
@@ -195,7 +194,7 @@ def _values(layout: Layout, store: Store, name: str) -> dict[str, Any]:
 
 
 def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
-    """Values of a variable; points that a refined atlas did not integrate have the value of the nearest integrated point, as on maps."""
+    """Return the values of a variable. As on maps, a point that was not integrated has the value of the nearest integrated point."""
     array = layout.shown[name]
     if "computed" not in layout.ds or flag_names(array) or layout.points:
         return array
@@ -208,7 +207,7 @@ def _nearest_values(layout: Layout, name: str) -> xr.DataArray:
 
 
 def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Lines of theory, the mask of slow points, and why points are white; empty for an atlas of single points."""
+    """Return the lines of theory, slow points, and reasons for white points. These are empty for an atlas of single points."""
     if layout.points:
         return {"slices": [], "styles": {}, "white": [], "hatches": HATCHED}
     name = "label" if "label" in layout.ds else next(iter(map(str, layout.ds.data_vars)))
@@ -234,7 +233,7 @@ def theory_table(layout: Layout, store: Store) -> dict[str, Any]:
 
 
 def _lines(layout: Layout, part: xr.Dataset, panel: Panel) -> list[dict[str, Any]]:
-    """Lines of theory of one panel, each with its kind, the groups of maps that show it, and its vertices."""
+    """Return the lines of theory of one panel, each with a kind, vertices, and the groups of maps that show the line."""
     limits, axes = (STABILITY, EXISTENCE), [part[dim] for dim in layout.axes]
     panel = panel.in_degrees(layout.degrees)
     lines = [
@@ -250,7 +249,7 @@ def _lines(layout: Layout, part: xr.Dataset, panel: Panel) -> list[dict[str, Any
 
 
 def _styles(system: System, slices: list[list[dict[str, Any]]]) -> dict[str, Any]:
-    """Text, width and dashes of each kind of line."""
+    """Return the text, width and dashes of each kind of line."""
     families = list(families_of(system))
     named = {"-": (), ":": rcParams["lines.dotted_pattern"], "--": rcParams["lines.dashed_pattern"],
              "-.": rcParams["lines.dashdot_pattern"]}  # fmt: skip
@@ -269,7 +268,7 @@ def _styles(system: System, slices: list[list[dict[str, Any]]]) -> dict[str, Any
 
 
 def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
-    """Starts of all points, with parameters, constants and observables of their equations."""
+    """Return the starts of all points, with parameters, constants and observables of the equations."""
     if layout.problem:
         raise BadInput(layout.problem)
     system, add = layout.system, store.add
@@ -287,7 +286,7 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
         if not np.isnan(starts.parameters[name]).all()
     ]
     states = list(system.equations.STATE)
-    observables = []  # of systems without a body in a frame: states, or functions of the equations
+    observables = []  # states or functions of the equations, for systems without a body in a frame
     for observable in system.observables:
         unit = unit_text(observable.unit)
         label = f"{observable.symbol or observable.name}{f' ({unit})' if unit else ''}"
@@ -312,7 +311,7 @@ def motion_table(layout: Layout, store: Store) -> dict[str, Any]:
 
 
 def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
-    """Templates of the shell and Python commands that integrate a point, and the coordinates to fill in."""
+    """Return templates of the shell and Python commands that integrate a point, and the coordinates to fill in."""
     ds, names = layout.ds, dict[str, str]()
     if layout.scene is not None:
         names = {dim: axis.name for dim, axis in axes_of(layout.scene).items()}
@@ -333,7 +332,7 @@ def _commands(layout: Layout, store: Store, file: str) -> dict[str, Any]:
 
 
 def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "theory") -> dict[str, Any]:
-    """Entry of a line of theory; its vertices have six digits, or are None where a curve is cut."""
+    """Return the entry of a line of theory. Vertices have six digits, and are None where a curve is cut."""
     paths = [
         [[float(f"{x:.6g}") if math.isfinite(x) else None for x in vertex] for vertex in line]
         for line in vertices
@@ -341,13 +340,12 @@ def _line(kind: str, on: list[str], vertices: list[np.ndarray], source: str = "t
     return {"kind": kind, "on": on, "source": source, "paths": paths}
 
 
-# Types of JavaScript's typed arrays, by the names of NumPy's types.
 _TYPES = {"int8": "Int8Array", "int32": "Int32Array", "float32": "Float32Array", "float64": "Float64Array"}
 _LEVEL = 9
 
 
 class Store:
-    """Arrays over the points of an atlas, and shades of colours, each stored once; nbytes: uncompressed size of the arrays."""
+    """Arrays over the points of an atlas, and shades of colours, each stored once. `nbytes` is the size before compression."""
 
     def __init__(self, shape: tuple[int, ...]):
         self.shape = shape
@@ -357,7 +355,7 @@ class Store:
         self._numbers: dict[tuple[str, bytes], int] = {}
 
     def add(self, values: np.ndarray) -> dict[str, Any]:
-        """Store an array over the points; returns the number of its entry and the axes along which it varies."""
+        """Store an array over the points. Return the number of its entry, and the axes along which the array varies."""
         over = []
         bits = np.broadcast_to(values, self.shape)
         bits = np.ascontiguousarray(bits).view(f"u{values.dtype.itemsize}")
@@ -376,7 +374,7 @@ class Store:
         return {"array": self._numbers[key], "over": over}
 
     def add_scale(self, scale: ColorScale) -> dict[str, Any]:
-        """Store the shades of a colour scale; returns its kind, its ends and the name of the shades."""
+        """Store the shades of a colour scale. Return the kind and the ends of the scale, and the name of the shades."""
         name = scale.colormap.name
         if name not in self.shades or scale.integers:
             count = scale.colormap.N if scale.integers else SHADES
@@ -388,7 +386,7 @@ class Store:
         return {"kind": kind, "low": low, "high": high, "shades": name}
 
     def packed(self) -> list[dict[str, Any]]:
-        """Type in JavaScript, size and data of each array; data: first bytes of all numbers, then second bytes etc., by zlib and base64."""
+        """Return type, size and data of each array. The data are all first bytes, all second bytes and so on, compressed, in base64."""
         entries = []
         for array in self._arrays:
             little = array.astype(array.dtype.newbyteorder("<"))
@@ -400,7 +398,7 @@ class Store:
 
 
 def float_array(values: np.ndarray) -> np.ndarray:
-    """Numbers as float32 (seven digits), or as float64 if their magnitudes are outside its range."""
+    """Return numbers as float32 (seven digits), or as float64 if some magnitudes are outside the range of float32."""
     values = np.asarray(values, np.float64)
     size = np.abs(values[np.isfinite(values) & (values != 0.0)])
     fits = not size.size or bool(size.max() < 1e38 and size.min() > 1e-37)
@@ -408,7 +406,7 @@ def float_array(values: np.ndarray) -> np.ndarray:
 
 
 MAX_POINTS = 120_000
-# Largest size of the numbers before compression, about their size in the page: base64 adds what compression removes.
+# Largest size of the numbers before compression, and nearly so in the page, because base64 adds what compression removes.
 MAX_BYTES = 12_000_000
 
 
@@ -418,7 +416,7 @@ class Layout:
 
     whole: xr.Dataset  # the atlas
     ds: xr.Dataset  # the points that are shown, in memory, sorted along their axes
-    scene: Scene | None  # scene of the atlas, the source of theory and motions
+    scene: Scene | None  # scene of the atlas, from which theory and motions come
     problem: str  # reason why the scene of the atlas cannot be used, or empty
     dims: list[str]  # dimensions of the points, in the order of the atlas
     axes: list[str]  # one or two axes of the map, x first, or two coordinates of single points
@@ -439,7 +437,7 @@ class Layout:
 
     @property
     def n_maps(self) -> int:
-        """Number of maps, one for each value of the further dimensions."""
+        """Number of maps, which is one for each value of the further dimensions."""
         return math.prod(self.ds.sizes[dim] for dim in self.panel_dims)
 
     @property
@@ -453,13 +451,13 @@ class Layout:
         return tuple(self.sizes.values())
 
     def slices(self) -> Iterator[tuple[tuple[int | slice, ...], xr.Dataset]]:
-        """For each map the index of its points in an array over all points, and its part of the atlas."""
+        """Yield for each map the index of its points in an array over all points, and the part of the atlas."""
         for index in np.ndindex(*(self.ds.sizes[dim] for dim in self.panel_dims)):
             along = dict(zip(self.panel_dims, index, strict=True))
             yield tuple(along.get(dim, slice(None)) for dim in self.dims), self.ds.isel(along)
 
     def over_slices(self, masks: list[np.ndarray | None]) -> np.ndarray:
-        """One mask over all points, from the masks of the cells of each map (None: no cell)."""
+        """Join the masks of the cells of all maps to one mask over all points. None stands for a map without cells."""
         whole = np.zeros(self.shape, bool)
         order = self.axes[::-1]  # a panel has its x axis last
         axes = [order.index(dim) for dim in self.dims if dim in order]
@@ -470,7 +468,7 @@ class Layout:
 
 
 def page_layout(ds: xr.Dataset, max_points: int = MAX_POINTS, degrees: bool | None = None) -> Layout:
-    """Layout of a page; of more than max_points points, every k-th value along the longest axes; BadInput without axes."""
+    """Return the layout of a page, or raise BadInput without axes. Above `max_points`, the longest axes have every k-th value."""
     check_not_empty(ds)
     single = POINT in ds.dims
     dims = (

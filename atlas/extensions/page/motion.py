@@ -24,30 +24,30 @@ from ...scene.model import Duration, Scene
 from ...systems import arithmetic
 from ...systems.base import Array, System
 
-SAMPLES = 1001  # instants of a motion, as atlas.trajectory keeps by default
-# _KERNEL: functions of the equations that integrate a motion, in the kernel's units. _OF_BODY: functions that show a body, in the
-# caller's units; equations may lack them.
+SAMPLES = 1001  # number of instants of a motion, as atlas.trajectory keeps by default
+# Functions in `_KERNEL` integrate a motion, in the kernel's units. Functions in `_OF_BODY` show a body, in the caller's units, and
+# may be absent.
 _KERNEL = ("rhs", "scaled", "unscaled")
 _OF_BODY = ("frame_motion", "axis_in_frame")
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Start values of the points of an atlas, each array of shape (..., *points)."""
+    """Start values of the points of an atlas, as arrays (..., *points)."""
 
     parameters: dict[str, Array]  # parameter -> value at the start, nan where it is not given
-    # As in `kernel.ensemble.Ensemble`; if the equations of a body have no `axis_in_frame`, state ends with the first axis of the frame.
+    # As in `kernel.ensemble.Ensemble`. If the equations of a body have no `axis_in_frame`, `state` ends with the frame's first axis.
     state: Array
     constants: Array
     duration: Array  # length of the run in time units
-    steps: np.ndarray  # steps from one instant of the trajectory to the next
-    reason: np.ndarray  # index in `sentences` of the reason why a point has no motion, 0 if it has one
+    steps: np.ndarray  # number of steps from one instant of the trajectory to the next
+    reason: np.ndarray  # index in `sentences` of the reason why a point has no motion, else 0
     sentences: list[str]
-    method: str  # a key of tableaux.METHODS
+    method: str  # a key of `tableaux.METHODS`
 
 
 def sources(system: System, method: str) -> dict[str, str]:
-    """Sources of the Python functions that integrate a point and show its motion, by name; states as in `Motions`."""
+    """Return the Python functions that integrate a point and show its motion, as name -> source. States are as in `Motions`."""
     equations = with_frame_vector(system.equations)
     texts = arithmetic.functions(equations)
     observables = [observable.name for observable in system.observables]
@@ -66,11 +66,11 @@ def sources(system: System, method: str) -> dict[str, str]:
 
 
 def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]) -> Motions:
-    """Starts of all points, as `ds.atlas.trajectory` integrates them; BadInput where a value is missing."""
+    """Return the starts of all points, as `ds.atlas.trajectory` integrates them, or raise BadInput where a value is missing."""
     sizes = {dim: ds.sizes[dim] for dim in dims}
 
     def column(name: str) -> Array:
-        """Values of a variable at every point, in C order of the dimensions of the points."""
+        """Return the values of a variable at every point, in C order of the dimensions of the points."""
         return over_points(ds[name], sizes).astype(np.float64).ravel()
 
     if scene is None:
@@ -113,7 +113,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
     steps = steps_between_instants(at_points, count, finite, SAMPLES - 1)
 
     def shaped(values: np.ndarray) -> np.ndarray:
-        """An array whose last axis, the points, is split into their dimensions."""
+        """Split the last axis of an array, the points, into the dimensions of the points."""
         return values.reshape(*values.shape[:-1], *sizes.values())
 
     return Motions(
@@ -124,7 +124,7 @@ def motions(ds: xr.Dataset, system: System, scene: Scene | None, dims: list[str]
 
 
 def over_points(array: xr.DataArray, sizes: Mapping[str, int]) -> np.ndarray:
-    """An array over some dimensions of the points, broadcast to all of them; sizes: name -> size of each dimension, in order."""
+    """Broadcast an array over some dimensions of the points to all dimensions. `sizes` maps dimensions, in order, to sizes."""
     whole = array.expand_dims({dim: size for dim, size in sizes.items() if dim not in array.dims})
     return np.asarray(whole.transpose(*sizes).values)
 
@@ -143,14 +143,14 @@ _AXPY = """function axpy$(y, weights, slopes) {
 
 
 class CannotTranslate(ValueError):
-    """An expression or statement has no translation; the message quotes it."""
+    """Exception for an expression or statement that has no translation. The message quotes the expression or statement."""
 
 
 def translate(sources: Mapping[str, str]) -> str:
-    """JavaScript functions from Python functions in the grammar of `arithmetic`; CannotTranslate for other functions.
+    """Translate Python functions in the grammar of `arithmetic` to JavaScript, or raise CannotTranslate.
 
-    Tuples (arrays in JavaScript), calls of `axpy` and calls between these functions are allowed too. Every name gets the ending "$",
-    which Python names and words of JavaScript lack.
+    Tuples, which are arrays in JavaScript, calls of `axpy` and calls between these functions are allowed too. Every name gets the
+    ending "$", which neither Python names nor words of JavaScript have.
     """
     functions = frozenset((*sources, "axpy"))
     scripts = [_Function(name, text, functions).script() for name, text in sources.items()]
@@ -158,7 +158,7 @@ def translate(sources: Mapping[str, str]) -> str:
 
 
 def _number(value: float) -> str:
-    """Source of a number in JavaScript, with the same 64 bits."""
+    """Return the source of a number in JavaScript that has the same 64 bits."""
     return {"inf": "Infinity", "nan": "NaN"}.get(repr(float(value)), repr(float(value)))
 
 
@@ -173,10 +173,10 @@ class _Function:
         self.name, self.functions = name, functions
         self.temporaries = 0
         self.parameters: list[str] = []
-        self.locals: dict[str, None] = {}  # in the order of their first assignment
+        self.locals: dict[str, None] = {}  # in the order of the first assignment
 
     def script(self) -> str:
-        """The function in JavaScript."""
+        """Return the function in JavaScript."""
         node = self.node
         if not isinstance(node, ast.FunctionDef):
             raise self.fault(node)
@@ -192,12 +192,12 @@ class _Function:
         return "\n".join([head, *(f"  {line}" for line in lines), "}"])
 
     def fault(self, node: ast.AST) -> CannotTranslate:
-        """The exception for a node without translation."""
+        """Return the exception for a node without translation."""
         text = ast.unparse(node).partition("\n")[0]
         return CannotTranslate(f"{self.name}: {text}")
 
     def statement(self, node: ast.stmt) -> list[str]:
-        """Lines of one statement."""
+        """Return the lines of one statement."""
         match node:
             case ast.Return(value=ast.expr() as value):
                 return [f"return {self.expression(value)};"]
@@ -206,7 +206,7 @@ class _Function:
         raise self.fault(node)
 
     def assignment(self, target: ast.expr, value: ast.expr) -> list[str]:
-        """Lines that assign a value to a name, or the items of a tuple to several names."""
+        """Return lines that assign a value to a name, or the items of a tuple to several names."""
         if isinstance(target, ast.Name):
             return self.assigned(target, self.expression(value))
         if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
@@ -223,7 +223,7 @@ class _Function:
         return [f"{whole} = {self.expression(value)};", *self.assigned(target, whole)]
 
     def assigned(self, target: ast.expr, text: str) -> list[str]:
-        """Lines that assign translated text to a name, or its items to a tuple of names."""
+        """Return lines that assign a translated text to a name, or the items of the text to a tuple of names."""
         if isinstance(target, ast.Name):
             self.locals[target.id] = None
             return [f"{target.id}$ = {text};"]
@@ -233,12 +233,12 @@ class _Function:
         raise self.fault(target)
 
     def temporary(self) -> str:
-        """A new name, different from all Python names."""
+        """Return a new name, different from all Python names."""
         self.temporaries += 1
         return f"t${self.temporaries - 1}"
 
     def expression(self, node: ast.expr) -> str:
-        """An expression, in parentheses unless it is one name, number or call."""
+        """Translate an expression. The text is in parentheses unless it is one name, number or call."""
         match node:
             case ast.Constant(value=int() | float() as value):
                 return _number(value)
@@ -262,7 +262,7 @@ class _Function:
         raise self.fault(node)
 
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
-        """A power, as a product, a square root, or a call of Math.pow, which may differ from Python in the last bit."""
+        """Translate a power to a product, a square root, or a call of Math.pow, which may differ from Python in the last bit."""
         sign = 1.0
         if isinstance(exponent, ast.UnaryOp) and isinstance(exponent.op, ast.USub):
             sign, exponent = -1.0, exponent.operand
@@ -280,7 +280,7 @@ class _Function:
         return product if number > 0 else f"(1.0 / {product})"
 
     def product(self, base: ast.expr, text: str, count: int) -> str:
-        """A whole power by repeated squaring."""
+        """Translate a whole power to a product, by repeated squaring."""
         if count == 1:
             return text
         if not isinstance(base, ast.Name | ast.Constant):

@@ -26,11 +26,11 @@ from ...scene import checks
 from .content import MAX_BYTES, MAX_POINTS, Layout, Store, motion_table, page_layout, page_table
 from .motion import CannotTranslate, sources, translate
 
-# Scripts of the page, joined in one scope; the last one starts it.
+# The scripts of the page are joined in one scope, and the last script starts the page.
 SCRIPTS = ("map.js", "point.js", "motion.js", "controls.js")
 FORMATS = (".html", ".htm")
 FALLBACK_DPI = 110
-FRAME_HEIGHT = 900  # pixels of a page in a notebook
+FRAME_HEIGHT = 900  # height of a page in a notebook, in pixels
 NO_MOTION = "null"
 
 
@@ -66,7 +66,7 @@ class Page:
             temporary.write_text(self.html, encoding="utf-8")
 
     def _repr_html_(self) -> str:
-        """The page in a frame of its own, which can reach neither the notebook around it nor the network."""
+        """Return the page in a frame without access to the notebook and to the network."""
         return (
             f'<iframe title="atlas" sandbox="allow-scripts allow-downloads" width="100%" height="{FRAME_HEIGHT}" style="border:0"'
             f' srcdoc="{html.escape(self.html)}"></iframe>'
@@ -84,8 +84,8 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
     Returns
     -------
     Page
-        Jupyter shows it in the cell; `page().save("map.html")` writes it. It needs no server and loads nothing.
-        An atlas with more than `atlas.extensions.page.content.MAX_POINTS` points is thinned: every k-th value along the longest axes.
+        Jupyter shows the page in the cell, and `page().save("map.html")` writes a file. The page needs no server and loads nothing.
+        An atlas with more than `atlas.extensions.page.content.MAX_POINTS` points is thinned to every k-th value along the longest axes.
     """
     return atlas_page(ds, degrees=degrees)
 
@@ -93,14 +93,14 @@ def page(ds: xr.Dataset, *, degrees: bool | None = None) -> Page:
 def atlas_page(
     ds: xr.Dataset, *, file: str = "", max_points: int = MAX_POINTS, degrees: bool | None = None
 ) -> Page:
-    """Make the page of an atlas; file: the name of the atlas in the commands that the page shows."""
+    """Make the page of an atlas. Commands that the page shows name the atlas `file`."""
     system, scene = system_of(ds), scene_of(ds)
     file = file or Path(str(ds.encoding.get("source", "atlas.nc"))).name
     method = attribute_text(ds.attrs, "atlas_method") if scene is None else scene.settings.method
     checks.choice("damaged: the attribute atlas_method", method, METHODS)
     script, fault = "", {}
     try:
-        # Trajectories differ from the atlas by rounding: kernels fuse products and sums, browsers do not.
+        # Trajectories differ from the atlas by rounding, because kernels fuse products and sums, and browsers do not.
         texts = sources(system, method)
         script = f"{translate(texts)}\nreturn {{{', '.join(f'{name}: {name}$' for name in texts)}}};"
     except CannotTranslate as error:
@@ -121,7 +121,7 @@ def atlas_page(
 
 
 def _fallback(layout: Layout) -> str:
-    """A picture of the map for readers without scripts, as a data address."""
+    """Return a picture of the map for readers without scripts, as a data address."""
     middle = layout.ds.isel({dim: layout.ds.sizes[dim] // 2 for dim in layout.panel_dims})
     buffer = io.BytesIO()
     figure = atlas_map(middle, map_variable(layout.whole), width="page", degrees=layout.degrees)
@@ -131,7 +131,7 @@ def _fallback(layout: Layout) -> str:
 
 
 def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
-    """Text of the file: template, style, script and data, with a content-security policy that allows nothing else."""
+    """Return the text of the file, which has template, style, script, data, and a policy that allows nothing else."""
     folder = files(__package__)
     style = folder.joinpath("page.css").read_text(encoding="utf-8")
     program = "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
@@ -141,7 +141,7 @@ def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
         f"default-src 'none'; script-src {_hash(script)}; style-src {_hash(style)}; img-src data:;"
         " base-uri 'none'; form-action 'none'"
     )
-    # Escaped, so that no text can end the element around the data.
+    # Characters are escaped, so that no text can end the element around the data.
     text = json.dumps(table, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     parts = {
         "policy": html.escape(policy),
@@ -152,10 +152,10 @@ def _file_text(table: dict[str, Any], equations: str, picture: str) -> str:
         "picture": f'<img src="{picture}" alt="{html.escape(table["title"])}">',
     }
     template = folder.joinpath("template.html").read_text(encoding="utf-8")
-    # In one pass, so that names of parts inside a part are not replaced.
+    # All parts are inserted in one pass, so that names of parts inside a part are not replaced.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
 
 
 def _hash(text: str) -> str:
-    """Source expression of a content-security policy for an element with this text."""
+    """Return the source expression of a content-security policy for an element with this text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"

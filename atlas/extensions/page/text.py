@@ -23,7 +23,7 @@ _COMMANDS = {
 }
 for _name in GREEK:
     _case = "CAPITAL" if _name[0].isupper() else "SMALL"
-    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # Unicode spells it so
+    _letter = _name.upper().replace("LAMBDA", "LAMDA")  # Unicode uses this name
     _COMMANDS.setdefault(_name, unicodedata.lookup(f"GREEK {_case} LETTER {_letter}"))
 _SPACES = {",": "\u2009", " ": " ", ";": "\u2005", ":": "\u2005", "!": "", "quad": "\u2003"}
 _ACCENTS = {
@@ -42,9 +42,9 @@ RAISED, LOWERED = 1, -1
 
 
 def text_runs(text: str) -> list[Run]:
-    r"""Runs of equal style of a text such as "$\theta_0$ (rad s$^{-1}$)", in Matplotlib's notation.
+    r"""Return the runs of equal style in a text such as "$\theta_0$ (rad s$^{-1}$)", which is in Matplotlib's notation.
 
-    Keys of a run: "t" its letters, "i" true if italic, "s" 1 if raised, -1 if lowered. Unknown commands become their names.
+    A run has the keys "t" for letters, "i" for true if italic, and "s" for 1 if raised, -1 if lowered. Unknown commands become names.
     """
     parts = text.split("$")
     if len(parts) % 2 == 0:  # an unpaired dollar sign is a letter
@@ -59,7 +59,7 @@ def text_runs(text: str) -> list[Run]:
 
 
 def plain(text: str) -> str:
-    """A text with formulas as one line of Unicode, for menus and screen readers."""
+    """Return a text with formulas as one line of Unicode, for menus and screen readers."""
     pieces = []
     for run in text_runs(text):
         table = {RAISED: _SUPERSCRIPTS, LOWERED: _SUBSCRIPTS}.get(run.get("s", 0), {})
@@ -68,7 +68,7 @@ def plain(text: str) -> str:
 
 
 def _append(result: list[Run], text: str, italic: bool, shift: int) -> None:
-    """Add letters, to the last run if it has the same style."""
+    """Add letters to the last run if the style is the same, else as a new run."""
     style = ({"i": True} if italic else {}) | ({"s": shift} if shift else {})
     if result and {k: v for k, v in result[-1].items() if k != "t"} == style:
         result[-1]["t"] += text
@@ -83,7 +83,7 @@ class _Formula:
         self.tokens, self.result = tokens, result
 
     def next(self) -> str:
-        """The next token other than a space; empty at the end."""
+        """Return the next token other than a space, or an empty text at the end."""
         while self.tokens:
             token = self.tokens.pop(0)
             if not token.isspace():

@@ -24,8 +24,8 @@ class PageWidget(anywidget.AnyWidget):
     Attributes
     ----------
     point : dict
-        Coordinates of the last clicked point, for ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``; empty
-        before the first click. `observe` calls a function after each click.
+        Coordinates of the last clicked point, for ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``. The table is
+        empty before the first click. `observe` calls a function after each click.
     """
 
     _esm = files(__package__).joinpath("widget.js").read_text(encoding="utf-8")

@@ -13,7 +13,7 @@ from ...systems.base import Array
 
 
 class EllipticFunctions(NamedTuple):
-    """Sequences of the arithmetic-geometric mean of 1 and k': an array (points,) for each level."""
+    """Sequences of the arithmetic-geometric mean of 1 and k', with an array (points,) for each level."""
 
     a: list[Array]
     b: list[Array]
@@ -21,10 +21,10 @@ class EllipticFunctions(NamedTuple):
 
     @classmethod
     def of(cls, modulus: Array, complement: Array) -> EllipticFunctions:
-        """The sequences for k^2 = modulus and 1 - k^2 = complement."""
+        """Return the sequences for k^2 = modulus and 1 - k^2 = complement."""
         a, b, c = [np.ones_like(modulus)], [np.sqrt(complement)], [np.sqrt(modulus)]
         while (unequal := c[-1] > 1e-9 * a[-1]).any():
-            # The means of a point do not change after they converge, so that their bits do not depend on other points.
+            # The means of a point stay the same after convergence, so that their bits do not depend on other points.
             b[-1] = np.where(unequal, b[-1], a[-1])
             a.append(0.5 * (a[-1] + b[-1]))
             b.append(np.sqrt(a[-2] * b[-1]))
@@ -32,17 +32,17 @@ class EllipticFunctions(NamedTuple):
         return cls(a, b, c)
 
     def functions(self, turns: Array) -> tuple[Array, Array, Array]:
-        """sn, cn and dn at u = 4 K turns."""
+        """Return sn, cn and dn at u = 4 K turns."""
         sn, cn, dn = np.sin(2 * np.pi * turns), np.cos(2 * np.pi * turns), np.ones_like(turns)
         for a, b, c in zip(self.a[:0:-1], self.b[-2::-1], self.c[:0:-1], strict=True):
             ratio = c / a
             below = 1 / (1 + ratio * sn * sn)
-            # b + c cn^2 is a - c sn^2 without cancellation.
+            # b + c cn^2 equals a - c sn^2, but has no cancellation.
             sn, cn, dn = (1 + ratio) * sn * below, cn * dn * below, (b / a + ratio * cn * cn) * below
         return sn, cn, dn
 
     def periodic(self, turns: Array) -> tuple[Array, Array]:
-        """am(u) - 2 pi turns and Jacobi's Z(u) at u = 4 K turns."""
+        """Return am(u) - 2 pi turns and Jacobi's Z(u) at u = 4 K turns."""
         level = len(self.a) - 1
         phase = 2 * np.pi * 2.0**level * (turns - np.round(turns))
         amplitude, zeta = np.zeros_like(phase), np.zeros_like(phase)
@@ -54,5 +54,5 @@ class EllipticFunctions(NamedTuple):
         return amplitude, zeta
 
     def squares(self, weight: float) -> Array:
-        """Sum over n > 0 of (weight - 2^(n-1)) c_n^2."""
+        """Return the sum over n > 0 of (weight - 2^(n-1)) c_n^2."""
         return sum(((weight - 2.0**n) * c**2 for n, c in enumerate(self.c[1:])), np.zeros(1))

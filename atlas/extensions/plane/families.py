@@ -1,7 +1,7 @@
 """Librations and rotations in the plane of the orbit, of an asymmetric body whose third axis stays on the normal.
 
-These motions are not steady: the rate about the normal varies. In `motions`, their theory, x is the pitch
-chi = phi + psi cos theta0, counted from the attitude with the axis of the smaller of A and B along the radius.
+These motions are not steady, because the rate about the normal varies. The theory is in `motions`, where x is the pitch
+chi = phi + psi cos theta0. In the attitude with x = 0 the axis of the smaller of A and B is along the radius.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 
 def motions(points: Points) -> PlaneMotions:
-    """The motions in the plane from the starts of points."""
-    from .motions import PlaneMotions  # needed only where a start may be on a family
+    """Return the motions in the plane from the starts of points."""
+    from .motions import PlaneMotions  # Scenes need this only where a start may be on a family.
 
     return PlaneMotions.of(SATELLITE.body(points), *SATELLITE.start(points))
 
@@ -38,7 +38,7 @@ def stability(points: Points, rough: bool = False) -> tuple[Flags, Array]:
 
 
 def _excess(p: Points) -> Array:
-    """(T - V) / (T + V) with the kinetic energy T and the height V of the barrier above the potential at the start, arrays of any shape."""
+    """Return (T - V) / (T + V), where T is the kinetic energy, and V the height of the barrier above the potential at the start."""
     alpha, rate = directions(p)[0], p["n"] * the.tilt(p)[1] + p["m"]
     barrier = 3 * p["Omega"] ** 2 * np.abs(p["B"] - p["A"]) * np.where(p["A"] < p["B"], *alpha[:2] ** 2)
     kinetic = p["C"] * rate**2
@@ -46,7 +46,7 @@ def _excess(p: Points) -> Array:
 
 
 def _bottom(p: Points) -> Array:
-    """The psi nearest to the given psi0 at which x is a multiple of pi."""
+    """Return the psi nearest to the given psi0 at which x is a multiple of pi."""
     bottom = np.sign(the.tilt(p)[1]) * (np.where(p["A"] < p["B"], 0.0, np.pi / 2) - p["phi0"])
     return bottom + np.pi * np.round((p["psi0"] - bottom) / np.pi)
 
@@ -93,5 +93,5 @@ FAMILIES = {
 
 
 def families(system: System) -> dict[str, Family]:
-    """The families of the satellite itself; a system derived from it may have other equations."""
+    """Return the families of the satellite itself, because a system derived from it may have other equations."""
     return FAMILIES if system is SATELLITE else {}

@@ -1,20 +1,21 @@
-"""Motions in the plane: the third axis stays on the vertical, and the body librates or rotates about it like a pendulum.
+"""Motions in the plane, where the third axis stays on the vertical and the body librates or rotates about it like a pendulum.
 
-With alpha = (cos x, -sin x, 0), rotor and fields along e3 and no field along alpha, whose gradient is g > 0, the pitch x obeys
-C x'' = -g (B - A) sin x cos x. For A < B it librates about x = 0, sin x = k sn(f t), x' = f k cn(f t), f^2 = g (B - A)/C, or
-rotates, x = am(f t), x' = f dn(f t), k^2 f^2 = g (B - A)/C. For B < A the first two axes change places, and x is counted from
-pi/2.
+Let alpha = (cos x, -sin x, 0), with rotor and fields along e3, no field along alpha, and a gradient g > 0 along alpha. The pitch x
+obeys C x'' = -g (B - A) sin x cos x. For A < B it may librate about x = 0, with sin x = k sn(f t), x' = f k cn(f t) and
+f^2 = g (B - A)/C. Otherwise it rotates, with x = am(f t), x' = f dn(f t) and k^2 f^2 = g (B - A)/C. For B < A the first two axes change
+places, and x is counted from pi/2.
 
-A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `gyrostat.floquet`, which hold along any
-motion. With the angular velocity w3 along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0) they are
+A small rotation xi = (xi_1, xi_2) out of the plane and p = I xi' - D xi / 2 obey the equations of `gyrostat.floquet`, which hold
+along any motion. Let w3 be the angular velocity along e3, v = k3 + (C - A - B) w3, h = field.gamma and alpha = (a1, a2, 0). Then
 
     xi_1' = (p_1 - v xi_2 / 2)/A,    p_1' = P11 xi_1 + P12 xi_2 - v xi_2'/2,    P11 = (B - C)(w3^2 + g a2^2) - k3 w3 + h,
     xi_2' = (p_2 + v xi_1 / 2)/B,    p_2' = P12 xi_1 + P22 xi_2 + v xi_1'/2,    P22 = (A - C)(w3^2 + g a1^2) - k3 w3 + h,
     P12 = g a1 a2 (2 C - A - B - (B - A)^2 / C) / 2.
 
-Only P12 is odd in x. So if H maps deviations at x = 0 to deviations a time t later, R H^-1 R, with R = diag(-1, 1, 1, -1), maps
-deviations a time t earlier to those at x = 0. For a libration and t = half a period the eigenvalues of R H^-1 R H are the multipliers.
-For a rotation and t = a quarter of a turn their squares are the multipliers. H is symplectic, so that H^-1 = -J H^T J loses no digits.
+Only P12 is odd in x. If H maps deviations at x = 0 to deviations a time t later, R H^-1 R with R = diag(-1, 1, 1, -1) maps
+deviations a time t earlier to deviations at x = 0. For a libration and t = half a period the eigenvalues of R H^-1 R H are the
+multipliers. For a rotation and t = a quarter of a turn the squares of the eigenvalues are the multipliers. H is symplectic, so
+that H^-1 = -J H^T J loses no digits.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ from .elliptic import EllipticFunctions
 
 
 class _Steps(NamedTuple):
-    """Numbers of steps in a quarter of the period; sums with each number are extrapolated to infinitely many."""
+    """Numbers of steps in a quarter of the period. Sums with these numbers are extrapolated to infinitely many steps."""
 
-    shortest: float  # length of the shortest steps times the norm of the system
-    counts: tuple[int, ...]  # numbers of steps, divided by the least of them
+    shortest: float  # length of the shortest steps, times the norm of the system
+    counts: tuple[int, ...]  # numbers of steps, divided by the least number
     most: int  # upper limit of the least number of steps
 
     def weights(self) -> Array:
-        """Weights of the sums in two extrapolations, (2, counts): with all numbers of steps, and without the least number."""
+        """Return the weights of the sums in two extrapolations, with all numbers of steps, and without the least number."""
         size, result = len(self.counts), np.zeros((2, len(self.counts)))
         for k, weights in enumerate(result):
             errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
@@ -52,29 +53,29 @@ class _Steps(NamedTuple):
 _ROUGH, _FINE = _Steps(1.2, (1, 2), 725), _Steps(0.283, (1, 2, 3, 4), 182)
 _MIN_STEPS = 4
 _MAX_LOG_SUM = 170.0  # exp(4 * 170) is a finite float
-_MAX_ROUNDING = 1e-7  # largest relative rounding error of 1 - k^2; where it is larger, near the separatrix, the period is unknown
-_TOLERANCE = 1e-11  # relative error, with short steps, of the expressions that vanish on borders of stability
-_CHANGE = 3.2  # bound of error / change of an extrapolated sum, its change when the longest steps are left out; measured: 0.3
+_MAX_ROUNDING = 1e-7  # The period is unknown where 1 - k^2 has a larger relative error, near the separatrix.
+_TOLERANCE = 1e-11  # relative error, with short steps, of expressions that vanish on borders of stability
+_CHANGE = 3.2  # largest ratio of a sum's error to its change without the longest steps (measured: 0.3)
 # R H^-1 R is the transpose of H with exchanged halves of rows and of columns, times these signs.
 _SIGNS = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.ones((2, 2))) * np.outer([-1, 1, 1, -1], [-1, 1, 1, -1])
 
 
 class PlaneMotions(NamedTuple):
-    """Motions of bodies in the plane, arrays (points,); the units of moments and of rates are powers of 2."""
+    """Motions of bodies in the plane, as arrays (points,). The units of moments and of rates are powers of 2."""
 
     unit: Array  # unit of rates
-    low: Array  # A, moment about the axis that is along alpha at x = 0
+    low: Array  # A, the moment about the axis that is along alpha at x = 0
     high: Array  # B, the other moment across e3
     axial: Array  # C
     rotor: Array
     gradient: Array
     field: Array  # h
     frame: Array  # angular velocity along e3 of a body at rest in the frame
-    symmetric: Mask  # whether the body is symmetric about its first or second axis, so that one rho is 2
+    symmetric: Mask  # whether the first or second axis is an axis of symmetry, so that one rho is 2
     rotates: Mask
-    frequency: Array  # f; in a rotation it has the sign of x'
+    frequency: Array  # f, which has the sign of x' in a rotation
     modulus: Array  # k^2
-    complement: Array  # 1 - k^2, 0 on the separatrix
+    complement: Array  # 1 - k^2, which is 0 on the separatrix
     rounding: Array  # relative rounding error of 1 - k^2
     sine: Array  # sin x, cos x and x' at the start
     cosine: Array
@@ -82,7 +83,7 @@ class PlaneMotions(NamedTuple):
 
     @classmethod
     def of(cls, body: Body, w: Array, alpha: Array, gamma: Array) -> PlaneMotions:
-        """The motions from starts; w, alpha, gamma: (points, 3)."""
+        """Return the motions from starts with the vectors `w`, `alpha` and `gamma`, (points, 3)."""
         moment, unit = (
             np.exp2(np.round(np.log2(each))) for each in (body.inertia.max(-1), np.abs(body.turn) + length(w))
         )
@@ -104,7 +105,7 @@ class PlaneMotions(NamedTuple):
         )  # fmt: skip
 
     def subset(self, where: NDArray[np.int64]) -> PlaneMotions:
-        """Some of the motions."""
+        """Return some of the motions."""
         return PlaneMotions._make(values[where] for values in self)
 
     @property
@@ -113,11 +114,11 @@ class PlaneMotions(NamedTuple):
         return EllipticFunctions.of(self.modulus, self.complement)
 
     def period(self) -> Array:
-        """Period of a libration or of a whole turn, in time units: 4 K/f, K the complete integral of the first kind."""
+        """Return the period 4 K/f of a libration or of a whole turn, in time units, with the complete integral K of the first kind."""
         return 2 * np.pi / (self.mean.a[-1] * np.abs(self.frequency) * self.unit)
 
     def start_turns(self) -> Array:
-        """Time of the start in periods, counted from the passage of x = 0 (for librations about pi, of x = pi)."""
+        """Return the time from x = 0 (or x = pi, for librations about pi) to the start, in periods."""
         from scipy.special import elliprf
 
         k, sign = np.sqrt(self.modulus), np.sign(np.where(self.rotates, self.frequency, self.cosine))
@@ -128,14 +129,14 @@ class PlaneMotions(NamedTuple):
         return np.where(cn < 0, np.copysign(0.5, sn) - turns, turns)
 
     def at(self, turns: Array) -> tuple[Array, Array, Array]:
-        """x without its mean rotation, x' / f, and Jacobi's zeta function Z; turns: times in periods, as in `start_turns`."""
+        """Return x without its mean rotation, x' / f, and Jacobi's zeta function, at times `turns` in periods after x = 0."""
         (sn, cn, dn), (amplitude, zeta) = self.mean.functions(turns), self.mean.periodic(turns)
         k = np.sqrt(self.modulus)
         angle = np.where(self.rotates, amplitude, np.arctan2(k * sn, dn))
         return angle, np.where(self.rotates, dn, k * cn), zeta
 
     def pitch(self, time: Array) -> tuple[Array, Array]:
-        """x in rad, not reduced to a turn, and x' in rad per time unit; time: (..., points) or (..., 1), in time units."""
+        """Return x in rad, not reduced to a turn, and x' in rad per time unit, at times (..., points) or (..., 1) in time units."""
         turns = self.start_turns() + time / self.period()
         angle, rate, _ = self.at(turns)
         turned = np.sign(self.frequency) * (2 * np.pi * turns + angle)
@@ -143,24 +144,24 @@ class PlaneMotions(NamedTuple):
         return np.where(self.rotates, turned, swung), self.frequency * self.unit * rate
 
     def rate_std(self, duration: Array) -> Array:
-        """Standard deviation of x' over runs of a duration, rad per time unit; the duration inf stands for whole periods."""
+        """Return the standard deviation of x' over runs, in rad per time unit. The duration inf stands for whole periods."""
         f, mean, span = np.abs(self.frequency), self.mean, duration * self.unit
         start, turns = self.start_turns(), np.where(np.isfinite(duration), duration / self.period(), 0.0)
         angles, _, zeta = self.at(np.array([start, start + turns]))
-        # Mean of the square of x' over whole periods, then the contributions of the ends to the means of x' and its square.
+        # `square` is the mean of x'^2 over whole periods. `slope` and `ends` are what the ends add to the means of x' and x'^2.
         square = np.where(self.rotates, mean.squares(1.5), 0.5 * self.modulus + mean.squares(0.0)) * f**2
         slope, ends = (angles[1] - angles[0]) / span, f * (zeta[1] - zeta[0]) / span
         variance = square + ends - np.where(self.rotates, 2 * mean.a[-1] * f * slope, 0.0) - slope**2
         return np.sqrt(np.maximum(variance, 0.0)) * self.unit
 
     def stability(self, rough: bool = False) -> tuple[Flags, Array]:
-        """Stability out of the plane and growth rate; rough: the multipliers may have errors of 1e-7 away from borders.
+        """Return stability out of the plane and growth rates. With `rough`, multipliers far from borders have errors of up to 1e-7.
 
         The roots rho = multiplier + 1/multiplier of rho^2 - t rho + u - 2 = 0 are real and between -2 and 2 if and only if
         t^2/4 - u + 2, u + 2 -+ 2 t and 16 - t^2 are positive.
         """
         stable, exponent = self._verdict(_ROUGH)
-        # Verdicts near borders and, unless `rough`, all growth rates follow from the fine sums, as in `multipliers`.
+        # As in `multipliers`, fine sums give the verdicts near borders and, unless `rough`, all growth rates.
         undecided = (stable == Stability.UNKNOWN) | ((not rough) & (stable == Stability.UNSTABLE))
         finer = np.flatnonzero(undecided & ~np.isnan(exponent))
         flags, exponents = self.subset(finer)._verdict(_FINE)
@@ -169,9 +170,9 @@ class PlaneMotions(NamedTuple):
         return stable, exponent / self.period()
 
     def _verdict(self, steps: _Steps) -> tuple[Flags, Array]:
-        """Stability, and the logarithm of the growth over the period: 0 where errors hide it, nan where it is unknown."""
+        """Return stability and the logarithm of the growth over the period, which is 0 where errors hide it and nan if unknown."""
         t, u, log_scale, *changes = self.multiplier_sums(steps)
-        one = np.exp(-log_scale)  # 1 in the unit of t and rho; its square is 1 in the unit of u
+        one = np.exp(-log_scale)  # This is 1 in the unit of t and rho, and its square is 1 in the unit of u.
         square, middle = one**2, u + 2 * one**2
         positive = np.array(
             [t**2 / 4 - u + 2 * square, middle - 2 * t * one, middle + 2 * t * one, 16 * square - t**2]
@@ -185,26 +186,27 @@ class PlaneMotions(NamedTuple):
         one = np.exp(-log_scale)
         root = np.sqrt(t**2 / 4 - s + 2 * one**2 + 0j)
         rho = np.where(self.symmetric, (2 * one, t - 2 * one), (t / 2 + root, t / 2 - root))
-        # The product of two square roots, unlike the root of rho^2 - 4, has the sign that gives the larger multiplier.
+        # Unlike the root of rho^2 - 4, the product of two square roots has the sign that gives the larger multiplier.
         doubled = np.abs(rho + np.sqrt(rho - 2 * one) * np.sqrt(rho + 2 * one)).max(0)
         exponent = np.maximum(log_scale + np.log(doubled / 2), 0.0)
         return flags.astype(np.int8), np.where(unstable | np.isnan(t), exponent, 0.0)
 
     def multipliers(self) -> tuple[Array, Array]:
-        """t and s of rho^2 - t rho + s - 2 = 0 over the period."""
+        """Return t and s of rho^2 - t rho + s - 2 = 0 over the period."""
         t, s, log_scale = self._over_period(*self.multiplier_sums(_FINE)[:3])
         return t * np.exp(log_scale), s * np.exp(2 * log_scale)
 
     def _over_period(self, t: Array, u: Array, log_scale: Array) -> Array:
-        """t and s over the period (a libration or a whole turn), scaled where they could overflow, and log of the scale."""
+        """Return t and s over a libration or a whole turn, scaled where they could overflow, and the logarithm of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho^2 - 2 is rho of a turn
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho^2 - 2 belongs to a turn
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:
-        """t / exp(s), u / exp(2 s), s, and the changes of the first two without the longest steps, (5, points); nan where unknown.
-        t: trace, u: second coefficient of the characteristic polynomial, of the matrix over a libration or half a turn.
+        """Return t / exp(s), u / exp(2 s), s, and the changes of the first two without the longest steps, (5, points), nan if unknown.
+
+        t is the trace of the matrix over a libration or half a turn, and u the second coefficient of the characteristic polynomial.
         """
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, np.abs(self.frequency)
         fastest = np.abs(self.frame) + f * np.where(self.rotates, 1.0, np.sqrt(self.modulus))
@@ -235,14 +237,14 @@ class PlaneMotions(NamedTuple):
         return result
 
     def _sums(self, rotates: bool, mean: EllipticFunctions, matrices: Array) -> Array:
-        """The first three rows of `multiplier_sums` with equal steps, (3, LANES); matrices: zeros, overwritten by those for `of_steps`."""
+        """Return the first rows of `multiplier_sums` with equal steps, (3, LANES). `matrices` are zeros, to be filled for `of_steps`."""
         A, B, C, g, f = self.low, self.high, self.axial, self.gradient, self.frequency
         count = len(matrices) // (1 if rotates else 2)
         nodes = np.arange(count)[:, None] + 0.5 + GAUSS * np.array([-1, 0, 1])
         sn, cn, dn = mean.functions(nodes[..., None] / (4 * count))
         if rotates:
             a1, a2, w3 = cn, -np.sign(f) * sn, self.frame + f * dn
-        else:  # the second quarter is the first one backwards, with -cn
+        else:  # The second quarter is the first quarter backwards, with -cn.
             k = np.sqrt(self.modulus)
             a1, a2, rate = dn, -k * sn, f * k * cn
             w3 = np.concatenate([self.frame + rate, self.frame - rate[::-1, ::-1]])
@@ -259,7 +261,7 @@ class PlaneMotions(NamedTuple):
         ):
             for i, j, factor in places:
                 np.multiply(value, factor, out=matrices[:, :, i, j])
-        # Always LANES points: the order of the sums below may depend on their number.
+        # There are always LANES points, because the order of the sums below may depend on the number of points.
         H, log_scale = (np.resize(each, (LANES, *each.shape[1:])) for each in of_steps(matrices))
         matrix = (np.swapaxes(H, 1, 2)[:, [[2], [3], [0], [1]], [2, 3, 0, 1]] * _SIGNS) @ H
         trace = np.trace(matrix, axis1=1, axis2=2)

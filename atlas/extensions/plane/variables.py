@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from ...systems.base import Array, DerivedVariable, Points, System, subset, unsteady
 
-_CHUNK = 4096  # points whose multipliers are computed between two pauses
+_CHUNK = 4096  # number of points whose multipliers are computed between two pauses
 
 
 def variables(system: System) -> dict[str, DerivedVariable]:
-    """Period and multipliers of motions of the satellite in the plane; nan elsewhere."""
+    """Return period and multipliers of motions of the satellite in the plane as variables, nan for other motions."""
     if system.name != "satellite":
         return {}
-    from ...systems.satellite import SATELLITE  # only for this system
+    from ...systems.satellite import SATELLITE  # only the satellite needs this
 
     names = ("plane_period", "plane_trace", "plane_second")
 
     def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
         from .motions import PlaneMotions
 
-        with np.errstate(all="ignore"):  # parameters may overflow
+        with np.errstate(all="ignore"):  # Products of parameters may overflow.
             flags = system.identify_family(points)[0]
         columns, members = np.full((3, flags.size), np.nan), np.flatnonzero(unsteady(system, flags))
         for first in range(0, members.size, _CHUNK):

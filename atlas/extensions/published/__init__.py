@@ -1,4 +1,4 @@
-"""Published numbers, compared with those that the package computes."""
+"""Published numbers, compared with numbers that the package computes."""
 
 from ...extension import Extension
 

@@ -1,4 +1,4 @@
-"""Rows of numbers.toml: a published number, the computed one, and whether they agree."""
+"""Rows of numbers.toml, each with a published number, the computed number, and whether the two agree."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ import atlas
 from ...analysis.metadata import flag_names
 from ...errors import BadInput, one_line
 
-# With these moments the scaled rates (y1, y2, y3) = SCALES (p, q, r) obey y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
+# With these moments, (y1, y2, y3) = SCALES (p, q, r) obey y1' = y2 y3, y2' = -y1 y3, y3' = -0.51 y1 y2.
 MOMENTS, SCALES = {"A": 1.196, "B": 1.4, "C": 0.9216}, (7 / 24, 5 / 12, 7 / 25)
-# Functions that make the number of a row from the values of a variable.
+# These functions take the number of a row from the values of a variable.
 TAKE: dict[str, Callable[[Any], Any]] = {"only": np.ndarray.item, "least": np.nanmin, "greatest": np.nanmax}
 TAKE["number of"] = lambda values: len(np.unique(values.round(9)))
 
 
 def compared(system: str) -> list[dict[str, str]]:
-    """Rows of the published numbers of a system, in the order of the file."""
+    """Return rows about the published numbers of a system, in the order of the file."""
     content = tomllib.loads(resources.files(__package__).joinpath("numbers.toml").read_text("utf-8"))
     return [
         {key: source[key] for key in ("source", "place", "reading")}
@@ -37,7 +37,7 @@ def compared(system: str) -> list[dict[str, str]]:
 
 
 def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, str]:
-    """Row of one number, which agrees if it is off by at most half a unit of its last digit or one unit of the last digit shown."""
+    """Return the row of one number. It may be off by half a unit of its last digit, or by one unit of the last digit shown."""
     function, arguments = computation["function"], json.dumps(computation["arguments"])
     take, output, (flag_variable, flag) = (
         entry.get("take", "only"),
@@ -52,7 +52,7 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
     except (
         BadInput,
         AttributeError,
-    ) as refusal:  # the extension with the variable or the function is missing
+    ) as refusal:  # an extension is missing
         return row | {"verdict": f"not computed: {one_line(refusal)}"}
     values = np.asarray(result[output])
     if flag:
@@ -68,13 +68,13 @@ def _row(entry: Mapping[str, Any], computation: Mapping[str, Any]) -> dict[str, 
 
 @cache
 def result_of(function: str, arguments: str) -> Any:
-    """Result of a public function of the package, or of `rigid_body` or `quarter_period`."""
+    """Return the result of a public function of the package, or of `rigid_body` or `quarter_period`."""
     own: dict[str, Callable[..., Any]] = {"rigid_body": rigid_body, "quarter_period": quarter_period}
     return (own.get(function) or getattr(atlas, function.removeprefix("atlas.")))(**json.loads(arguments))
 
 
 def rigid_body(time: float) -> dict[str, float]:
-    """(y1, y2, y3) of the free rigid body that starts at (0, 1, 1)."""
+    """Return (y1, y2, y3) of the free rigid body that starts at (0, 1, 1)."""
     start = dict(zip(("p0", "q0", "r0"), (0.0, 1 / SCALES[1], 1 / SCALES[2]), strict=True))
     body = MOMENTS | start | {"gamma10": 0.0, "gamma20": 0.6, "gamma30": 0.8}
     tr = atlas.trajectory("fixed_point", body, duration=time, samples=2, method="rk8", tolerance=1e-12)
@@ -82,7 +82,7 @@ def rigid_body(time: float) -> dict[str, float]:
 
 
 def quarter_period() -> dict[str, float]:
-    """The first time at which y2 of `rigid_body` is 0, by Newton's method, which is of order 3 there."""
+    """Return the first time at which y2 of `rigid_body` is 0. Newton's method has order 3 there."""
     time = 1.9
     for _ in range(2):
         y = rigid_body(time)

@@ -1,4 +1,4 @@
-"""Poincaré sections: where motions cross a surface, in one direction."""
+"""Poincaré sections, which are the points where motions cross a surface in one direction."""
 
 from ...extension import Extension
 

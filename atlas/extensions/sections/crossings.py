@@ -1,8 +1,8 @@
 """Crossings of a surface by many motions.
 
-Between nodes of the kernel the function of the surface is nearly a cubic with the values and slopes at the nodes. Where a cubic has
-several zeros, or nearly touches 0, its extremum becomes a node as well. Newton's method improves each zero, with runs of the kernel
-from the node before it, to the accuracy of the integration.
+Between nodes of the kernel the function of the surface is nearly a cubic with the values and slopes at the nodes. If a cubic has
+several zeros, or nearly touches 0, the extremum becomes a node as well. Newton's method improves each zero to the accuracy of the
+integration, with runs of the kernel that start at the node before the zero.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from ...systems.base import Array, Mask
 from .surface import Surface, quantities
 
 Counts = NDArray[np.int64]
-NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, rad
-# Allowed numbers of steps between two nodes; they are few, so that motions share blocks of the kernel.
+NODE_RADIANS = 0.8  # largest distance of two nodes times the frequency bound, in rad
+# Allowed numbers of steps between two nodes. There are few, so that motions share blocks of the kernel.
 STEPS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24])
-NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory: of all motions, of one
-# A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end; near the ends, where the
-# cubic is exact, the limit is lower. If a motion is twice as fast as the bound, the error of a cubic is a third of TOUCHING.
+NODES, LONGEST = 2**15, 2048  # largest numbers of nodes in memory, of all motions and of one motion
+# A cubic nearly touches 0 if |extremum| in the middle is below TOUCHING times the larger |value| at an end. The limit is lower near
+# the ends, where the cubic is exact. The error of a cubic is a third of TOUCHING if a motion is twice as fast as the bound.
 TOUCHING, SPLITS = 0.2, 6
 ATTEMPTS = 60
-# Newton's method is done after a step below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end of the piece.
+# Newton's method stops when a step is below LAST_STEP times the interval, or LAST_SHARE times the distance to the nearer end.
 LAST_STEP, LAST_SHARE = 1e-7, 1e-4
-# A motion lies on the surface if |function| stays below STAYS times the function's derivative along a generic change of the states.
+# A motion lies on the surface if |function| stays below STAYS times the derivative along a generic change of the states.
 STAYS = 1e-9
-START = 1e-9  # a crossing so near to the start, in distances of nodes, is the start itself
+START = 1e-9  # A crossing so near to the start, in distances of nodes, is the start itself.
 
 
 @np.errstate(all="ignore")
@@ -42,7 +42,7 @@ def crossings(
     surface: Surface, kept: Sequence[Expression], kernel: ModuleType, ensemble: Ensemble, sizes: StepSizes,
     duration: Array, count: int,
 ) -> tuple[Array, Counts, Mask]:  # fmt: skip
-    """Kept quantities, then times, of at most `count` crossings, (rows, points, count); number of crossings; whether states stay finite."""
+    """Return kept quantities and times of at most `count` crossings, the number of crossings, and whether states stay finite."""
     table = np.full((len(kept) + 1, ensemble.size, count), np.nan)
     have, done = np.zeros((2, ensemble.size), np.int64)
     state, finite = ensemble.state.copy(), np.ones(ensemble.size, bool)
@@ -69,7 +69,7 @@ def crossings(
         state_there, slopes, left, slope = at(place, share)
         step, constants, point = -left / slope, motions.constants[:, place], point[place]
         state_there, passed = state_there + slopes * step, done[active[point]] + node[place] + share + step
-        # Each state changes by another fraction of it: one factor for all would not change directions.
+        # A common factor for all states would not change directions, so that each state has its own factor.
         _, largest = surface.with_slope(state_there, state_there * shares, constants)
         stays = np.fmax.reduce(np.abs(value))[point] <= STAYS * np.abs(largest)
         counted = surface.contains(state_there, constants) & ~stays & (passed > START)
@@ -88,7 +88,7 @@ def crossings(
 def _at(
     surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """State, its slope, function of the surface, its slope, at the fraction `share` of the way from a node to the next; slopes by share."""
+    """Return state and function of the surface, each with its slope, at the fraction `share` of the way from a node to the next."""
     part, steps, unit = motions.subset(place), steps[place], spacing[place]
     states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
     state, slopes = states[:, 1], slopes[:, 1] * unit
@@ -98,9 +98,10 @@ def _at(
 def _zeros(
     at: Callable[[Counts, Array], tuple[Array, Array, Array, Array]], ends: Array, direction: int
 ) -> tuple[Counts, Array]:
-    """Interval of each zero in `direction`, and the zero's place in it, 0 to 1, in order; ends: values and slopes at the intervals' ends.
+    """Return the interval of each zero in `direction`, and the place of the zero from 0 to 1, in order.
 
-    A piece of an interval is cut where its cubic nearly touches 0, else where it crosses 0, until Newton's method is done.
+    `ends` are values and slopes at both ends of the intervals. Until Newton's method is done, a piece of an interval is cut where its
+    cubic nearly touches 0, else where the cubic crosses 0.
     """
     f0, s0, f1, s1 = ends
     size, zeros = np.maximum(np.abs(f0), np.abs(f1)), [np.empty((2, 0))]
@@ -120,7 +121,7 @@ def _zeros(
         change = -value / slope
         margin = np.minimum(share - pieces[1], pieces[4] - share)
         found = crosses & (np.abs(change) <= np.maximum(LAST_STEP, LAST_SHARE * margin))
-        is_zero = found & (np.abs(value) <= size[place])  # not a pole, where the value is large
+        is_zero = found & (np.abs(value) <= size[place])  # The value is large at a pole.
         zeros.append(np.array([place, share + change])[:, is_zero])
         halves = np.array([pieces, pieces])
         halves[0, 4:] = halves[1, 1:4] = share, value, slope
@@ -131,7 +132,7 @@ def _zeros(
 
 
 def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Array, Mask, Array]:
-    """For cubics with these values and slopes at 0 and 1: the extremum nearest to the axis, whether to cut there, and about a zero."""
+    """Return the extremum of cubics on [0, 1] that is nearest to the axis, whether to cut there, and an approximate zero."""
     a, b = 2 * (f0 - f1) + s0 + s1, 3 * (f1 - f0) - 2 * s0 - s1
     root = -b - np.copysign(np.sqrt(b * b - 3 * a * s0), b)
     x = np.array([root / (3 * a), s0 / root])
@@ -141,7 +142,7 @@ def _extremum_and_zero(f0: Array, s0: Array, f1: Array, s1: Array) -> tuple[Arra
     depth = np.where(x < 1, depth, np.inf)
     signs = np.sign([f0, *height, f1])
     decides = (depth.min(0) < TOUCHING) | ((signs[1:] != signs[:-1]).sum(0) > 1)
-    # Inverse interpolation: x as a cubic in f with the same ends and slopes.
+    # For the inverse interpolation, x is a cubic in f with the same ends and slopes.
     t, rise = f0 / (f0 - f1), f1 - f0
     zero = t * t * (3 - 2 * t) + t * (1 - t) * ((1 - t) * rise / s0 - t * rise / s1)
     zero = np.where((zero > 0) & (zero < 1), zero, 0.5)

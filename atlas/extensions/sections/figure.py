@@ -16,7 +16,7 @@ from ...plotting.maps import atlas_map
 from ...store.dataset import TRANSIENT
 from .section import AT, DIMS, LENGTH
 
-LARGEST_DOT = 2.0  # square points
+LARGEST_DOT = 2.0  # largest area of a dot, in square points
 
 
 def section_map(
@@ -29,10 +29,10 @@ def section_map(
     ds : Dataset
         The section; `ds.atlas.section_map` passes its own.
     x, y : str, optional
-        Quantities that the section keeps, or time or error; default the first two.
+        Quantities that the section keeps, or time or error. By default the first two quantities.
     colour : str, optional
         A parameter or variable of the points, or "regularity", which `label_points` measures over the duration of the section,
-        after its transient; default black.
+        after its transient. Dots are black by default.
     **options
         Options of `map`, such as title, ax, legend and width.
 

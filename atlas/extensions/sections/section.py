@@ -33,12 +33,12 @@ from .surface import JUMPING, Surface
 DURATION = f"6000 / {NATURAL_RATE}"
 OF_BODY = ("theta", "phi", "theta_dot", "psi_dot")  # what a section of a body keeps by default
 DIMS = ("point", "crossing")
-AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes
+AT, LENGTH = "atlas_section", "atlas_duration"  # names of attributes of a section
 MAX_VALUES = 10**8  # largest number of values of each kept quantity
-# The error of the first run is estimated as SHARE times the difference of the two runs: errors of the steps are at most a sixth of
-# this difference (rk4), errors of rounding may be larger.
+# The error of the first run is estimated as this share of the difference of both runs. Errors of the steps are at most a sixth of the
+# difference (rk4), and rounding errors may be larger.
 SHARE = 0.2
-SPREAD = 1e-6  # relative difference of first integrals among points, above which a warning follows
+SPREAD = 1e-6  # A warning follows if first integrals of the points differ by a larger fraction of their size.
 
 
 @typed
@@ -63,14 +63,14 @@ def section(
     points : mapping, list of mappings, Dataset, DataFrame or path
         As in `label_points`, of numbers, 1-D arrays or arrays along "point".
     at : str
-        Two expressions with = between them, then "rising" (default), "falling" or "either": "psi_dot = 0 rising" is where
-        left minus right becomes positive. Names are states, constants and observables of the system and, of a body, theta,
-        psi and phi (only alone on the left), theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z.
+        Two expressions with = between them, then "rising" (default), "falling" or "either". The surface "psi_dot = 0 rising" is
+        crossed where left minus right becomes positive. Names are states, constants and observables of the system. For a body the
+        names include theta, psi and phi (only alone on the left), theta_dot, psi_dot, phi_dot, normal_rate, axis_x, axis_y and axis_z.
     keep : sequence of str, optional
-        Expressions whose values at the crossings are kept; default the observables, of a body theta, phi, theta_dot and
-        psi_dot.
+        Expressions whose values at the crossings are kept. The default is the observables, or for a body theta, phi,
+        theta_dot and psi_dot.
     count : int
-        Crossings after which a motion ends.
+        Number of crossings after which a motion ends.
     duration : float or str, optional
         Longest time of a motion, in time units or a text as in `label_points`; default "6000 / natural_rate".
     transient : float or str
@@ -83,10 +83,10 @@ def section(
     Returns
     -------
     xarray.Dataset
-        Over the dimensions "point" and "crossing", nan beyond the crossings of a point: each kept expression, by its text; time,
-        from the start; error, the largest error of these, from a second run with longer steps. Over "point": crossings, their
-        number; status: ok, not_finite, under_resolved, or step_sensitive where the two runs have different numbers of
-        crossings. The parameters are coordinates.
+        Variables over "point" and "crossing", nan beyond the crossings of a point, are each kept expression under its text, time
+        from the start, and error. The error is the largest error of expressions and time, from a second run with longer steps.
+        Variables over "point" are crossings (their number) and status, which is ok, not_finite, under_resolved, or step_sensitive
+        where the two runs have different numbers of crossings. The parameters are coordinates.
 
     Raises
     ------
@@ -96,8 +96,8 @@ def section(
     Notes
     -----
     A start on the surface is no crossing. A passage of the vertical by the third axis hides no crossing, unless `at` has products or
-    powers of psi_dot and phi_dot. Errors of chaotic motions grow exponentially: beyond 1e-3 single crossings mean nothing, their
-    distribution does.
+    powers of psi_dot and phi_dot. Errors of chaotic motions grow exponentially. Beyond 1e-3 single crossings mean nothing, but the
+    distribution of crossings does.
     """
     description, every = systems.get(system), systems.get(system).parameters
     surface, settings = Surface(description, at), Settings(method=method, tolerance=tolerance)
@@ -181,7 +181,7 @@ def section(
 
 
 def _spread(system: System, ensemble: Ensemble) -> dict[str, float]:
-    """For each first integral that stays constant, its range over the starts, relative to its size."""
+    """Return the range over the starts of each first integral that stays constant, relative to the size of the integral."""
     equations, at, result = system.equations, (ensemble.origin, ensemble.constants), dict[str, float]()
     for name, scale in zip(equations.INTEGRALS, ensemble.scales, strict=True):
         loss = getattr(equations, "LOSSES", {}).get(name)

@@ -17,13 +17,13 @@ from ...systems.jacobian import STEP
 
 DIRECTIONS = {"rising": 1, "falling": -1, "either": 0}
 JUMPING = {"psi", "phi"}  # angles that jump by a turn
-OF_FRAME = {"psi", "axis_x", "axis_y"}  # quantities that need `axis_in_frame` of the equations
+OF_FRAME = {"psi", "axis_x", "axis_y"}  # quantities that need `axis_in_frame`
 STEEP = {"theta", "theta_dot", "psi_dot", "phi_dot"}  # quantities that are not smooth on the vertical
 TINY = 1e-300  # keeps rates on the vertical finite
 
 
 def quantities(system: System, names: Collection[str], state: Any, constants: Array) -> dict[str, Any]:
-    """Values of the named quantities, the states and the constants; imaginary parts of the states are carried exactly to first order."""
+    """Return the named quantities, the states and the constants. Imaginary parts of states are carried exactly to first order."""
     equations = system.equations
     values = dict(zip((*equations.CONSTANTS, *equations.STATE), (*constants, *state), strict=True))
     missing = {*names} - values.keys()
@@ -47,13 +47,13 @@ def quantities(system: System, names: Collection[str], state: Any, constants: Ar
 
 
 def _angle(sine: Any, cosine: Any) -> Any:
-    """The angle whose sine and cosine these are, up to a common factor; imaginary parts are carried to first order."""
+    """Return the angle with this sine and cosine, which may have a common factor. Imaginary parts are carried to first order."""
     y, x = np.real(sine), np.real(cosine)
     return np.arctan2(y, x) + 1j * (np.imag(sine) * x - np.imag(cosine) * y) / (x * x + y * y)
 
 
 def _sine_and_cosine(system: System, angle: str, state: Any, constants: Array) -> tuple[Any, Any]:
-    """Sine and cosine of psi or phi, each times sin theta: these products are smooth on the vertical."""
+    """Return sine and cosine of psi or phi, each times sin theta, because these products are smooth on the vertical."""
     if angle == "phi":
         return system.equations.frame_motion(state, constants)[3:5]
     x, y = system.equations.axis_in_frame(state, constants)
@@ -61,7 +61,7 @@ def _sine_and_cosine(system: System, angle: str, state: Any, constants: Array) -
 
 
 class Surface:
-    """A surface from a text such as "psi_dot = 0 rising"; BadInput for any other text."""
+    """A surface from a text such as "psi_dot = 0 rising". Any other text raises BadInput."""
 
     def __init__(self, system: System, at: str):
         equations, key = system.equations, f"at = {shown(at)}"
@@ -84,7 +84,7 @@ class Surface:
             raise BadInput(f"{key}: abs is not smooth; allowed: smooth functions")
         if moving.isdisjoint(self.names):
             raise BadInput(f"{key}: no quantity of the motion; {allowed_text('', sorted(moving))}")
-        # If an angle is alone on the left, an equation of its sine and cosine replaces it, which is smooth.
+        # An equation of the sine and cosine, which is smooth, replaces an angle that is alone on the left.
         alone = system.frame and moving.isdisjoint(self.right.names)
         self.angle = self.left.text if alone and self.left.text in {"theta", *JUMPING} else ""
         if system.frame and (jumping := self.names & JUMPING - {self.angle}):
@@ -92,18 +92,19 @@ class Surface:
                 f'{key}: psi and phi jump by a turn; allowed: one of them alone, as in "{min(jumping)} = 0", or sines and'
                 " cosines by axis_x, axis_y and states"
             )
-        # Near the vertical theta' changes its sign, psi' and phi' have a peak and theta a minimum: the factor sin(theta)^power removes these.
+        # Near the vertical theta' changes sign, psi' and phi' have peaks, and theta a minimum. A factor sin(theta)^power removes
+        # these.
         steep = self.names & STEEP if system.frame else set()
         self.power = 0 if not steep else 1 if steep == {"theta_dot"} else 2
 
     def checked(self, key: str, expression: Expression) -> Expression:
-        """The expression; BadInput if it contains an unknown name."""
+        """Return the expression, or raise BadInput if it contains an unknown name."""
         for name in sorted(expression.names - self.known):
             raise BadInput(f"{key}: {shown(name)} is unknown; {allowed_text(name, sorted(self.known))}")
         return expression
 
     def value(self, state: Any, constants: Array) -> Any:
-        """The function that vanishes on the surface and increases in the direction "rising"."""
+        """Return the function that vanishes on the surface and increases in the direction "rising"."""
         values = quantities(self.system, self.names - {self.angle}, state, constants)
         c = self.right.value(values)
         if self.angle == "theta":
@@ -119,13 +120,13 @@ class Surface:
         return value * (sine2 if self.power == 2 else np.sqrt(sine2))
 
     def with_slope(self, state: Array, slopes: Array, constants: Array) -> tuple[Array, Array]:
-        """The function at states, and its derivative when the states have the derivatives `slopes`."""
+        """Return the function at states, and its derivative when the states have the derivatives `slopes`."""
         with np.errstate(all="ignore"):
             value = np.broadcast_to(self.value(state + 1j * STEP * slopes, constants), state.shape[1:])
         return value.real, value.imag / STEP
 
     def contains(self, state: Array, constants: Array) -> Mask | bool:
-        """Whether a zero is on the surface: for psi and phi, a zero half a turn away is not."""
+        """Whether a zero is on the surface. For psi and phi, a zero half a turn away is not."""
         if self.angle not in JUMPING:
             return True
         values = quantities(self.system, {self.angle}, state, constants)

@@ -1,4 +1,4 @@
-"""Stiff and extreme points of both gyrostats; Omega = 1 of the satellite unless stated otherwise."""
+"""Stiff and extreme points of both gyrostats. Omega is 1 for satellites unless another value is given."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ FAST, UP = 10.0 ** np.arange(0, 7), 10.0 ** np.arange(-2, -13, -2)
 SPINS, FIELDS = 10.0 ** np.arange(-6, 5, 2), 10.0 ** np.arange(-8, 7, 2)
 TILTS = np.array([1e-2, 1e-3, 1e-4, 3e-5, 1e-6, 1e-8, 1e-12, 0.0])
 WEAK, WEAKER = 10.0 ** np.arange(-12, -3, 2), 10.0 ** np.arange(-2, -9, -2)
-# Offsets added to exact starts, rad: of slowly unstable motions (HIDDEN) and of stable motions (BESIDE).
+# Offsets in rad that are added to exact starts of slowly unstable motions (HIDDEN) and of stable motions (BESIDE).
 HIDDEN, BESIDE = {"theta0": [1e-4, 1e-5, 1e-6]}, {"theta0": [0.0, 0.3]}
-# Offsets from unstable motions, rad, and natural logarithms of the factors by which the offsets grow.
+# Offsets from unstable motions in rad, and natural logarithms of the factors by which the offsets grow.
 OFFSETS, LOGARITHMS = np.geomspace(1e-15, 3e-11, 10), np.linspace(20.0, 25.0, 10)
-# Least angles between axis and vertical during a passage, rad, and the angular speed of the axis there.
+# Least angles between axis and vertical during a passage, in rad, and the angular speed of the axis at the least angle.
 SINES, SPEED = np.array([1e-4, 1e-3, 1e-2, 1e-1]), 0.3
-# Bodies whose exact motions pass the vertical: name -> kind of motion, parameters. On the orbit these are spheres, on which gravity
-# exerts no torque; the other bodies have no orbit.
+# Name -> kind of exact motion and parameters, for bodies that pass the vertical. On the orbit these are spheres, on which gravity
+# exerts no torque. The other bodies have no orbit.
 _TOPS_ON_ORBIT: Mapping[str, tuple[str, Mapping[str, float]]] = {
     "sphere": ("symmetric top", {"C": 1.0, "k3": 0.4}),
     "magnetic sphere": ("symmetric top", {"C": 1.0, "k3": 0.4, "mu3": 1.0, "h3": -0.6}),
@@ -42,7 +42,7 @@ _TOPS_IN_SPACE: Mapping[str, tuple[str, Mapping[str, float]]] = {
 }
 
 
-# Cases of both systems: description and duration.
+# Cases that both systems have, with description and duration.
 _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
     "stiff rotor": ("rotor frequency over the slow one", np.minimum(20, 2e3 / FAST)),
     "stiff spin": ("fast spin with the rotor against it: the axis moves slowly", np.minimum(20, 2e3 / FAST)),
@@ -66,7 +66,7 @@ _SHARED: Mapping[str, tuple[str, ArrayLike]] = {
 
 
 def _shared(name: str, /, **row: Any) -> StressCase:
-    """A case that both systems have; row: its columns in one system, and attributes of StressCase."""
+    """Return a case that both systems have. `row` contains parameters of one system, and attributes of StressCase."""
     attributes = {key: row.pop(key) for key in ("solve", "additions", "may_stay_unresolved") if key in row}
     return StressCase(name, *_SHARED[name], row, **attributes)
 
@@ -77,9 +77,9 @@ def _passages(
     bodies: Mapping[str, tuple[str, Mapping[str, float]]],
     parts: Mapping[str, tuple[ArrayLike, ArrayLike]],
 ) -> list[StressCase]:
-    """Exact motions that start, end or pass beside the vertical.
+    """Return exact motions that start, end or pass beside the vertical.
 
-    parts: what the body does beside the vertical ("starts", "ends" or "passes") -> times from start to passage, durations of the runs.
+    `parts` maps "starts", "ends" or "passes" to the times from start to passage, and to the durations of the runs.
     """
     result = []
     for body, (truth, columns) in bodies.items():
@@ -97,10 +97,10 @@ def _passages(
 
 
 def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array) -> dict[str, ArrayLike]:
-    """Columns of the same motions from an earlier moment: the time `before` ahead of the given start (negative: later).
+    """Return columns of the same motions that start earlier by the time `before`, or later if this is negative.
 
-    columns: parameters and start values by name, by default the defaults of the system; psi0 has no effect on the motion.
-    Returns the columns with other theta0, phi0, theta_dot0, n and m.
+    `columns` are parameters and start values by name, and the defaults of the system for other names. psi0 has no effect on the motion.
+    The returned columns have other theta0, phi0, theta_dot0, n and m.
     """
     from scipy.integrate import solve_ivp
 
@@ -128,13 +128,13 @@ def _earlier_start(system: System, columns: dict[str, ArrayLike], before: Array)
 
 
 def _departure(name: str, description: str, columns: Mapping[str, Array], growth: Array) -> StressCase:
-    """Unstable motions with offsets of 1e-15 to 3e-11 rad that grow by exp(20) to exp(25)."""
+    """Return unstable motions with offsets of 1e-15 to 3e-11 rad that grow by exp(20) to exp(25)."""
     return StressCase(name, description, LOGARITHMS / growth, columns,
                       additions={"theta0": OFFSETS}, may_stay_unresolved=OFFSET, truth="departure")  # fmt: skip
 
 
 def _extreme_bodies(tilted: Mapping[str, ArrayLike]) -> list[StressCase]:
-    """Long, flat and thin bodies."""
+    """Return cases of long, flat and thin bodies."""
     return [
         _shared("needle", C=10.0 ** np.arange(-1, -7, -1), **tilted),
         _shared("flat body", A=[1.0, 0.3, 1e-3], B=[1.0, 0.7, 1.0], C=[2.0, 1.0, 1.001], **tilted),
@@ -143,7 +143,7 @@ def _extreme_bodies(tilted: Mapping[str, ArrayLike]) -> list[StressCase]:
 
 
 def _unstable_satellites(system: Gyrostat) -> tuple[dict[str, Array], Array]:
-    """Unstable equilibria of random satellites with rotor and magnet, and their growth rates."""
+    """Return unstable equilibria of random satellites with rotor and magnet, and the growth rates."""
     rng = np.random.default_rng(1)
     size = 8 * OFFSETS.size
     points = {name: np.full(size, parameter.default) for name, parameter in system.parameters.items()}
@@ -159,9 +159,9 @@ def _unstable_satellites(system: Gyrostat) -> tuple[dict[str, Array], Array]:
     return subset(points, chosen), growth[chosen]
 
 
-@cache  # takes a second, to find unstable equilibria
+@cache  # The search for unstable equilibria takes a second.
 def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """Cases of satellites, without motions in the plane of the orbit, see System.stress_cases."""
+    """Return cases of satellites without motions in the plane of the orbit, see System.stress_cases."""
     steady, spherical = ("perp_velocity", "k3"), ("spherical", "k3")
     tilted = {"theta0": 0.6, "psi0": 0.3, "m": 0.5}
     hyperbola = {"theta0": 0.8, "psi0": np.pi / 2, "C": 0.7}  # a stable perp_velocity motion
@@ -205,7 +205,7 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
         _shared("overflow", theta0=0.5, k1=[1e200, 0.0, 0.0, 0.0], m=[0.0, 1e300, 0.0, 0.0],
                 mu1=[0.0, 0.0, 1e300, 0.0], h1=[0.0, 0.0, 1e300, 0.0], n=[0.0, 0.0, 0.0, 1e160],
                 may_stay_unresolved=OVERFLOW),
-        # exact starts whose linear equations have a period much longer than the run
+        # These are exact starts whose linear equations have a period much longer than the run.
         StressCase("slow spin, unstable", "magnet across the axis, so that the linear equations are periodic",
                    duration, slow, may_stay_unresolved=GROWN),
         _departure("unstable rest, offset", "equilibria with rotor and magnet", *_unstable_satellites(system)),
@@ -214,7 +214,7 @@ def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
 
 
 def _unstable_rotations(system: Gyrostat, n: float, seed: int) -> tuple[dict[str, Array], Array]:
-    """Unstable permanent rotations of random bodies at the rate n, and their growth rates."""
+    """Return unstable permanent rotations of random bodies at the rate n, and the growth rates."""
     rng, bodies = np.random.default_rng(seed), list[dict[str, float]]()
     while len(bodies) < OFFSETS.size:
         parts = rng.uniform(0.3, 1.0, 3)
@@ -232,16 +232,16 @@ def _unstable_rotations(system: Gyrostat, n: float, seed: int) -> tuple[dict[str
     return columns, columns.pop("growth")
 
 
-@cache  # takes a second, to find unstable equilibria
+@cache  # The search for unstable equilibria takes a second.
 def fixed_point_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """Cases of bodies about a fixed point, see System.stress_cases."""
+    """Return cases of bodies about a fixed point, see System.stress_cases."""
     conical, unstable = ("conical", "l3"), ("conical", "z0")
     heavy = {"Mg": 1.0, "z0": 0.5, "N": 0.1}
     tilted = {"theta0": 0.6, "m": 0.5, "n": 0.2} | heavy
     cone = {"theta0": 0.8, "n": 0.5, "C": 0.7} | heavy
     flip = {"A": 1.0, "B": 2.0, "C": 1.5, "m": 1.0}
     middle = {"A": 1.0, "B": 1.5, "C": 2.0, "theta0": np.pi / 2, "n": 1.0}
-    # conical motions are unstable only where N (A - C) > A n^2, at small C r + l3
+    # Conical motions are unstable only where N (A - C) > A n^2, at small C r + l3.
     steep = {"A": 1.0, "C": 0.4, "N": 3.0, "n": 0.5, "theta0": 1.0, "Mg": 1.0}
     spun: dict[str, ArrayLike] = {**steep, "m": [0.3, 3.0]}
     paper = {"A": [22.49, 50.32], "B": [22.49, 50.32], "C": [35.6, 33.4]}

@@ -1,4 +1,4 @@
-"""Dependence of labels on settings that have no true value: the same points with other durations and tolerances."""
+"""Dependence of labels on settings that have no true value. The same points are run with other durations and tolerances."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ...scene.model import Scene
 from ...store import dataset
 from ...store.progress import Progress
 
-# Setting -> factors of its value that count in `label_change`; the other FACTORS are for the table alone.
+# Setting -> factors that count in `label_change`. The table has the other FACTORS as well.
 VARIED = {
     "duration": (2.0, 4.0), "transient": (2.0, 4.0), "rate_tolerance": (0.25, 0.5, 2.0, 4.0), "tolerance": (0.25, 0.5),
 }  # fmt: skip
@@ -37,9 +37,9 @@ HEAD = ("variable", "setting", "factor", "changed", "percent", "changes")
 def convergence(
     scene: Scene, names: Sequence[str], points: int = MAX_POINTS, *, progress: bool = True
 ) -> xr.Dataset:
-    """Flags at `points` or fewer points of a grid, for several values of settings; `label_change`: the settings that change a flag.
+    """Return flags at `points` or fewer points of a grid, for several values of settings.
 
-    A variable FLAG_of_SETTING lies along SETTING_factor and the axes of the scene; `label_change` regards the factors of VARIED alone.
+    FLAG_of_SETTING lies along SETTING_factor and the axes of the scene. `label_change` names settings whose VARIED change a flag.
     """
     for name in names:
         if name not in VARIED:
@@ -92,7 +92,7 @@ def convergence(
 
 
 def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
-    """The scene with one setting multiplied by a factor: with the step in place of the tolerance if the scene gives the step."""
+    """Return the scene with a setting multiplied by `factor`. If the scene gives the step, the step replaces the tolerance."""
     if name in ("duration", "transient"):
         length = getattr(scene, name)
         return replace(scene, **{name: replace(length, amount=_times(factor, length.amount))})
@@ -104,12 +104,12 @@ def _with_setting(scene: Scene, name: str, factor: float) -> Scene:
 
 
 def _times(factor: float, amount: float | str) -> float | str:
-    """A number or an expression, multiplied by a factor."""
+    """Return a number or an expression, multiplied by `factor`."""
     return f"{factor!r} * ({amount})" if isinstance(amount, str) else factor * amount
 
 
 def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
-    """A row of HEAD for each flag, setting and factor: the points that change and the most frequent changes."""
+    """Return a row of HEAD for each flag, setting and factor, with the points that change and the most frequent changes."""
     result = list[tuple[str, ...]]()
     for name in VARIED:
         for flag in (flag for flag in FLAGS if f"{flag}_of_{name}" in ds):
@@ -125,7 +125,7 @@ def rows(ds: xr.Dataset) -> list[tuple[str, ...]]:
 
 
 def report(ds: xr.Dataset) -> str:
-    """The rows as a table, and how many points change at all."""
+    """Return the rows as a table, and how many points change at all."""
     changed, size = int((ds[CHANGE] != 0).sum()), ds[CHANGE].size
     varied = [name for name in VARIED if f"label_of_{name}" in ds]
     counted = [f"{' or '.join(f'{factor:g}' for factor in VARIED[name])} times the {name}" for name in varied]
@@ -134,5 +134,5 @@ def report(ds: xr.Dataset) -> str:
 
 
 def table(ds: xr.Dataset) -> str:
-    """The rows as comma-separated values."""
+    """Return the rows as comma-separated values."""
     return "".join(f"{','.join(row)}\n" for row in [HEAD, *rows(ds)])

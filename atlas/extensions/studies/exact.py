@@ -1,8 +1,8 @@
 """Exact motions of rigid bodies and gyrostats, by elliptic functions.
 
-They check the equations and the statistics of the kernel, and use neither. A motion is made for one point and called with an
-array of times. The angles are Euler's: gamma = (sin theta sin phi, sin theta cos phi, cos theta) is the vertical in body axes,
-and w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0) the angular velocity. Any consistent units; angles in rad.
+The motions check the equations and the statistics of the kernel, and use neither. A motion is made for one point and called with
+an array of times. The angles are Euler's. The vertical in body axes is gamma = (sin theta sin phi, sin theta cos phi, cos theta),
+and the angular velocity is w' = psi' gamma + phi' e3 + theta' (cos phi, -sin phi, 0). Units are consistent, and angles in rad.
 """
 
 from __future__ import annotations
@@ -16,36 +16,35 @@ from scipy.special import ellipkm1, elliprf
 from ...systems.base import Array, Points, System
 from ..plane.elliptic import EllipticFunctions
 
-# Number of samples of the precession of a free body about its angular momentum, over one period.
-FOURIER_SAMPLES = 1024
+FOURIER_SAMPLES = 1024  # samples of the precession of a free body, over one period
 
 
 class EulerMotion(NamedTuple):
-    """Angle and rates of a motion, arrays of the shape of the times; psi' and phi' are nan on the vertical."""
+    """Angle and rates of a motion, as arrays of the shape of the times. On the vertical psi' and phi' are nan."""
 
     theta: Array  # rad
-    theta_dot: Array  # rad per time unit, as all rates
+    theta_dot: Array  # rad per time unit, like all rates
     psi_dot: Array
     phi_dot: Array
     normal_rate: Array  # w'.gamma
-    cos_theta_dot: Array  # -theta' sin theta, smooth even where the axis passes near the vertical
+    cos_theta_dot: Array  # -theta' sin theta, which is smooth even where the axis passes near the vertical
 
 
 class Motion(Protocol):
     """An exact motion of one body from one start."""
 
     rate: float  # approximate fastest angular frequency, rad per time unit
-    period: float  # period of theta and of all rates, time units; inf if there is none
+    period: float  # period of theta and of all rates in time units, or inf
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Angles and rates at the times."""
+        """Return angles and rates at the times."""
 
 
-# These elliptic functions take the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
+# The functions below take the complement 1 - m of the parameter m, which has no cancellation near a separatrix.
 
 
 def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
-    """Jacobi's elliptic functions sn, cn and dn of the squared modulus m = 1 - complement, complement > 0."""
+    """Return sn, cn and dn of the squared modulus m = 1 - complement, where the complement is above 0."""
     if not 0 < complement <= 1:
         raise ValueError(f"complement = {complement!r}: must be above 0 and at most 1")
     mean = EllipticFunctions.of(np.asarray(1.0 - complement), np.asarray(complement))
@@ -53,36 +52,36 @@ def jacobi(argument: Array, complement: float) -> tuple[Array, Array, Array]:
 
 
 def inverse_jacobi(sn: float, cn: float, complement: float) -> float:
-    """The argument, between -2 K and 2 K, at which sn and cn have these values."""
+    """Return the argument between -2 K and 2 K at which sn and cn have these values."""
     quarter = float(ellipkm1(complement))
     first = float(sn * elliprf(cn**2, cn**2 + complement * sn**2, sn**2 + cn**2))
     return first if cn >= 0 else float(np.copysign(2 * quarter, sn)) - first
 
 
 class SymmetricTop:
-    """Heavy symmetric gyrostat about a fixed point, not in a steady motion: cos theta by Jacobi's functions, psi' and phi' from cos theta.
+    """Heavy symmetric gyrostat about a fixed point, not in a steady motion. Jacobi's functions give cos theta, and so psi' and phi'.
 
     With u = cos theta and the constants a = (C r + l) / A and b = (angular momentum about the vertical) / A,
 
         u'^2 = (1 - u^2) (e + beta u) - (b - a u)^2,  psi' = (b - a u) / (1 - u^2),  phi' = r - psi' u
 
     so that u runs between two roots of a cubic: u = u2 - (u2 - u1) sn^2(lambda t + delta). 1 - u and 1 + u are computed without
-    cancellation near the vertical. The potential is -weight cos theta; n and m are psi' and phi' at the start, psi' relative to
-    a frame that turns at frame_rate. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
+    cancellation near the vertical. The potential is -weight cos theta. n and m are psi' and phi' at the start, and psi' is relative
+    to a frame that turns at `frame_rate`. E. T. Whittaker, Analytical Dynamics, 4th ed., sections 71-73.
     """
 
     def __init__(
         self, A: float, C: float, rotor: float, weight: float, start: Sequence[float], frame_rate: float = 0.0
     ):
-        """start: initial theta, theta', psi' and phi'."""
+        """`start` contains the initial theta, theta', psi' and phi'."""
         self.frame_rate = frame_rate
         theta0, theta_dot0, n, m = start
         n = n + frame_rate
-        # 1 - u and 1 + u at the start, exchanged where the weight pulls the axis upwards.
+        # These are 1 - u and 1 + u at the start, exchanged where the weight pulls the axis upwards.
         low, high = 2 * np.sin(theta0 / 2) ** 2, 2 * np.cos(theta0 / 2) ** 2
         self.spin = m + n * np.cos(theta0)
         self.a = (C * self.spin + rotor) / A
-        # b - a and b + a
+        # These are b - a and b + a.
         self.upper, self.lower = low * (n * high - self.a), high * (n * low + self.a)
         self.flipped = weight < 0
         a, upper, lower, slope = self.a, self.upper, self.lower, np.sqrt(low * high) * theta_dot0
@@ -91,7 +90,7 @@ class SymmetricTop:
         beta = 2 * abs(weight) / A
         kinetic = theta_dot0**2 + n**2 * low * high
         self._find_range(beta, kinetic, low, high, a, upper, lower)
-        # Phase of the start, where theta' sin theta = slope; exact if the slope is 0.
+        # theta' sin theta = slope gives the phase of the start, which is exact if the slope is 0.
         above, below = max(low - self.x, 0.0), max(high - self.y, 0.0)
         sn, cn = np.sqrt(above / self.width), np.sqrt(below / self.width)
         dn = np.sqrt(cn**2 + self.complement * sn**2)
@@ -107,9 +106,9 @@ class SymmetricTop:
     def _find_range(
         self, beta: float, kinetic: float, low: float, high: float, a: float, upper: float, lower: float
     ) -> None:
-        """Find the smallest x = 1 - u and y = 1 + u of the motion, roots of cubics, and the modulus and frequency."""
+        """Find the smallest x = 1 - u and y = 1 + u of the motion, which are roots of cubics, and the modulus and frequency."""
         e_plus, e_minus = kinetic + beta * low, kinetic - beta * high
-        # u'^2 in powers of x; all roots are real, and Laguerre's steps ascend from 0 to the smallest.
+        # The cubic is u'^2 in powers of x. All roots are real, and Laguerre's steps ascend from 0 to the smallest root.
         cubic = np.array([-(upper**2), 2 * e_plus - 2 * a * upper, -e_plus - 2 * beta - a**2, beta])
         x = 0.0
         for _ in range(100):
@@ -120,7 +119,7 @@ class SymmetricTop:
             if value >= 0 or slope <= 0:
                 break
             x -= 3 * value / (slope + np.sqrt(np.maximum(4 * slope**2 - 6 * value * curvature, 0.0)))
-        # u'^2 = (y - (2 - x)) (r0 + r1 y - beta y^2): the roots y1 >= 0 and y0 <= 0 of the quadratic.
+        # u'^2 = (y - (2 - x)) (r0 + r1 y - beta y^2). The quadratic has the roots y >= 0 and -third / beta <= 0.
         r0 = lower**2 / (2 - x)
         r1 = (r0 - 2 * e_minus - 2 * a * lower) / (2 - x)
         larger = 0.5 * (abs(r1) + np.sqrt(r1**2 + 4 * beta * r0))
@@ -131,7 +130,7 @@ class SymmetricTop:
         self.complement = min((beta * y + third) / square, 1.0)
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Angles and rates at the times."""
+        """Return angles and rates at the times."""
         sn, cn, dn = jacobi(self.frequency * np.asarray(time, float) + self.phase, self.complement)
         x, y = self.x + self.width * sn**2, self.y + self.width * cn**2
         slope = 2 * self.width * self.frequency * sn * cn * dn
@@ -152,14 +151,14 @@ class SymmetricTop:
 class FreeGyrostat:
     """Torque-free gyrostat with a rotor along one principal axis, or the body of Euler and Poinsot, not in a steady motion.
 
-    The rotor's axis is the third one; the moments across it must differ. Energy and magnitude of the angular momentum give
+    The rotor's axis is the third axis, and the moments across it must differ. Energy and magnitude of the angular momentum give
     A (A - B) w1^2 and B (B - A) w2^2 as quadratics of r = w3, and r'^2 = f(r) as a quartic. With a root s of f
 
         r = s + f'(s) / 4 / (P(t) - f''(s) / 24)
 
-    where P is Weierstrass' function, by Jacobi's functions. The body turns about the fixed angular momentum at a rate that is a
-    periodic function of r alone; the Fourier series of this rate is integrated term by term. psi' is relative to a frame that turns at
-    frame_rate. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
+    where P is Weierstrass' function, computed by Jacobi's functions. The body turns about the fixed angular momentum at a rate that is
+    a periodic function of r alone. The Fourier series of this rate is integrated term by term. psi' is relative to a frame that turns at
+    `frame_rate`. V. Volterra, Acta Math. 22 (1899) 201-357; E. T. Whittaker and G. N. Watson, A Course of Modern Analysis, 20.6.
     """
 
     def __init__(self, inertia: Array, rotor: Array, w: Array, gamma: Array, frame_rate: float = 0.0):
@@ -176,7 +175,6 @@ class FreeGyrostat:
         self.energy = float(inertia @ w**2)
         self._find_roots(float(w[2]))
         self._find_phase(w)
-        # Fourier series of the rate at which the body turns about its angular momentum.
         A, B, _ = inertia
         time = self.turn * np.arange(FOURIER_SAMPLES) / FOURIER_SAMPLES
         p, q, _ = self.velocity(time)
@@ -200,7 +198,7 @@ class FreeGyrostat:
         l, L2, E2 = self.rotor, self.momentum**2, self.energy
         quadratics = [
             np.array([-C * (C - other), -2 * C * l, L2 - l**2 - other * E2]) for other in (B, A)
-        ]  # A (A - B) w1^2 and B (B - A) w2^2
+        ]  # These are A (A - B) w1^2 and B (B - A) w2^2.
         roots = [(complex(root), i) for i in (0, 1) for root in np.roots(quadratics[i]).tolist()]
         nearest = min((root for root in roots if root[0].imag == 0), key=lambda root: abs(root[0].real - r))
         roots.remove(nearest)
@@ -209,8 +207,8 @@ class FreeGyrostat:
         slope, curvature = (np.polyval(np.polyder(quartic, k), self.root) for k in (1, 2))
         self.a2, self.a3 = float(curvature / 12), float(slope / 4)
         values = [(self.a2 / 2 + self.a3 / (root - self.root), i) for root, i in roots]
-        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # for each root at infinity
-        self.both_turn = False  # whether w1 vanishes at one turning point of r, w2 at the other
+        values += [(complex(self.a2 / 2), -1)] * (3 - len(values))  # one for each root at infinity
+        self.both_turn = False  # whether w1 and w2 vanish at different turning points of r
         if all(value.imag == 0 for value, _ in values):
             (e1, far), (e2, _), (e3, _) = sorted(((v.real, i) for v, i in values), reverse=True)
             self.roots_real, self.scale, self.shift = True, e1 - e3, e3 - self.a2 / 2
@@ -222,14 +220,14 @@ class FreeGyrostat:
             self.roots_real, self.scale, self.shift = False, abs(e2 - pair), e2 - self.a2 / 2
             self.complement = float(0.5 + 0.75 * e2 / self.scale)
             self.frequency = float(2 * np.sqrt(self.scale))
-        # r returns after 2 K with real roots, else after 4 K
+        # r returns after 2 K if all roots are real, else after 4 K.
         quarters = 2 if self.roots_real else 4
         self.turn = quarters * float(ellipkm1(self.complement)) / self.frequency
 
     def _find_phase(self, w: Array) -> None:
         """Find the phase of the start, and the initial sign of the component of w that does not vanish at s."""
         A, B, C = self.inertia
-        # sn from the slope, so that the phase is exact at a turning point of r.
+        # The slope gives sn, so that the phase is exact at a turning point of r.
         distance, slope = float(w[2] - self.root), float((A - B) * w[0] * w[1] / C)
         ratio = max(float(distance * self.scale / (self.a3 - distance * self.shift)), 0.0)
         if self.roots_real:
@@ -246,7 +244,7 @@ class FreeGyrostat:
         self.sign = np.copysign(1.0, w[self.other])
 
     def velocity(self, time: Array) -> Array:
-        """Angular velocity in the rotor's axes, shape (3, times)."""
+        """Return the angular velocity in the rotor's axes, with the shape (3, times)."""
         A, B, C = self.inertia
         sn, cn, dn = jacobi(self.frequency * time + self.phase, self.complement)
         if self.roots_real:
@@ -261,7 +259,7 @@ class FreeGyrostat:
         rest, squares = self.momentum**2 - (C * r + self.rotor) ** 2, self.energy - C * r**2
         squared = ((rest - B * squares) / (A * (A - B)), (rest - A * squares) / (B * (B - A)))
         first, second = (np.sqrt(np.maximum(squared[i], 0.0)) for i in (self.zero_of, self.other))
-        # The larger component follows from its square, the smaller one, with its sign, from r' = (A - B) w1 w2 / C.
+        # The larger component follows from its square. The smaller component, with its sign, follows from r' = (A - B) w1 w2 / C.
         product = C * slope / (A - B)
         second_sign = self.sign * np.where(cn < 0, -1.0, 1.0) if self.both_turn else self.sign
         first_sign = np.where(product * second_sign < 0, -1.0, 1.0)
@@ -274,7 +272,7 @@ class FreeGyrostat:
         return w
 
     def _directions(self, time: Array, w: Array) -> tuple[Array, Array, Array]:
-        """Three fixed directions in body axes, (3, times): angular momentum, node at the start, normal to both."""
+        """Return three fixed directions in body axes: the angular momentum, the node at the start, and the normal to both."""
         phases = np.exp(1j * np.multiply.outer(time, self.harmonics))
         angle = self.mean_precession * time + ((phases - 1) @ self.series).real
         axis = self.inertia[:, None] * w
@@ -286,7 +284,7 @@ class FreeGyrostat:
         return axis, cosine * node - sine * across, sine * node + cosine * across
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Angles and rates at the times."""
+        """Return angles and rates at the times."""
         time = np.asarray(time, float)
         w = self.velocity(time.ravel())
         fixed = self._directions(time.ravel(), w)
@@ -298,7 +296,7 @@ class FreeGyrostat:
 
 
 def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion:
-    """Angles and rates of a body whose third axis is not along gamma; w contains the rate of the frame, psi' does not."""
+    """Return angles and rates of a body whose third axis is not along gamma. `w` contains the rate of the frame, psi' does not."""
     sine = np.hypot(gamma[0], gamma[1])
     cos_theta_dot = w[1] * gamma[0] - w[0] * gamma[1]
     psi_dot = (w[0] * gamma[0] + w[1] * gamma[1]) / sine**2
@@ -313,7 +311,7 @@ def euler_motion(w: Array, gamma: Array, frame_rate: float = 0.0) -> EulerMotion
 
 
 def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Points, index: int) -> Motion:
-    """Exact motion of a point by its kind: "symmetric top", "free gyrostat" or a function, see StressCase; else ValueError."""
+    """Return the exact motion of a point, or raise ValueError. `kind` is "symmetric top", "free gyrostat" or a function."""
     points = system.as_euler_angles({name: values[index : index + 1] for name, values in points.items()})
     if callable(kind):
         return kind(points)
@@ -342,18 +340,18 @@ def motion_of(system: System, kind: str | Callable[[Points], Motion], points: Po
     raise ValueError(f"a point of the {system.name} has no exact motion of the kind {kind!r}")
 
 
-# Nodes and weights for one interval of the quadrature. An interval is halved until its sum changes by at most QUADRATURE_RTOL of the
-# whole integral; no motion needs MAX_INTERVALS intervals.
+# An interval of the quadrature is halved until its sum changes by at most QUADRATURE_RTOL times the whole integral. No motion needs
+# MAX_INTERVALS intervals.
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(16)
 QUADRATURE_RTOL, MAX_INTERVALS = 1e-13, 100_000
 
 
 def statistics(motion: Motion, duration: float, cylinder: float | None = None) -> dict[str, float]:
-    """Exact statistics over [0, duration], whole periods or not; nan for psi' and phi' on the vertical."""
+    """Return exact statistics over [0, duration], also for parts of periods. psi' and phi' on the vertical give nan."""
     turns = int(duration // motion.period)
     first = motion.period if turns else duration
     time, weight = _quadrature(motion, first)
-    # theta at both ends and at its extrema between neighbouring nodes.
+    # The least and largest theta are at the ends, or between nodes where the slope changes its sign.
     nodes = np.concatenate([[0.0], time, [first]])
     slope = motion(nodes).cos_theta_dot
     changes = np.flatnonzero(slope[:-1] * slope[1:] < 0)
@@ -363,7 +361,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
         is_low = motion(middle).cos_theta_dot * sign > 0
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     theta = motion(np.concatenate([nodes[[0, -1]], 0.5 * (low + high)])).theta
-    if turns:  # whole periods have equal integrals; then the rest of the run
+    if turns:  # Whole periods have equal integrals. The rest of the run follows.
         rest = _quadrature(motion, duration - turns * motion.period)
         time, weight = np.concatenate([time, rest[0]]), np.concatenate([turns * weight, rest[1]])
     result = moments(motion(time), weight / duration, cylinder)
@@ -371,7 +369,7 @@ def statistics(motion: Motion, duration: float, cylinder: float | None = None) -
 
 
 def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -> dict[str, float]:
-    """Rms of theta', means of the other rates, standard deviations of all rates; weights of sum 1; fraction outside a cylinder."""
+    """Return rms of theta', means of other rates, standard deviations, and the fraction outside a cylinder. Weights have the sum 1."""
     result = {"theta_dot_rms": float(np.sqrt(weight @ motion.theta_dot**2))}
     if cylinder is not None:
         result["outside"] = float(weight @ (np.sin(motion.theta) >= cylinder))
@@ -384,14 +382,14 @@ def moments(motion: EulerMotion, weight: Array, cylinder: float | None = None) -
 
 
 def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
-    """Nodes in ascending order, and weights, that integrate the rates and their squares over [0, duration]."""
+    """Return nodes in ascending order and weights that integrate the rates and the squares of rates over [0, duration]."""
     edges = np.linspace(0.0, duration, 9 + int(motion.rate * duration))
     while edges.size <= MAX_INTERVALS:
         middle = 0.5 * (edges[:-1] + edges[1:])
         halves = np.sort(np.concatenate([edges, middle]))
         whole, parts = _integrals(motion, edges), _integrals(motion, halves)
         parts = parts[:, ::2] + parts[:, 1::2]
-        # Errors are relative to the fastest rate; a standard deviation of 1e-6 times this rate is still accurate.
+        # Errors are relative to the fastest rate. A standard deviation of 1e-6 times this rate is still accurate.
         scale = parts.sum(1) + (1e-6 * motion.rate) ** 2 * duration
         scale[:4] = motion.rate * duration
         bad = (np.abs(whole - parts) > QUADRATURE_RTOL * scale[:, None]).any(0)
@@ -404,7 +402,7 @@ def _quadrature(motion: Motion, duration: float) -> tuple[Array, Array]:
 
 
 def _integrals(motion: Motion, edges: Array) -> Array:
-    """Integrals of the four rates and of their squares between neighbouring edges, (8, intervals)."""
+    """Return the integrals of the four rates and of their squares between neighbouring edges, (8, intervals)."""
     half = 0.5 * np.diff(edges)
     at_nodes = motion(edges[:-1, None] + half[:, None] * (1 + GAUSS_NODES))
     rates = np.nan_to_num([at_nodes.theta_dot, at_nodes.psi_dot, at_nodes.phi_dot, at_nodes.normal_rate])

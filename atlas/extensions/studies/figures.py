@@ -20,7 +20,7 @@ from ...plotting.style import STYLE
 from .stress import ACCURATE, LEVELS, RATIOS, Verdict, beyond_estimate
 from .work_precision import nanmedian, summary
 
-# Luminances differ as well, for colour-blind readers and prints in grey.
+# The colours differ in luminance as well, for colour-blind readers and prints in grey.
 VERDICT_COLOURS = {
     Verdict.RIGHT: "#7ab8e0",
     Verdict.UNRESOLVED: "#e9e9e9",
@@ -37,14 +37,13 @@ BEYOND_CROSS: dict[str, Any] = {
     "linestyle": "",
 }
 
-# Least height of a case in the figure, in points of the study.
-MIN_HEIGHT = 5
+MIN_HEIGHT = 5  # least height of a case in the figure, in points of the study
 
 
 def stress_figure(ds: xr.Dataset) -> Figure:
-    """Verdict on every point at every level, two panels for each method: fixed steps, and automatic ones.
+    """Draw the verdict on every point at every level. Each method has two panels, with fixed steps and with automatic steps.
 
-    A dot marks accurate rates; a cross marks a statistic that is off by more than ten times its estimate.
+    A dot marks accurate rates. A cross marks a statistic that is off by more than ten times its estimate.
     """
     cases = ds["case"].values
     first = np.flatnonzero(np.r_[True, cases[1:] != cases[:-1]])  # first point of each case
@@ -87,7 +86,7 @@ def stress_figure(ds: xr.Dataset) -> Figure:
 
 
 def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray) -> None:
-    """Verdicts and marks of one method at some levels; edges of the points along the y axis."""
+    """Draw the verdicts and marks of one method at some levels. `edges` are the edges of the points along the y axis."""
     verdict, error = ds["verdict"].values.T, ds["error"].values.T
     colours = ListedColormap([VERDICT_COLOURS[flag] for flag in Verdict])
     columns = np.arange(verdict.shape[1] + 1)
@@ -107,12 +106,11 @@ def _draw_panel(ax: Axes, ds: xr.Dataset, beyond: np.ndarray, edges: np.ndarray)
 
 
 COLOURS, MARKERS = ("#1b6ca8", "#e0892b", "#262626", "#8c4799"), "os^D"
-# States with larger errors are unrelated to the motion; they are not drawn.
-MAX_ERROR_DRAWN = 3.0
+MAX_ERROR_DRAWN = 3.0  # States with larger errors are unrelated to the motion.
 
 
 def work_precision_figure(ds: xr.Dataset) -> Figure:
-    """Median errors against time per point, by method: states (solid), rates or observables (dotted)."""
+    """Draw median errors against time per point by method, with solid lines for states, and dotted lines for rates or observables."""
     rows = summary(ds)
     with rc_context({"font.size": 8, "legend.fontsize": 7, "axes.linewidth": 0.6}):
         fig = Figure(figsize=(3.5, 2.8), layout="constrained")

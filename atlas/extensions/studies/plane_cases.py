@@ -15,7 +15,7 @@ OFF_SEPARATRIX = np.array([-0.65, -0.1, -1e-3, -1e-6, 1e-6, 1e-3, 0.1, 2.0])
 
 
 class PlaneMotion:
-    """Exact motion of a satellite in the plane, third axis along the normal; a rotor along this axis has no effect."""
+    """Exact motion of a satellite in the plane, with the third axis along the normal. A rotor along this axis has no effect."""
 
     def __init__(self, points: Points):
         failing = [c.text for c in CONDITIONS if not np.abs(c.residual(points)).max() <= FAMILY_TOLERANCE]
@@ -28,17 +28,17 @@ class PlaneMotion:
         self.period = float((motion.period() * np.where(motion.rotates, 0.5, 1.0))[0])
 
     def __call__(self, time: Array) -> EulerMotion:
-        """Angles and rates at the times; psi' and phi' are nan, because theta is 0."""
+        """Return angles and rates at the times. psi' and phi' are nan, because theta is 0."""
         rate = self.motion.pitch(np.asarray(time, float)[..., None])[1][..., 0]
         zero, nan = np.zeros_like(rate), np.full_like(rate, np.nan)
         return EulerMotion(zero, zero, nan, nan, rate, zero)
 
 
 def plane_cases(system: System) -> tuple[StressCase, ...]:
-    """Librations and rotations, some close to the separatrix, and small offsets from the unstable equilibrium."""
+    """Return librations and rotations, some of them close to the separatrix, and small offsets from the unstable equilibrium."""
     pitch = {"A": 1.2, "B": 1.0, "C": 0.9}
     pitch_growth = np.sqrt(3 * (pitch["A"] - pitch["B"]) / pitch["C"])
-    # rates on both sides of 0.75, the rate on the separatrix
+    # The rate on the separatrix is 0.75, and the rates are on both sides.
     body, rates = {"A": 1.0, "B": 1.3, "C": 1.6, "k3": -0.5, "mu3": 1.0, "h3": 0.4}, 0.75 + OFF_SEPARATRIX
     points = {name: np.full(rates.size, body.get(name, p.default)) for name, p in system.parameters.items()}
     period = motions(points | {"n": rates}).period()
@@ -58,5 +58,5 @@ def plane_cases(system: System) -> tuple[StressCase, ...]:
 
 
 def satellite_cases(system: Gyrostat) -> tuple[StressCase, ...]:
-    """All cases of satellites."""
+    """Return all cases of satellites."""
     return (*cases.satellite_cases(system), *plane_cases(system))

@@ -99,10 +99,10 @@ def near_solutions(
     reach: float,
     stability: bool,
 ) -> tuple[Degenerate, Degenerate, Array]:
-    """Return unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and numbers.
+    """Return unknowns at solutions that may be degenerate within `reach`, unknowns near limits of stability, and counts.
 
-    Nearly real solutions count as solutions that may be degenerate. The numbers (2, bodies) count all solutions and stable
-    solutions of each body. They are nan where the count is not certain.
+    Nearly real solutions count as solutions that may be degenerate. The counts (2, bodies) are of all solutions and of
+    stable solutions. They are nan where a count is not certain.
     """
     listed = system.equilibria_of_bodies(points(positions), stability=False, ordered=True)
     alpha = listed["alpha"] if "alpha" in listed else np.zeros_like(listed["gamma"])

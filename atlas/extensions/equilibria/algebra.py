@@ -148,7 +148,7 @@ def attitudes(frames: Array) -> dict[str, Any]:
 def stability_at_rest(
     system: Gyrostat, members: Points, start: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Return stability and frequencies of equilibria with the angles `start` and the parameters `members`, (E,)."""
+    """Return stability and frequencies of equilibria, with the angles and rates `start` of the bodies `members`, (E,)."""
     rest = {name: np.zeros_like(members["A"]) for name in ("n", "m", "theta_dot0")}
     points = {**members, **rest, **start}
     stable, growth = system.stability(points)

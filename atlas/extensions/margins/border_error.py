@@ -166,7 +166,7 @@ def border_error(
 def _crossings(
     lines: xr.Dataset | None, dim: str, across: Sequence[tuple[str, float]], logs: Collection[str]
 ) -> tuple[Array, np.ndarray]:
-    """Return where lines cross a row of points along `dim`, and the kinds of the lines. `across` is the other axis with a value."""
+    """Return where lines cross a row of points along `dim`, and the kinds of the lines. `across` gives the other axis and its value."""
     if lines is None:
         return np.zeros(0), np.zeros(0, str)
     place, kinds = lines[dim].values, lines["kind"].values

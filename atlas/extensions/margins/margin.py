@@ -120,7 +120,7 @@ def margin(
 
 
 def _next(places: Array, value: np.ndarray | None, side: int) -> Array:
-    """Return the nearest place below (`side` -1) or above (`side` 1) `value`, or nan. None means the value of each sample."""
+    """Return the nearest place below (`side` -1) or above (`side` 1) `value`, or nan. None stands for each sample."""
     if value is None:
         return np.fmax.accumulate(places)[:-1] if side < 0 else np.fmin.accumulate(places[::-1])[-2::-1]
     if side < 0:

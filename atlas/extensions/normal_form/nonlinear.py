@@ -104,7 +104,7 @@ class NormalForm(NamedTuple):
         return self.c20 * self.l2**2 - self.c11 * self.l1 * self.l2 + self.c02 * self.l1**2
 
     def verdict(self) -> Flags:
-        """Return values of `flags.NonlinearStability`, which are degenerate where no normal form exists."""
+        """Return values of `flags.NonlinearStability`. The value is DEGENERATE where no normal form exists."""
         sizes = [np.abs(c) for c in (self.c20, self.c11, self.c02)]
         ratio = np.abs(self.l1 / self.l2)
         near = {order: np.abs(ratio - order) < RESONANCE_BAND for order in (1, 2, 3)}

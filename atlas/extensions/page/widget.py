@@ -24,7 +24,7 @@ class PageWidget(anywidget.AnyWidget):
     Attributes
     ----------
     point : dict
-        Coordinates of the last clicked point, for ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``. The table is
+        Coordinates of the last clicked point, for ``ds.atlas.trajectory(**widget.point)`` and ``ds.sel(widget.point)``. The dict is
         empty before the first click. `observe` calls a function after each click.
     """
 

@@ -93,5 +93,5 @@ FAMILIES = {
 
 
 def families(system: System) -> dict[str, Family]:
-    """Return the families of the satellite itself, because a system derived from it may have other equations."""
+    """Return the families of the satellite itself. A system derived from the satellite may have other equations."""
     return FAMILIES if system is SATELLITE else {}

@@ -41,7 +41,7 @@ class _Steps(NamedTuple):
     most: int  # upper limit of the least number of steps
 
     def weights(self) -> Array:
-        """Return the weights of the sums in two extrapolations, with all numbers of steps, and without the least number."""
+        """Return the weights of the sums in two extrapolations, one with all numbers of steps, and one without the least number."""
         size, result = len(self.counts), np.zeros((2, len(self.counts)))
         for k, weights in enumerate(result):
             errors = np.array(self.counts[k:]) ** -np.array([[0.0], [6], [8], [10]])[: size - k]
@@ -200,7 +200,7 @@ class PlaneMotions(NamedTuple):
         """Return t and s over a libration or a whole turn, scaled where they could overflow, and the logarithm of the scale."""
         kept = np.where(log_scale < _MAX_LOG_SUM, 0.0, log_scale)
         t, u, one = t * np.exp(log_scale - kept), u * np.exp(2 * (log_scale - kept)), np.exp(-kept)
-        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho^2 - 2 belongs to a turn
+        turn = t**2 - 2 * u, u**2 - 2 * (t * one) ** 2 + 2 * one**4, 2 * kept  # rho of a turn is rho^2 - 2
         return np.where(self.rotates, turn, (t, u, kept))
 
     def multiplier_sums(self, steps: _Steps) -> Array:

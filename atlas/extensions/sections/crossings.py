@@ -88,7 +88,7 @@ def crossings(
 def _at(
     surface: Surface, kernel: ModuleType, motions: Ensemble, steps: Counts, spacing: Array, place: Counts, share: Array
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return state and function of the surface, each with its slope, at the fraction `share` of the way from a node to the next."""
+    """Return state and function of the surface, with slopes by `share`, at the fraction `share` of the way between two nodes."""
     part, steps, unit = motions.subset(place), steps[place], spacing[place]
     states, slopes = part.nodes(kernel, steps, np.maximum(share, 1e-15) * unit / steps, 2)
     state, slopes = states[:, 1], slopes[:, 1] * unit

@@ -39,7 +39,8 @@ def convergence(
 ) -> xr.Dataset:
     """Return flags at `points` or fewer points of a grid, for several values of settings.
 
-    FLAG_of_SETTING lies along SETTING_factor and the axes of the scene. `label_change` names settings whose VARIED change a flag.
+    The variable FLAG_of_SETTING lies along SETTING_factor and the axes of the scene. The variable `label_change` tells for which
+    settings a factor in VARIED changes a flag.
     """
     for name in names:
         if name not in VARIED:

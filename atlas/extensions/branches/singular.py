@@ -35,7 +35,7 @@ from ..equilibria.algebra import body_at_rest
 
 # The number of nodes grows until the last Chebyshev terms are below `_RESOLVED`. Terms below `_NO_TERM` are dropped.
 _NODES, _RESOLVED, _NO_TERM = (9, 33, 129), 1e-13, 1e-15
-_DAMPING = 1e-14  # relative damping of least squares
+_DAMPING = 1e-14  # damping of least squares, as a fraction of the trace
 _WEIGHT = 100.0  # In least squares, multipliers and null vectors may change by this factor more than x.
 _MAX_TURN = 0.3  # longest step of Newton's method: angles are in rad, positions are fractions of the box
 # A start is dropped if step `_ITERATIONS` of Newton's method exceeds `_NEAR`, which is large because pitchforks converge slowly.
@@ -96,7 +96,7 @@ class Potential(NamedTuple):
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points]) -> Potential:
-        """Return the potentials of bodies with the parameters `points(positions)`, or raise BadInput unless these are smooth."""
+        """Return the potentials of bodies with the parameters `points(positions)`, or raise BadInput unless the parameters are smooth."""
         for count in _NODES:
             nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
             grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), -1).reshape(-1, 2)
@@ -327,7 +327,7 @@ class Degenerate(NamedTuple):
 
     @property
     def parts(self) -> list[Array]:
-        """x, l, v, m, position and s, (N, components) each."""
+        """The unknowns x, l, v, m, position and s, each with the shape (N, components)."""
         n, size, y = self.potential.size, sum(self.potential.forms.shape[:2]), self.unknowns
         ends = 0, n, size, size + n, 2 * size, 2 * size + 2, 2 * size + 3
         return [y[:, start:end] for start, end in pairwise(ends)]
@@ -573,7 +573,7 @@ class Degenerate(NamedTuple):
         rates = np.stack([np.einsum("nei,ni,nei->ne", v, q, v) for q, _ in by], -1)
         rates += np.concatenate(bent, 2) @ moved
         slope = np.einsum("nei,nif->nef", v, forces)
-        with np.errstate(all="ignore"):  # some derivatives vanish
+        with np.errstate(all="ignore"):  # A derivative may be 0.
             of_solutions = 0.5 * np.abs(kappa) / length(rates)
             of_others = np.abs(np.einsum("nei,ni->ne", v, gradient)) / length(slope)
         distance = np.where(solves[:, None], of_solutions, of_others)

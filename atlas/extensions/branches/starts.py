@@ -237,7 +237,7 @@ def sides(parts: Segments) -> tuple[NDArray[np.int64], Array]:
 
 
 def expected_differences(lines: Sequence[Curve], axis: Array) -> tuple[Array, Array]:
-    """Predict from curves how both numbers of equilibria change between nodes of a grid, in one array for each axis."""
+    """Predict from curves how the numbers of (stable) equilibria change between nodes of a grid, in one array for each axis."""
     result = np.zeros((2, axis.size - 1, axis.size)), np.zeros((2, axis.size, axis.size - 1))
     if not lines:
         return result

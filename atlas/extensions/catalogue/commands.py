@@ -1,4 +1,4 @@
-"""The command `conditions`: families of steady motions and published equations."""
+"""The command `conditions`, which prints families of steady motions and published equations."""
 
 from __future__ import annotations
 

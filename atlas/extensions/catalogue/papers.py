@@ -28,7 +28,7 @@ expression = cache(Expression)  # The same expressions are evaluated at many ran
 
 
 def published_equations(system: System) -> Sequence[PublishedEquation]:
-    """Return the equations about a system that the papers of all extensions print."""
+    """Return the equations about a system from the papers of all extensions."""
     return [row for rows in extension.of_each("published", system.name) for row in rows]
 
 

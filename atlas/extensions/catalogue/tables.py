@@ -1,4 +1,4 @@
-"""The catalogue of a system as tables: families and published equations."""
+"""The catalogue of a system as tables of families and of published equations."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def conditions(system: str, family: str | None = None, errata: bool = False) -> 
     -------
     pandas.DataFrame
         Table with the columns of ``atlas conditions SYSTEM --csv``. Families are indexed by `family`, and the column `errata` lists
-        the numbers of their misprinted equations. Errata are indexed by these numbers. A cell with several texts is a list.
+        the numbers of misprinted equations. Errata are indexed by these numbers. A cell with several texts is a list.
         The columns `residual_printed` and `residual_true` contain the largest residuals of the printed and of the corrected
         equations in the equations of motion, at random parameters.
 

@@ -36,7 +36,7 @@ NOT_CERTAIN = (
 ANGLES = ("theta0", "psi0", "phi0")
 STABILITY = ("stable", "growth_rate", "energy_stable", "stability_kind", *FREQUENCIES)
 _VARIABLES = (*ANGLES, "alpha", "gamma", "potential", "index", "circle", "axis", "degenerate", *STABILITY)
-# Unused places of padded arrays have these values, or nan for other variables.
+# Unused places of padded arrays have these values. The places of other variables have nan.
 _UNUSED = {
     "index": np.int8(-1), "dimension": np.int8(-1), "circle": False, "degenerate": False, "flat": False,
     "stable": np.int8(Stability.UNKNOWN), "energy_stable": np.int8(EnergyStability.UNKNOWN),

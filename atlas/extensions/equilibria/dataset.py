@@ -49,7 +49,7 @@ _FLAGS = {
     "stability_kind": StabilityKind.meanings(), "completeness": Completeness.meanings(),
 }  # fmt: skip
 _NOT_COUNTED = "nan where completeness is not complete"
-# Impossible bodies and unused places have these values. In other variables they have nan or 0.
+# Impossible bodies and unused places have these values. Other variables have nan or 0 there.
 UNUSED = {"completeness": Completeness.IMPOSSIBLE_BODY, "index": -1, "dimension": -1}
 _DIMS = ("equilibrium", "body_axis")
 

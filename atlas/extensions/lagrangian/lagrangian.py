@@ -210,7 +210,7 @@ class _Mechanics:
         return (*(c for c in self.coordinates if c not in self.omit), *self.velocities)
 
     def is_cyclic(self, i: int) -> bool:
-        """Whether neither the Lagrangian nor a force depends on a coordinate."""
+        """Whether neither the Lagrangian nor a force depends on the coordinate with the index `i`."""
         given = (self.lagrangian, self.dissipation, *self.forces)
         return all(self.coordinates[i] not in expression.free_symbols for expression in given)
 

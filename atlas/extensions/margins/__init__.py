@@ -1,4 +1,4 @@
-"""Errors of the borders of maps, and distances of points from them."""
+"""Errors of the borders of maps, and distances of points from the borders."""
 
 from ...extension import Extension
 

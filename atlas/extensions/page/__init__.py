@@ -1,4 +1,4 @@
-"""One HTML file that shows an atlas: map, values and motions, without a server."""
+"""One HTML file that shows the map, the values and the motions of an atlas without a server."""
 
 from ...extension import Extension
 

@@ -41,7 +41,7 @@ class Page:
     Attributes
     ----------
     html : str
-        The whole file. It loads nothing; its content-security policy forbids loading.
+        The whole file. It loads nothing, because its content-security policy forbids loading.
     """
 
     html: str

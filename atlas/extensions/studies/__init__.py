@@ -1,4 +1,4 @@
-"""Error against run time, stiff and extreme cases, and labels under other settings."""
+"""Studies of error against run time, of stiff and extreme cases, and of labels under other settings."""
 
 from ...extension import Extension
 

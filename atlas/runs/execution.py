@@ -1,4 +1,4 @@
-"""`atlas.run`: checks the options, then computes the points of a scene in memory or in a folder."""
+"""The function `atlas.run`, which checks its options and computes a scene in memory or in a folder."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ def run(
     stop_after: float | None = None,
     reuse: str | Path | Sequence[str | Path] = (),
 ) -> xr.Dataset:
-    """Integrate every point of a scene, label it, and write the atlas if `out` is given.
+    """Integrate and label every point of a scene, and write the atlas if `out` is given.
 
-    After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues.
+    After an error or KeyboardInterrupt, finished tiles stay in the run folder, and the same call continues the run.
 
     Parameters
     ----------
     scene : Scene, str, Path or mapping
         A scene from `load_scene`, or an argument of `load_scene`.
     out : str or Path, optional
-        NAME.nc for one file, or NAME.zarr for a Zarr store, which may be an address such as s3://BUCKET/NAME.zarr; extensions may
-        add suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed.
-        Otherwise a run folder: a text that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix. An existing run
+        NAME.nc writes one file and NAME.zarr a Zarr store, also at an address such as s3://BUCKET/NAME.zarr. Extensions may add
+        suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed. A text
+        that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix names a run folder that is kept. An existing run
         folder is continued.
     threads : int, optional
-        Default: all processors of this process. Results do not depend on the number of threads.
+        Number of threads, by default the number of processors of this process. Results do not depend on the number.
     progress : bool
         Print progress to stderr.
     force : bool
-        Replace an existing file or store, or another scene's run in the folder unless a process is computing it. An unfinished
-        run of this scene is always continued.
+        Replace an existing file or store, or the run of another scene in the folder. A run that a process is computing is not
+        replaced, and an unfinished run of this scene is continued.
     shard : (int, int), optional
-        (i, n) computes only the i-th of n parts, counted from 1; needs a run folder. In each level of a refined scene a shard
-        computes its own part first, then tiles that the other shards have left.
+        (i, n) computes only the i-th of n parts, counted from 1. `out` must be a run folder. In each level of a refined scene a
+        shard first computes its own part, then tiles that the other shards have left.
     scheduler : str, optional
         Address of a dask scheduler, whose workers compute the tiles.
     workers : int, optional
@@ -62,23 +62,23 @@ def run(
     stop_after : float, optional
         Seconds after which no new tile begins; tiles that have begun are finished. Needs `out`.
     reuse : str, Path or sequence of str or Path, optional
-        Earlier atlases or unfinished run folders, computed by the same programs on the same kind of processor. Their points that
-        are in the scene are not computed again. The result is the same to the bit; its attribute `atlas_history` states how many
-        points come from which atlas.
+        Earlier atlases or unfinished run folders, computed by the same programs on the same kind of processor. Points that they
+        share with the scene are not computed again. The result is the same to the bit. The attribute `atlas_history` of the
+        result states how many points come from which atlas.
 
     Returns
     -------
     xarray.Dataset
-        The scene's axes as dimensions, its [outputs] as variables, every parameter as a coordinate, and provenance in the
-        attributes. Opened lazily if `out` is given.
+        The dimensions are the axes of the scene, the variables are the [outputs] of the scene, and every parameter is a
+        coordinate. The attributes state the provenance. With `out`, the atlas is opened lazily.
 
     Raises
     ------
     BadInput
         If no point can be computed, if `out` cannot be written or contains something else, or if an atlas in `reuse` shares no
-        point with the scene. BadInput is raised before anything is computed.
+        point with the scene. BadInput is raised before the first point is computed.
     interruption.Stopped
-        If the run takes longer than `stop_after`; the same call continues it.
+        If the run takes longer than `stop_after`. The same call continues the run.
     """
     scene = load_scene(scene)
     began, on_cluster = time.monotonic(), bool(scheduler or workers)
@@ -114,6 +114,6 @@ def run(
 
             check_memory(scene)
         return run_in_memory(Execution.of(scene, reuse, options))
-    from .folder import run_kept  # not imported by a run in memory
+    from .folder import run_kept  # a run in memory does not need this module
 
     return run_kept(scene, out, reuse, options, force=force)

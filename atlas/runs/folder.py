@@ -1,4 +1,4 @@
-"""Runs in a folder or bucket: tiles are computed by threads or on a cluster, and joined into one file."""
+"""Runs in a folder or bucket, whose tiles are computed by threads or dask workers and may be joined into one file."""
 
 from __future__ import annotations
 
@@ -47,11 +47,10 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MAX_DAMAGE_WARNINGS = 5
-# Longest pause, in seconds, between two checks of the tiles that other processes compute; the first pause is claims.POLL.
+# A process that waits for the tiles of other processes checks them after pauses that grow from claims.POLL to this many seconds.
 MAX_CLAIM_POLL = 10.0
-Source: TypeAlias = (
-    "tuple[RunFolder, Tiles, Plan, list[Earlier]]"  # all that a process needs to compute a tile
-)
+# What a process needs to compute a tile.
+Source: TypeAlias = "tuple[RunFolder, Tiles, Plan, list[Earlier]]"
 
 
 def run_kept(
@@ -62,12 +61,12 @@ def run_kept(
     *,
     force: bool,
 ) -> xr.Dataset:
-    """Run a scene into a folder, a bucket or one file; see `execution.run`."""
+    """Compute a scene in a folder, a bucket or one file. The arguments are described in `execution.run`."""
     path, file = destination(out)
     if options["shard"] and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and format_of(file).stamp(file) is not None:
-        left = folder_of(file)  # what a run may have left that was killed during its removal
+        left = folder_of(file)  # this folder remains if the process was killed while it removed the folder
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return finished_atlas(ScenePlan.of(scene), file)
@@ -87,12 +86,12 @@ def run_kept(
 
 
 def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
-    """The place of a run, and the path of its atlas if this is a file or store; BadInput if one of them cannot be written."""
+    """Return the place of a run, and the path of the file or store to write, or None. BadInput if a path cannot be written."""
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
     if place_at(place).stamp(f"atlas/{MANIFEST}") is not None and format_of(place).stamp(place) is None:
-        RunFolder.open(place)  # refuses the unfinished store of version 0.1.0
+        RunFolder.open(place)  # raises BadInput for an unfinished store of version 0.1.0
     is_run = str(out).endswith("/") or MANIFEST in place_at(place).names()
     if isinstance(place, str):
         if finished.is_store(place):
@@ -103,7 +102,7 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
             f"{place}: on object storage the name must end in /, for a run, or in {finished.STORE}, for a Zarr store"
         )
     path = place if str(out).startswith("file:") else Path(out)
-    # A Path loses a / at its end.
+    # A Path drops a final /, so a Path without suffix may mean a folder.
     may_be_folder = isinstance(out, Path) or (path.is_dir() and not finished.is_store(path))
     if is_run or (may_be_folder and not path.suffix):
         check_name(path, LONGEST_NAME)
@@ -120,13 +119,13 @@ def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
 
 
 def folder_of(path: Path | str) -> Path | str:
-    """Run folder in which the atlas for a file or store is computed."""
+    """Return the run folder in which the atlas for the file or store `path` is computed."""
     return path.with_name(path.name + RUN_SUFFIX) if isinstance(path, Path) else path + RUN_SUFFIX
 
 
 @contextmanager
 def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
-    """Compute the missing tiles of a run or shard; the progress file says "at work" while the context is open."""
+    """Compute the missing tiles of a run or shard. The progress file says "at work" until the context is closed."""
     explain_kept(folder.progress_text)
     part, parts = execution.shard
     is_missing = any(tile % parts == part - 1 for tile in folder.tiles.missing())
@@ -158,7 +157,7 @@ def complete(folder: RunFolder, execution: Execution) -> Iterator[Progress]:
 
 
 def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | None) -> None:
-    """Write the notes of a run if no tile is missing; totals: sums over all tiles, None after a shard."""
+    """Write the notes of a run if no tile is missing. `totals` are the sums over all tiles, or None after a shard."""
     if folder.tiles.missing():
         return
     if totals is None:
@@ -181,13 +180,13 @@ def _complete_notes(folder: RunFolder, execution: Execution, totals: Totals | No
 
 
 def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> None:
-    """Compute the levels of a refined scene one by one, and from them the tiles of its finest grid."""
+    """Compute the levels of a refined scene one by one, then write the tiles of the finest grid from the levels."""
     from . import refine
     from .levels import Level
 
     plan, tiles, levels, totals = execution.plan, folder.tiles, list[Level](), Totals()
     _warn_and_remove(tiles, tiles.check(tiles.written())[1])
-    with suppress(BadInput):  # damaged notes are written again below
+    with suppress(BadInput):  # damaged notes raise BadInput and are written again below
         if folder.is_complete:
             bar.add(plan.scene.size, done=plan.scene.size)
             return
@@ -220,11 +219,11 @@ def _compute_levels(folder: RunFolder, bar: Progress, execution: Execution) -> N
 
 
 def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
-    """Compute an atlas in its run folder, join it and remove the folder, or open the atlas that another process finished."""
+    """Compute an atlas in a run folder, join the tiles and remove the folder. If another process is faster, open its atlas."""
     before, plan, is_joined = format_of(path).stamp(path), execution.plan, False
 
     def is_open() -> bool:
-        """Whether the atlas is still to be written: no other process has finished it."""
+        """Whether no other process has written the atlas."""
         return format_of(path).stamp(path) in (before, None)
 
     try:
@@ -232,7 +231,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
         if is_open():
             with complete(folder, execution) as bar:
                 wait = claims.Wait(folder.place, folder.hosts)
-                # Only one process may join: on an object store a second one would remove the objects of the first.
+                # Only one process may join, because on an object store a second process would remove the objects of the first.
                 while not is_joined and is_open():
                     if not claims.claim(folder.place, JOINING):
                         execution.check_time(folder.progress_text())
@@ -244,7 +243,7 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
                             folder.join(path)
                             is_joined = True
                 if is_joined:
-                    bar.close()  # else the progress would be written into the removed folder
+                    bar.close()  # otherwise the bar would write progress into the removed folder
                     folder.remove()
                     explain_kept(None)
     except (BadInput, OSError):
@@ -254,19 +253,19 @@ def run_to_file(path: Path | str, execution: Execution) -> xr.Dataset:
 
 
 def _is_result(plan: ScenePlan, path: Path | str) -> bool:
-    """Whether a file or store, maybe damaged, is the result of this scene and these programs."""
+    """Whether a file or store is the result of this scene and the current programs. The values may be damaged."""
     expected = result_hash(plan.scene.toml(), identity(plan.runs))
     with suppress(BadInput), open_atlas(path) as ds:
-        # A user's own dataset may have the attributes of an atlas, but not its hash.
+        # A dataset that a user derived from an atlas may keep the attribute RESULT, but it has no hash.
         return format_of(path).has_hash(path) and ds.attrs.get(RESULT) == expected
     return False
 
 
 def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
-    """Open a finished atlas and remove what is left of its run; BadInput if it is the result of another run."""
+    """Open a finished atlas and remove the rest of its run folder. BadInput if the atlas is the result of another run."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
-    try:  # the run may have been killed after it moved the file into place
+    try:  # a process that was killed after it wrote the atlas has left a run folder
         folder = RunFolder.open(folder_of(path))
         folder.check_same(plan)
     except BadInput:
@@ -279,19 +278,19 @@ def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
 
 @dataclass(eq=False)
 class _Job:
-    """Tiles of a run, computed by this process unless another process computes them."""
+    """The computation of some tiles of a run, which other processes may share."""
 
     run: RunFolder
     tiles: Tiles
-    share: range  # tiles of the shard, but all tiles of a level, because all must exist before the next level
+    share: range  # tiles of the shard, or all tiles of a level, because the next level needs the whole level
     execution: Execution
     level: int | None = None
-    stop: Event = field(default_factory=Event)  # set when an error or Ctrl-C ends the job
+    stop: Event = field(default_factory=Event)  # is set when an error or Ctrl-C ends the job
     own: set[int] = field(default_factory=set)  # tiles that this process wrote and read back
     totals: Totals = field(default_factory=Totals)  # sums over the tiles in `own`
 
     def remaining_tiles(self, unfinished: Sequence[int], bar: Progress) -> Iterator[int]:
-        """Claim unfinished tiles one by one, beginning at a random tile so that parallel processes share the work."""
+        """Claim and yield unfinished tiles. The first tile is random, so that parallel processes rarely meet at a tile."""
         first, (part, parts) = random.randrange(len(unfinished)), self.execution.shard
         files, size_of = self.tiles, self.tiles.tiling.size_of
         tiles = sorted([*unfinished[first:], *unfinished[:first]], key=lambda tile: tile % parts != part - 1)
@@ -305,7 +304,7 @@ class _Job:
                     return
                 elif claims.claim(files.place, files.name(tile, claims.SUFFIX)):
                     if files.is_written(tile):
-                        # The tile was written after the folder was listed, maybe other tiles too.
+                        # The listing of the folder is out of date, since another process has written the tile.
                         files.place.remove(files.name(tile, claims.SUFFIX))
                         bar.skip(size_of(tile))
                         files.listing = None
@@ -321,7 +320,7 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute missing and damaged tiles; Stopped if the time is up before all are done."""
+        """Compute missing and damaged tiles and return the sums over the share. Stopped if the time is up before the end."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.share if tile not in written]
         done = sum(size_of(tile) for tile in self.share if tile in written)
@@ -338,7 +337,7 @@ class _Job:
             bar.skip(-sum(map(size_of, unfinished)))
 
     def _compute(self, unfinished: Sequence[int], bar: Progress) -> None:
-        """Compute some missing tiles."""
+        """Compute the tiles `unfinished`, and skip tiles that other processes finish first."""
         execution, run = self.execution, self.run
         if isinstance(run.place, Folder) and not surely_fits(run.scene, run.place.path):
             from . import estimate
@@ -364,7 +363,7 @@ class _Job:
         stopwatch, last_end, lock = Stopwatch(), 0.0, Lock()
 
         def seconds() -> float:
-            """Seconds since the last tile ended: the durations of tiles overlap and must not be summed."""
+            """Return the seconds since the last tile ended. Durations of tiles overlap, so their sum would be too long."""
             nonlocal last_end
             with lock:
                 before, last_end = last_end, stopwatch.seconds()
@@ -396,7 +395,7 @@ class _Job:
 
 
 def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
-    """Remove damaged tiles, with a warning, so that they are computed again."""
+    """Log warnings about damaged tiles, and remove the tiles so that they are computed again."""
     warn = logging.getLogger("atlas").warning
     for tile, reason in list(damaged.items())[:MAX_DAMAGE_WARNINGS]:
         warn("%s: tile %d is computed again: %s", tiles.place, tile, reason)
@@ -409,7 +408,7 @@ def _warn_and_remove(tiles: Tiles, damaged: dict[int, str]) -> None:
 def _compute_tile(
     source: Source, tile: int, threads: blocks.Threads, by: str, seconds: Callable[[], float]
 ) -> dict[str, Any]:
-    """Compute and write a tile, and return its header."""
+    """Compute and write a tile, and return the header of the tile."""
     run, tiles, plan, earlier = source
     with claims.held(tiles.place, tiles.name(tile, claims.SUFFIX)):
         columns, computed, reused = evaluate_at(plan, run.scene, tiles.indices(tile), earlier, threads)
@@ -418,12 +417,12 @@ def _compute_tile(
 
 
 def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] = ()) -> None:
-    """Raise BadInput unless this worker would compute the same bits as the run with the given key."""
+    """Raise BadInput unless this worker holds the run with the given key and would compute the same bits."""
     _open_cached(path, level, key, reuse)
 
 
 def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
-    """The task of a dask worker: compute and write one tile with one thread; BadInput as from `check_worker`."""
+    """Compute and write a tile with one thread, as the task of a dask worker. BadInput as raised by `check_worker`."""
     source = _open_cached(path, level, key, reuse)
     _compute_tile(source, tile, blocks.Threads(1), "dask workers", Stopwatch().seconds)
     return tile
@@ -431,7 +430,7 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 
 @lru_cache(maxsize=8)
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
-    """The source of the tiles of a run or level; BadInput unless this process would compute the same bits."""
+    """Return the source of the tiles of a run or level. BadInput unless this process would compute the same bits."""
     run = RunFolder.open(path)
     tiles = run.tiles
     if level is not None:

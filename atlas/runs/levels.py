@@ -1,10 +1,11 @@
-"""Levels of refined runs: each is a list of points of the finest grid, computed in tiles like a grid of one axis.
+"""Levels of refined runs. A level is a list of points of the finest grid, computed in tiles like a grid of one axis.
 
-    NAME/levels/0003/points.tile    flat indices of its points in the finest grid
-    NAME/levels/0003/00000012.tile  as in every run
+    NAME/levels/0003/points.tile    flat indices of the points of level 3 in the finest grid
+    NAME/levels/0003/00000012.tile  a tile of level 3
 
-The results of earlier levels determine the points of a level, so that a continued run, and every process that shares a run, has
-the same levels. The key of a level, in all its tiles, is a hash of the run, the points and the key of the previous level.
+The results of earlier levels determine the points of a level. A continued run therefore has the same levels, and so have all
+processes that share a run. Every tile of a level contains the key of the level, which is a hash of the run, the points and the
+key of the previous level.
 """
 
 from __future__ import annotations
@@ -31,23 +32,23 @@ if TYPE_CHECKING:
     from ..store.place import Place
 
 POINTS = "points.tile"
-# Measured flags of the core whose boundaries are traced: the label always, the others if the scene asks for them.
+# Measured flags of the core whose boundaries are traced. All but the label are traced only if the scene asks for them.
 MEASURED = (*LABELS, "geometry", "status", "regularity")
-MAX_VALUES = 32  # number of values that an integer variable without flags may have
-TILES_PER_LEVEL = 64  # number of tiles of a level that has enough points, so that many processes can share it
-# Ascending flat indices of points in the finest grid, and their variables.
+MAX_VALUES = 32  # largest number of values of an integer variable without flags
+TILES_PER_LEVEL = 64  # number of tiles of a level with enough points, so that many processes share the work
+# Ascending flat indices of points in the finest grid, and the variables at the points.
 Part: TypeAlias = tuple[np.ndarray, Mapping[str, np.ndarray]]
 
 
 def traced(scene: Scene) -> list[str]:
-    """Names of measured flags and integers whose boundaries are traced: the label, and others that the scene asks for."""
+    """Return the names of the measured flags and integers whose boundaries are traced in a scene."""
     of_extensions = (v for each in extension.every("instruments") for v in each.variables(scene.system))
     integers = (variable.name for variable in of_extensions if variable.dtype.startswith("int"))
     return [name for name in (*MEASURED, *integers) if name == "label" or name in scene.outputs]
 
 
 class Run(Protocol):
-    """The members of a run that its levels use."""
+    """The part of a run that the class Level uses."""
 
     key: str
     scene: Scene
@@ -55,7 +56,7 @@ class Run(Protocol):
 
 
 class Level:
-    """Points of the finest grid of a run, in tiles."""
+    """A list of points of the finest grid of a run, and the tiles of the points."""
 
     def __init__(self, run: Run, number: int, before: str, points: np.ndarray, length: int):
         self.number, self.before, self.points, self.length = number, before, points, length
@@ -72,14 +73,14 @@ class Level:
 
     @classmethod
     def of(cls, run: Run, number: int, before: str, points: np.ndarray, most: int) -> Level:
-        """A level in tiles of at most `most` points; its list of points is written if it is missing."""
+        """Return a level in tiles of at most `most` points. A missing list of points is written."""
         most = max(MIN_POINTS_PER_TILE, min(most, points.size // TILES_PER_LEVEL))
         most = min(most, grid.max_points_per_tile())
         level = cls(run, number, before, points, *Tiling.of(points.shape, most).tile)
         with suppress(BadInput, FileNotFoundError):
             if cls.open(run, number).key == level.key:
                 return level
-        run.levels_place.make()  # not the folder of the run, which may have been removed
+        run.levels_place.make()  # This fails if another process has removed the folder of the run.
         level.place.make()
         header = {"key": level.key, "level": number, "before": before, "length": level.length}
         level.place.write(POINTS, encode(header, {"points": points.astype("<i8")}))
@@ -87,7 +88,7 @@ class Level:
 
     @classmethod
     def open(cls, run: Run, number: int) -> Level:
-        """A level of a run; FileNotFoundError if it has not begun, BadInput if it is damaged."""
+        """Open a level of a run. FileNotFoundError if the level has not begun, BadInput if the level is damaged."""
         place = run.levels_place.inside(f"{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}
@@ -105,7 +106,7 @@ class Level:
             raise BadInput(damaged_message(place, error)) from None
 
     def read(self, indices: np.ndarray) -> Iterator[Part]:
-        """Points of the level from the first to the last of the flat indices, and their variables, tile by tile."""
+        """Yield, tile by tile, the points of the level from indices[0] to indices[-1] and the variables at the points."""
         start, end = np.searchsorted(self.points, (indices[0], indices[-1] + 1))
         for tile in range(start // self.length, -(-end // self.length) if end > start else 0):
             inside = slice(max(start - tile * self.length, 0), end - tile * self.length)
@@ -116,7 +117,7 @@ class Level:
             yield self.tiles.indices(tile)[inside], {name: column[inside] for name, column in values.items()}
 
     def fill(self, columns: Mapping[str, np.ndarray], indices: np.ndarray) -> None:
-        """Write the level's values into columns that cover the flat indices from the first to the last."""
+        """Write the values of the level into `columns`, which cover the flat indices from indices[0] to indices[-1]."""
         for points, values in self.read(indices):
             for name, column in columns.items():
                 column.flat[points - indices[0]] = values[name]

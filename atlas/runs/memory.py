@@ -1,4 +1,4 @@
-"""The points of a scene computed in memory: in tiles, in threads, refined, or from earlier atlases."""
+"""The computation of a scene in memory, in threads. It may be refined, and may reuse points of earlier atlases."""
 
 from __future__ import annotations
 
@@ -38,16 +38,17 @@ if TYPE_CHECKING:
     from .levels import Part
     from .reuse import Earlier
 
-MANY_POINTS = 10**6  # number of points from which on an atlas may not fit into memory
-# Seconds for a point and for a step on a slow processor with costly equations; if they add up to LONG, a run is measured.
+MANY_POINTS = 10**6  # An atlas of this many points may not fit into memory.
+# Seconds for a point and for a step on a slow processor with costly equations. The duration of a run is measured beforehand
+# only if these rates predict more than LONG seconds.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
-Advance = Callable[[float], None]  # takes a number of finished points
+Advance = Callable[[float], None]  # takes the number of points finished since the last call
 
 
 @dataclass(frozen=True, eq=False)
 class Execution:
-    """A plan, earlier atlases to reuse, and the processes and threads that compute the tiles; see `run`."""
+    """A plan, the earlier atlases to reuse, and the options of `execution.run`."""
 
     plan: ScenePlan
     earlier: list[Earlier]
@@ -58,14 +59,14 @@ class Execution:
     stop_after: float | None = None
     progress: bool = True
     began: float = field(default_factory=time.monotonic)
-    stack: ExitStack = field(default_factory=ExitStack)  # ends the dask workers
+    stack: ExitStack = field(default_factory=ExitStack)  # ends the dask workers when it is closed
 
     @classmethod
     def of(
         cls, scene: Scene, reuse: str | Path | Sequence[str | Path], options: Mapping[str, Any]
     ) -> Execution:
-        """The execution of a scene, by the paths of earlier atlases and the options of `run`."""
-        from ..kernel.machine_code import check_compiler  # here, because reading a run needs no compiler
+        """Return the execution of a scene. `reuse` are paths of earlier atlases, `options` are options of `execution.run`."""
+        from ..kernel.machine_code import check_compiler  # reading a run needs no compiler
 
         check_compiler()
         plan, paths = ScenePlan.of(scene), [reuse] if isinstance(reuse, str | Path) else reuse
@@ -86,7 +87,7 @@ class Execution:
         return cls(plan, earlier, **{**options, "shard": shard})
 
     def name_cheaper_method(self) -> None:
-        """Print, as the first line of the progress, the costs of the other methods if one is cheaper."""
+        """Print the costs of the other methods before the progress, if a method is cheaper than that of the scene."""
         costs = {} if self.plan.has_chaos or not self.progress else self.plan.relative_costs
         if min(costs.values(), default=1) < 1:
             with announced(True):
@@ -94,21 +95,21 @@ class Execution:
 
     @property
     def time_is_up(self) -> bool:
-        """Whether no tile may begin any more."""
+        """Whether `stop_after` has passed or a signal has asked the run to stop, so that no further tile begins."""
         is_late = self.stop_after is not None and time.monotonic() - self.began >= self.stop_after
         return is_late or bool(interruption.stopped_by)
 
     def check_time(self, state: str) -> None:
-        """Raise Stopped, with the state of the run as text, if no tile may begin any more."""
+        """Raise Stopped if the time is up. The message ends with `state`, the state of the run as text."""
         if self.time_is_up:
             why = interruption.stopped_by or f"after {clock(self.stop_after or 0)}"
             raise interruption.Stopped(f"stopped {why}; {state}")
 
     @cached_property
     def client(self) -> Any:
-        """Client of the dask workers; the first access starts them."""
+        """The client of the dask workers. The first access starts the workers."""
         if self.workers:
-            # Compile the kernel here by one step at one point, else each new process would compile it.
+            # One step at one point compiles the kernel here. Otherwise each new process would compile the kernel.
             sample = self.plan.sample
             points = replace(self.plan.runs.without_derived(), settings=self.plan.limited(1))
             if points.outputs:
@@ -119,7 +120,7 @@ class Execution:
 
 
 def run_in_memory(execution: Execution) -> xr.Dataset:
-    """Compute an atlas without a run folder."""
+    """Compute an atlas in memory, without a run folder."""
     plan, threads, progress = execution.plan, Threads(execution.threads), execution.progress
     scene, stopwatch, reused = plan.scene, Stopwatch(), Counter[str]()
     execution.name_cheaper_method()
@@ -155,10 +156,10 @@ def columns_of(
     earlier: Sequence[Earlier] = (),
     points: np.ndarray | None = None,
 ) -> tuple[dict[str, np.ndarray], Counter[str]]:
-    """Variables and solved parameters of a scene's points (all, or flat indices), and numbers of reused points by earlier atlas."""
+    """Return variables and solved parameters at flat indices `points`, by default all, and numbers of reused points by atlas."""
     scene, all_reused = plan.scene, Counter[str]()
     tiles = plan.tiling if points is None else Tiling.of(points.shape, grid.max_points_per_tile())
-    # Refinement needs the label, even if the scene does not ask for it.
+    # Refinement needs the label, even if the label is not in the outputs of the scene.
     types = ({} if points is None else {"label": "int8"}) | tile_types(scene)
     columns = {name: np.empty(math.prod(tiles.shape), kind) for name, kind in types.items()}
 
@@ -182,7 +183,7 @@ def evaluate_at(
     earlier: Sequence[Earlier] = (),
     threads: Threads = ALL_THREADS,
 ) -> tuple[dict[str, np.ndarray], int, Counter[str]]:
-    """Variables and parameters of points of a scene, the number of points with a motion, and numbers of reused points by atlas."""
+    """Return variables and parameters at flat indices, the number of points with a motion, and reused points by atlas."""
     points = grid.points_at_indices(scene, indices)
     reused, parts = Counter[str](), list[tuple[np.ndarray, Mapping[str, np.ndarray]]]()
     remaining = np.arange(indices.size)
@@ -214,7 +215,7 @@ def for_each_tile(
     in_flight: int,
     stop: Event,
 ) -> None:
-    """Call compute(tile, advance) in threads; an error or Ctrl-C sets `stop`, abandons all tiles and is raised."""
+    """Call compute(tile, advance) for each tile in threads. An error or Ctrl-C sets `stop` and abandons the remaining tiles."""
     source, lock = iter(tiles), Lock()
 
     def advance_or_stop(points: float) -> None:

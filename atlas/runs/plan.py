@@ -1,5 +1,5 @@
-"""The plan of a scene (a sample of its points, their steps, the work, the tiles), and the identity of a computation: programs and
-processor on which the bits of an atlas depend. This module imports no compiler.
+"""The plan of a scene predicts steps, work and warnings from a sample of the points, and divides the grid into tiles. The identity
+of a computation names the programs and the processor on which the bits depend. This module imports no compiler.
 """
 
 from __future__ import annotations
@@ -36,56 +36,57 @@ if TYPE_CHECKING:
     from ..store.tiling import Tiling
 
 
-# Shortest run that shows most chaos: revolutions of the frame, or periods of the frequency bound if the frame does not turn.
+# A warning is given for shorter runs, which miss much of the chaos. The first number counts revolutions of the frame, the second
+# periods of the frequency bound for a frame that does not turn.
 MIN_ORBITS, MIN_PERIODS = 80, 400
-MAX_PREDICTED = 400  # number of sample points whose motion theory predicts before a run
-LONG = 2 * 3600.0  # a run that is expected to take more seconds says so
-COSTLY_SHARE = 0.3  # a warning follows if 1 % of the points take a larger fraction of all steps
+MAX_PREDICTED = 400  # largest number of sample points whose motion theory predicts before a run
+LONG = 2 * 3600.0  # A run that is expected to take more seconds than this announces the expected time.
+COSTLY_SHARE = 0.3  # A warning is given if 1 % of the points take a larger fraction of all steps.
 
 
 @dataclass(frozen=True, eq=False)
 class ScenePlan:
-    """The plan of a scene."""
+    """The plan of a scene, with the steps, the work and the tiles of the run."""
 
     scene: Scene
-    sample: grid.Grid  # points of the scene, from `grid.check`
+    sample: grid.Grid  # the points of the scene that `grid.check` returns
 
     @classmethod
     def of(cls, scene: Scene) -> ScenePlan:
-        """The plan of a scene; BadInput if no point can be computed."""
+        """Return the plan of a scene. BadInput if no point can be computed."""
         return cls(scene, grid.check(scene))
 
     @cached_property
     def runs(self) -> Plan:
-        """The plan of the runs of the scene's points."""
+        """The plan by which the points of the scene are integrated and labelled."""
         from ..label.plan import Plan
 
         return Plan.of(self.scene)
 
     def limited(self, max_steps: int) -> Settings:
-        """The settings of the scene with another max_steps."""
+        """Return the settings of the scene with `max_steps` replaced."""
         return replace(self.scene.settings, max_steps=max_steps)
 
     @cached_property
     def _bound(self) -> Array:
-        """Frequency bounds of the sample, (points,), found without integration."""
+        """Frequency bounds of the sample points, of shape (points,), found without integration."""
         with np.errstate(all="ignore"):
             return numeric_bound.before_run(self.scene.system, self.sample.points, self.sample.until)
 
     def step_sizes_by(self, settings: Settings) -> StepSizes:
-        """Step sizes of the sample under given settings, with their expected errors."""
+        """Return the step sizes of the sample points under `settings`, and the expected errors of the steps."""
         with np.errstate(all="ignore"):
             settings_at_points = settings.at(self.sample.rate_tolerance)
             return StepSizes.of(settings_at_points, self._bound, self.sample.until)
 
     @cached_property
     def step_sizes(self) -> StepSizes:
-        """Step sizes of the sample under the settings of the scene."""
+        """Step sizes of the sample points under the settings of the scene."""
         return self.step_sizes_by(self.scene.settings)
 
     @cached_property
     def mean_steps(self) -> float:
-        """Integration steps of a point, averaged over the sample."""
+        """Mean number of integration steps of a sample point."""
         return float(self.step_sizes.without_unresolved().steps[self.sample.exists].mean())
 
     @cached_property
@@ -95,12 +96,12 @@ class ScenePlan:
 
     @cached_property
     def mean_work(self) -> float:
-        """Mean work for a point, in steps of the scene's method, with tangent vectors for chaos."""
+        """Mean work for a point, in steps of the method of the scene. The work for chaos indicators is included."""
         return self.mean_steps + (self._tangent_work(self.sample.duration) if self.has_chaos else 0.0)
 
     @cached_property
     def growth_work(self) -> float:
-        """Mean work for tangent vectors that give the growth of errors, if every run settles, in steps of the scene's method."""
+        """Mean work for the growth of errors at a point, in steps of the method of the scene, as if every run settled."""
         from ..measure.rates import tolerated_error
 
         if not self.runs.needs_growth:
@@ -110,7 +111,7 @@ class ScenePlan:
         return self._tangent_work(self.sample.until, error)
 
     def _tangent_work(self, duration: Array, error: Array | None = None) -> float:
-        """Mean work for a point with a tangent vector, in steps of the scene's method."""
+        """Return the mean work for the tangent vector of a point, in steps of the method of the scene."""
         from ..measure.tangent_runs import RELATIVE_COST, TangentSteps
 
         settings = self.scene.settings
@@ -121,17 +122,17 @@ class ScenePlan:
 
     @cached_property
     def tiling(self) -> Tiling:
-        """Tiles of similar work, which depend only on the scene and ATLAS_TILE_POINTS, not on time or processors."""
+        """The division of the grid into tiles, which depends only on the scene and on ATLAS_TILE_POINTS."""
         from ..store import tiling
 
         least = max(tiling.MIN_POINTS_PER_TILE, 3 * self.scene.size / tiling.MAX_TILES)
         points = max(tiling.TILE_POINT_STEPS / self.mean_work, least)
-        # A power of two, because the last bits of the mean may differ between machines.
+        # The number is rounded to a power of two, because the last bits of `mean_work` may differ between machines.
         most = min(2 ** round(math.log2(points)), grid.max_points_per_tile())
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Number of tiles to compute at a time: two, or more if tiles are too small to keep all threads busy."""
+        """Return the number of tiles that are computed at the same time. Small tiles need more than two to busy all threads."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1
@@ -139,7 +140,7 @@ class ScenePlan:
         return min(1 + math.ceil(threads / max(calls_per_tile, 1.0)), threads + 1, self.tiling.count)
 
     def step_warnings(self) -> list[str]:
-        """Warnings about points limited by `max_steps`, costly points, and points with steps too long for a label."""
+        """Return warnings about points that `max_steps` limits, costly points, and points with steps too long for a label."""
         exists, sizes, warnings = self.sample.exists, self.step_sizes, list[str]()
         limited = float((sizes.steps < self.step_sizes_by(self.limited(MAX_STEPS)).steps)[exists].mean())
         unresolved = float((~sizes.resolved)[exists].mean())
@@ -167,11 +168,11 @@ class ScenePlan:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Warnings about a scene before its run."""
+        """Warnings that are given before the run of the scene."""
         return [*grid.warnings(self.scene, self.sample), *self.chaos_warnings()]
 
     def chaos_warnings(self) -> list[str]:
-        """A warning about runs too short to tell regular motions from chaotic ones."""
+        """Return a warning, in a list, if runs are too short to tell regular from chaotic motions."""
         exists, system = self.sample.exists, self.scene.system
         if not self.has_chaos or not exists.any():
             return []
@@ -192,25 +193,25 @@ class ScenePlan:
 
     @cached_property
     def relative_costs(self) -> dict[str, float]:
-        """Expected processor time of each other method, divided by that of the scene's method, see `Plan.relative_costs`."""
+        """Expected processor time of each other method, divided by the time of the method of the scene."""
         exists = self.sample.exists
         return self.runs.relative_costs(self._bound[exists], self.sample.subset(exists))
 
     def method_lines(self) -> list[str]:
-        """A sentence on the cost of each other method; no sentence if a step is given."""
+        """Return a sentence on the cost of each other method, or no sentence if the scene gives the step."""
         from ..label.plan import method_lines
 
         return method_lines(self.scene.settings.method, self.relative_costs)
 
     @property
     def _few_points(self) -> NDArray[np.int64]:
-        """Indices of at most MAX_PREDICTED points of the sample, evenly spread."""
+        """Indices of at most MAX_PREDICTED existing points, evenly spread over the sample."""
         exists = np.flatnonzero(self.sample.exists)
         places = np.linspace(0, exists.size - 1, min(exists.size, MAX_PREDICTED))
         return exists[places.astype(np.int64)]
 
     def proof_lines(self) -> list[str]:
-        """For a run that needs labels alone: a sentence on the points whose labels could be proved, if there are any."""
+        """Return a sentence on the points whose labels could be proved, if the run needs labels alone and has such points."""
         scene = self.scene
         every = proofs_of_labels(scene.system)
         proofs = [proof for label, proof in every.items() if label in scene.outputs]
@@ -229,7 +230,7 @@ class ScenePlan:
         ]
 
     def statistics_lines(self) -> list[str]:
-        """A sentence on runs that by theory would end early without statistics, or on the transients, which never end early."""
+        """Return a sentence if statistics or a transient prevent runs from ending early."""
         before, until = np.sum(self.sample.transient), self.sample.until.sum()
         if self.runs.may_stop_early and before > 0:
             return [
@@ -239,7 +240,7 @@ class ScenePlan:
             return []
         from ..label.theory import predict_runs
 
-        # `atlas check` must load no compiler.
+        # `atlas check` calls this method and must load no compiler.
         plan = replace(self.runs, in_machine_code=False)
         drifting = (
             predict_runs(plan, self.sample.subset(self._few_points)).variables["predicted"] == Label.DRIFTING
@@ -253,14 +254,14 @@ class ScenePlan:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Versions, hashes and properties of the processor on which bits depend; BadInput if sources changed since the import."""
+    """Return the versions, hashes and processor properties on which bits depend. BadInput if sources changed after import."""
     import llvmlite
     import numba
     import scipy
 
     from ..kernel import machine_code
 
-    # The kernel's hash reads source files, so it is computed before the check whether the files have changed.
+    # `kernel_hash` reads source files and is computed first, so that the check below also covers the time of reading.
     kernel, origin = plan.kernel_hash, systems.origin(plan.system)
     extensions = extensions_of(plan.system, plan.names)
     changed: Any = sources.changed(each.folder for each in extensions) or [origin and origin.changed()]
@@ -269,7 +270,7 @@ def identity(plan: Plan) -> dict[str, str]:
             f"{changed[0]} was written after this process (host {platform.node()}, process {os.getpid()}) had imported it:"
             " start the process again"
         )
-    # The code that a system of another package had when it was registered.
+    # For a system that is not built in, `origin.code` is the hash of the source code when the system was registered.
     system_code = {} if origin is None else {"system_code": origin.code}
     if origin is not None and origin.package:
         system_code["system_package"] = origin.package
@@ -292,7 +293,7 @@ def identity(plan: Plan) -> dict[str, str]:
 def differences(
     expected: Mapping[str, Any], actual: Mapping[str, Any], expected_place: str, actual_place: str
 ) -> str:
-    """Entries that differ, in one line; places: where their two values are, such as "in the run" and "in the worker"."""
+    """Return, in one line, the entries that differ. The places say where the values are, such as "in the run"."""
     return ", ".join(
         f"{name} ({expected.get(name, 'nothing')} {expected_place}, {actual.get(name, 'nothing')} {actual_place})"
         for name in {**expected, **actual}

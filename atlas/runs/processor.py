@@ -1,4 +1,4 @@
-"""Dependence of bits on the processor: libraries choose their code by the processor, kernels are compiled for it."""
+"""A hash that shows whether two processors give the same bits. Libraries choose different code for different processors."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-SAMPLE, MATRICES = 1001, 99  # odd, so that the last vector register is only partly filled
+SAMPLE, MATRICES = 1001, 99  # Both numbers are odd, so that the last vector register is only partly filled.
 
 
 @lru_cache(maxsize=1)
 def library_bits() -> str:
-    """Hash of results of NumPy, LAPACK and libm on a sample; it differs where their code for two processors gives other bits."""
+    """Return a hash of results of NumPy, LAPACK and libm on fixed numbers. Processors with other bits give another hash."""
     x = np.arange(1, SAMPLE + 1) / SAMPLE
     reverse = x[::-1]
     matrices = (np.arange(MATRICES * 36) * 7919 % 1009 / 1009 - 0.5).reshape(-1, 6, 6)

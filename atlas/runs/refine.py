@@ -1,4 +1,4 @@
-"""Refinement: an atlas on a fine grid, integrated only around the boundaries between different flags."""
+"""Refinement computes an atlas on a fine grid, but integrates only points near boundaries between different flags."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from ..variables import COMPUTED, variables
 from .levels import MAX_VALUES, Part, traced
 from .plan import ScenePlan
 
-# A function that integrates points, given by flat indices in the finest grid, and yields their variables part by part.
+# A function that integrates the points with given flat indices in the finest grid, and yields the variables part by part.
 Integrate: TypeAlias = Callable[[np.ndarray], Iterable[Part]]
 PREDICTED = ("family", "stable", "predicted", "predicted_inertial")
-# Number of points integrated on either side of a boundary at each level: 2 cover the crossed cell and the cells around it.
+# Number of points integrated on either side of a boundary at each level. Two points reach one cell beyond the crossed cell.
 BOUNDARY_WIDTH = 2
-# Largest expected number of points that are not integrated because a drift is predicted, and that would not drift in the run.
+# Unstable points are not integrated if at most this many of them are expected not to drift in a run.
 EXPECTED_MISSES = 0.05
 SEED = 0
-# Largest number of points of the grid on which the cost of a refined scene is estimated.
+# `expected_points` estimates the cost of a refined scene on a grid of at most this many points.
 MAX_PREDICTED = 2**18
-# Measured flag -> prediction that stands for it in this estimate.
+# `expected_points` replaces a measured flag by the prediction given here.
 PREDICTIONS = {
     "label": "predicted", "label_inertial": "predicted_inertial", "geometry": "family", "status": "stable",
 }  # fmt: skip
-# Largest number of points of a box in which boundaries are sought, so that memory does not grow with the grid.
+# Boundaries are sought in boxes of at most this many points, so that the memory does not grow with the grid.
 MAX_BOX_POINTS = 2**20
 
 
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, threads: Threads, *, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """The finest grid of a scene with [refine], and attributes; with a folder, the grid is in files and has no measured numbers."""
+    """Return the finest grid of a scene with [refine], and attributes of the atlas. The arguments are those of `FineGrid`."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, integrate, folder)
@@ -61,7 +61,10 @@ def refined(
 
 
 class FineGrid:
-    """The finest grid of a scene: predictions at every point, and flags that are measured or copied from a measured neighbour."""
+    """The finest grid of a scene, with predictions at every point, and flags that are measured or copied from neighbours.
+
+    If a folder is given, the arrays are in files there, and measured numbers are left out.
+    """
 
     def __init__(self, plan: ScenePlan, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.integrate = plan.scene, plan.runs, integrate
@@ -76,7 +79,7 @@ class FineGrid:
         held = [*scene.solve, *(numbers & {"growth_rate"} | self.measured)]
         codes = (np.min_scalar_type(-math.prod(each)) for each in (self.flag_counts, self.predicted_counts))
         arrays = _zeros(scene, (*codes, bool, bool, *len(held) * [float]), folder)
-        # One number for all flags of a point, measured where `computed` is true, else copied; one for its predicted flags; two masks.
+        # `flag_code` encodes all flags of a point, which are copied from a neighbour unless `computed` is true.
         self.flag_code, self.predicted, self.computed, self.slowly_unstable, *columns = arrays
         self.numbers = dict(zip(held, columns, strict=True))
         for column in columns:
@@ -86,7 +89,7 @@ class FineGrid:
             self._predict(chunk)
 
     def _predict(self, chunk: slice) -> None:
-        """Evaluate theory at points of the grid; points without motion count as computed, with flags 0 except for the status."""
+        """Predict the motions at a slice of flat indices. Points without a motion count as computed, with a status alone."""
         points = grid.points_at_indices(self.scene, np.arange(chunk.start, chunk.stop))
         self.n_existing += int(points.exists.sum())
         self.computed.reshape(-1)[chunk] = ~points.exists
@@ -97,16 +100,16 @@ class FineGrid:
             self.numbers[name].reshape(-1)[chunk] = points.base[name]
         existing = chunk.start + np.flatnonzero(points.exists)
         if existing.size:
-            # Labels about any axes are left out: the growth of motions about other axes does not matter here.
+            # Outputs are left out, because labels about other axes would bring in the growth of motions about those axes.
             plan = replace(self.plan, outputs=())
             prediction = theory.predict_runs(plan, (part := points.subset(points.exists)))
             for name in self.numbers.keys() & {"growth_rate"}:
                 self.numbers[name].reshape(-1)[existing] = prediction.variables[name]
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
-            # Product of growth rate and duration above which all but EXPECTED_MISSES of the nudged unstable points drift. A start does
-            # not drift if the unstable component of its nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the
-            # nudge. In regions narrower than the spacing a fraction f of the starts does not drift; without a nudge none drifts.
+            # Growth is the growth rate times the duration. A nudged unstable point does not drift if the unstable component of the
+            # nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the nudge. This happens at a fraction f at most
+            # of the points. At growth `needed`, f times the size of the grid is EXPECTED_MISSES. Without a nudge no point drifts.
             nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
             with np.errstate(divide="ignore"):
                 needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)
@@ -115,7 +118,7 @@ class FineGrid:
             self.slowly_unstable.reshape(-1)[existing] = slow
 
     def trace(self, levels: int, progress: bool) -> None:
-        """Integrate points near measured boundaries, level by level, then near predicted boundaries and at slow instabilities."""
+        """Integrate points near measured boundaries level by level, then near predicted boundaries and at slow instabilities."""
         for level in range(levels + 1):
             self.refine_to(level)
             if progress:
@@ -127,7 +130,7 @@ class FineGrid:
         self.trace_boundary(self.finest)
 
     def refine_to(self, level: int) -> None:
-        """Integrate the whole grid of level 0; at later levels, copy flags from neighbours to new points, then trace boundaries."""
+        """Integrate the whole grid of level 0. At later levels, copy flags from neighbours to new points and trace boundaries."""
         steps = [[max(k * n >> level, 1) for n in self.scene.coarsening] for k in (1, 2)]
         subgrid, before = (tuple(slice(None, None, step) for step in each) for each in steps)
         if level == 0:
@@ -141,12 +144,12 @@ class FineGrid:
         self.trace_boundary(subgrid)
 
     def trace_boundary(self, subgrid: Box) -> None:
-        """Integrate points near boundaries in a part of the grid until both sides of each boundary are computed."""
+        """Integrate points near boundaries in `subgrid`, until all points near boundaries are computed."""
         while self._integrate(self._not_computed(subgrid, self._near_boundary(self.flag_code[subgrid]))):
             pass
 
     def probe(self, share: float) -> tuple[int, int]:
-        """Integrate a random fraction of the other points, then trace boundaries; returns numbers of points and of wrong flags."""
+        """Integrate a random fraction of the other points and count wrong copied flags. Return numbers of points and errors."""
         rest, first, probed = self.n_existing - self.n_integrated, 0, list[np.ndarray]()
         places = np.random.default_rng(SEED).choice(rest, math.ceil(share * rest), replace=False)
         places.sort()
@@ -162,7 +165,7 @@ class FineGrid:
         return indices_probed.size, missed
 
     def _near_boundary(self, code: np.ndarray) -> Iterator[Mask]:
-        """Masks, box by box, of points within BOUNDARY_WIDTH points of a change of flags (the code), along the refined axes."""
+        """Yield a mask for each box, true within BOUNDARY_WIDTH points of a change of `code` along refined axes."""
         reach = [BOUNDARY_WIDTH * axis.can_be_refined for axis in self.scene.axes.values()]
         for box in Tiling.of(code.shape, MAX_BOX_POINTS):
             around = tuple(slice(max(a.start - n, 0), a.stop + n) for a, n in zip(box, reach, strict=True))
@@ -171,7 +174,7 @@ class FineGrid:
             yield grid.near_change(code[around], [1 + 2 * n for n in reach])[inside]
 
     def _not_computed(self, subgrid: Box, masks: Iterable[Mask | bool]) -> Iterator[np.ndarray]:
-        """Flat indices, box by box, of points in a part of the grid that the masks select and that are not computed."""
+        """Yield, box by box, the flat indices of points of `subgrid` that the mask selects and that are not computed."""
         computed = self.computed[subgrid]
         for box, mask in zip(Tiling.of(computed.shape, MAX_BOX_POINTS), masks, strict=False):
             along_axes = zip(np.nonzero(mask & ~computed[box]), box, subgrid, strict=True)
@@ -179,7 +182,7 @@ class FineGrid:
             yield np.ravel_multi_index(indices, self.scene.shape)
 
     def _integrate(self, parts: Iterable[np.ndarray]) -> int:
-        """Integrate points, given by several arrays of flat indices, and return their number."""
+        """Integrate the points with the flat indices in `parts`, and return the number of points."""
         indices = np.concatenate([*parts])
         if not indices.size:
             return 0
@@ -193,7 +196,7 @@ class FineGrid:
         return indices.size
 
     def values(self, part: tuple[Any, ...]) -> dict[str, np.ndarray]:
-        """Variables and solved parameters at indices along the axes; a grid in a folder has no measured numbers."""
+        """Return variables and solved parameters at indices `part` along the axes."""
         columns = {name: column[part] for name, column in self.numbers.items()}
         predictions = _decode(self.predicted[part], self.predicted_counts)
         columns |= zip(self.predicted_flags, predictions, strict=True)
@@ -207,11 +210,14 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Expected number of points that `refined` integrates, from the refinement of a coarser grid by predicted flags."""
+    """Return the number of points that `refined` is expected to integrate.
+
+    The refinement is simulated on a coarser grid with predicted instead of measured flags, and the count is scaled up.
+    """
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)
-    # The simulated grid has at most MAX_PREDICTED points and 2^finer times the spacing of the finest grid.
+    # The simulated grid has at most MAX_PREDICTED points. The spacing is 2^finer times that of the finest grid.
     finer = next(i for i in count() if scene.size / 2 ** (n_axes * i) <= MAX_PREDICTED)
     axes = {
         name: replace(axis, values=axis.values[:: 2**finer]) if axis.can_be_refined else axis
@@ -221,7 +227,7 @@ def expected_points(plan: ScenePlan) -> float:
     coarser = replace(scene.refine, levels=simulated_levels)
 
     def predictions(indices: np.ndarray) -> Iterator[Part]:
-        """Predictions in place of the measured flags; 0 for flags that theory does not predict."""
+        """Yield predictions as if they were measured flags, and 0 for flags that theory does not predict."""
         values = predicted.values(np.unravel_index(indices, predicted.scene.shape))
         zero = np.zeros(indices.size, np.int8)
         yield indices, {name: values.get(PREDICTIONS.get(name, ""), zero) for name in predicted.flags}
@@ -234,12 +240,12 @@ def expected_points(plan: ScenePlan) -> float:
         predicted.n_existing / predicted.scene.size,
         float(predicted.n_integrated),
     )
-    if finer > levels:  # not even the coarse grid is small enough
+    if finer > levels:  # even the grid of level 0 has more than MAX_PREDICTED points
         coarse = (-(-n // f) for n, f in zip(scene.shape, scene.coarsening, strict=True))
         simulated_points = existing_share * math.prod(coarse)
-    new_share = 1 - 2.0**-n_axes  # fraction of a level's points that are not in the level before
+    new_share = 1 - 2.0**-n_axes  # fraction of the points of a level that the previous level does not contain
     first = max(finer - levels, 0) + 1
-    # The number of points near boundaries grows with the boundaries' length (area, ...) divided by the spacing.
+    # If the spacing is halved, the number of points near boundaries grows by the factor 2^(n_axes - 1).
     near_boundaries = new_share * near * sum(2 ** ((n_axes - 1) * i) for i in range(first, finer + 1))
     at_slow_instabilities = int(predicted.slowly_unstable.sum()) * (2 ** (n_axes * finer) - 1)
     expected = simulated_points + near_boundaries + at_slow_instabilities
@@ -248,9 +254,9 @@ def expected_points(plan: ScenePlan) -> float:
 
 
 def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[np.ndarray]:
-    """Arrays of zeros in memory, or in unnamed files in a folder; BadInput if they do not fit."""
+    """Yield arrays of zeros in memory, or in unnamed files in `folder`. BadInput if the arrays do not fit."""
     bytes_per_point = sum(np.dtype(kind).itemsize for kind in types)
-    bytes_per_point += 0 if folder else len(scene.outputs)  # the flags of the atlas, a byte each
+    bytes_per_point += 0 if folder else len(scene.outputs)  # flags in memory take a byte each
     place, room = "this machine has", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     if folder:
         place, room = f"free on the disk of {folder} are", shutil.disk_usage(folder).free
@@ -264,17 +270,17 @@ def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[
             yield np.zeros(scene.shape, kind)
             continue
         with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):  # otherwise a disk that fills up later would kill the process
+            if hasattr(os, "posix_fallocate"):  # otherwise a full disk would kill the process
                 os.posix_fallocate(file.fileno(), 0, scene.size * np.dtype(kind).itemsize)
             yield np.asarray(np.memmap(file, kind, "r+", shape=scene.shape))
 
 
 def _encode(flags: Sequence[Flags], counts: Sequence[int]) -> np.ndarray:
-    """The flags of each point as one number; counts: number of values of each flag."""
+    """Encode the flags of each point in one number. `counts` are the numbers of values of the flags."""
     return np.ravel_multi_index(tuple(flags), tuple(counts), mode="clip")
 
 
 def _decode(code: np.ndarray, counts: Sequence[int]) -> list[Flags]:
-    """Inverse of `_encode`."""
+    """Return the flags that `_encode` encoded."""
     steps = (math.prod(counts[i + 1 :]) for i in range(len(counts)))
     return [(code // step % n).astype(np.int8) for step, n in zip(steps, counts, strict=True)]

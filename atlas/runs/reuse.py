@@ -1,4 +1,4 @@
-"""Points of earlier atlases in a scene: values are reused where all that determines their bits is the same."""
+"""Reuse of points of earlier atlases. Values are taken from an atlas only if a new computation would give the same bits."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ from .backend import open_atlas
 from .plan import differences, identity
 from .run import RESULT, RunFolder, result_hash
 
-SAMPLE = 2048  # number of points of an earlier atlas that are looked up in the scene before a run
+SAMPLE = 2048  # largest number of points of an earlier atlas that are sought in the scene before a run
 
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """An atlas, finished or not, whose points are reused."""
+    """A finished atlas or an unfinished run whose points are reused."""
 
     path: Path | str
     scene: Scene
-    tiling: Tiling  # boxes in which the atlas is read
-    names: tuple[str, ...]  # variables to read
-    read: Callable[[int], Mapping[str, np.ndarray]]  # values in a box; raises FileNotFoundError, DamagedTile
+    tiling: Tiling  # the boxes in which the atlas is read
+    names: tuple[str, ...]  # names of the variables to read
+    # Returns the values in the box with a given number. May raise FileNotFoundError or DamagedTile.
+    read: Callable[[int], Mapping[str, np.ndarray]]
     history: str  # title, origin and history of the atlas
 
     @classmethod
     def of(cls, path: str | Path, scene: Scene) -> Earlier:
-        """An earlier atlas for a scene; BadInput unless this process would compute the same bits at its points."""
+        """Open an earlier atlas for a scene. BadInput unless this process would compute the same bits as the atlas."""
         path = located(path)
         ds = open_atlas(path)
         text = ds.attrs.get("atlas_scene")
@@ -78,7 +79,7 @@ class Earlier:
     def take(
         self, scene: Scene, indices: np.ndarray, points: grid.Grid
     ) -> tuple[Mask, dict[str, np.ndarray]]:
-        """Whether points of a scene are in this atlas, and the variables of the points in it."""
+        """Return a mask of the points of a scene that are in this atlas, and the variables at these points."""
         places = _indices_in(self.scene, scene, indices, points)
         registry = data_variables(scene.system)
         columns = {name: np.empty(indices.size, registry[name].dtype) for name in self.names}
@@ -103,7 +104,7 @@ class Earlier:
 
 
 def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
-    """Raise BadInput unless the atlas of `old` has points of `scene`, with the same bits and all variables."""
+    """Raise BadInput unless the atlas of `old` shares points with `scene`, with the same bits and all variables of `scene`."""
     own_facts, facts = (_facts(Plan.of(each)) for each in (old, scene))
     if different := differences(own_facts, facts, f"in {path}", "in the scene"):
         raise BadInput(
@@ -122,7 +123,7 @@ def _check_scenes(path: Path | str, old: Scene, scene: Scene) -> None:
 
 
 def _facts(plan: Plan) -> dict[str, Any]:
-    """All that determines the bits of a point except its parameters, duration, transient and rate tolerance."""
+    """Return what determines the bits of every point, apart from parameters, duration, transient and rate tolerance."""
     return {
         "system": plan.system.name,
         **{f.name: getattr(plan.settings, f.name) for f in fields(Settings) if f.name != "rate_tolerance"},
@@ -138,7 +139,7 @@ def _facts(plan: Plan) -> dict[str, Any]:
 
 
 def _indices_in(other: Scene, scene: Scene, indices: np.ndarray, points: grid.Grid) -> np.ndarray:
-    """Flat index in `other` of each point of a scene; -1 if the point is not there with the same bits, or not computed."""
+    """Return the flat index in `other` of each point of `scene`, or -1 if `other` has no point with the same bits."""
     along = np.unravel_index(indices, scene.shape)
     values = grid.parameter_values(scene, indices)
     values |= {axis.dim: axis.values[i] for axis, i in zip(scene.axes.values(), along, strict=True)}

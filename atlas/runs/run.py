@@ -1,14 +1,14 @@
-"""Runs: a scene computed in tiles in a folder or below an address of an object store; a run can be interrupted and continued.
+"""Runs in a folder or on an object store. A run computes a scene in tiles, and can be interrupted and continued.
 
     NAME/manifest.json               scene, programs and tiles; created once
-    NAME/tiles/00000012.tile         variables of one tile
-    NAME/tiles/00012/00012345.tile   the same in runs of more than 1000 tiles
-    NAME/levels/                     of a refined run; see `levels`
+    NAME/tiles/00000012.tile         variables of tile 12
+    NAME/tiles/00012/00012345.tile   variables of tile 12345 in a run of more than 1000 tiles
+    NAME/levels/                     levels of a refined run, described in `levels`
     NAME/progress-PROCESS.json       progress of a process, for people and scripts
     NAME/notes.json                  attributes and sums over the tiles of a finished run
 
-Nothing is locked: files appear whole, and a tile that is computed twice has the same values. All files carry a hash except the
-progress, which no computation reads.
+Nothing is locked, because files appear whole, and a tile that is computed twice has the same values. All files contain a hash
+except the progress files, which no computation reads.
 """
 
 from __future__ import annotations
@@ -50,34 +50,34 @@ if TYPE_CHECKING:
 FORMAT = 4
 MANIFEST, NOTES = "manifest.json", "notes.json"
 TILES = "tiles"
-CREATION, JOINING = "manifest.claim", "joining.claim"  # claims to create the manifest, and to join
-# As long as the longest name in a run folder, so that a path that is too long is refused before the run.
+CREATION, JOINING = "manifest.claim", "joining.claim"  # claims to create the manifest and to join the tiles
+# This name is as long as the longest name in a run folder. A path that is too long is thus refused before the run.
 LONGEST_NAME = "tiles/" + 64 * "x"
 PROGRESS = re.compile(r"progress-[0-9a-f-]+\.json")
-# Names that may remain after the removal of a run, or exist before its creation.
+# Files with these names may remain when a run is removed, and may exist before a run is created.
 REMNANT = re.compile("|".join([PROGRESS.pattern, *map(re.escape, (CREATION, JOINING, CLOCK))]))
 PROGRESS_TYPES = dict.fromkeys(("shard", "host", "process", "written"), str) | dict.fromkeys(
     ("points", "done", "points_per_second"), int | float
 )
-ATTRIBUTE = str | int | float  # types of the attributes of an atlas
+ATTRIBUTE = str | int | float  # types that an attribute of an atlas may have
 MANIFEST_TYPES = {"key": str, "scene": str, "identity": dict, "tile": list, "provenance": dict}
 RUN_SUFFIX = ".run"  # suffix of the folder in which the atlas for a file or store is computed
-TALLY = "tally"  # key in the encoding of the dataset of a whole run
-RESULT = "atlas_result"  # attribute of an atlas: its `result_hash`
+TALLY = "tally"  # key of the tally in the encoding of the dataset of a complete run
+RESULT = "atlas_result"  # the attribute of an atlas that contains the `result_hash`
 
 
 class RunFolder:
-    """A run in a folder or on an object store; when pickled, another process opens it again."""
+    """A run in a folder or on an object store. A process that unpickles a run opens the run again."""
 
     def __init__(self, path: Path | str, manifest: dict[str, Any]):
         self.path, self.place, self.manifest = path, place_at(path), manifest
-        self.key = str(manifest["key"])  # hash of scene, programs and tiling, in every tile
+        self.key = str(manifest["key"])  # hash of scene, programs and tiling, which every tile contains
         self.scene = parse_scene(str(manifest["scene"]))
         self.tiling = Tiling(self.scene.shape, tuple(manifest["tile"]))
         self.tiling.check()
         computed = {} if self.scene.refine is None else {COMPUTED.name: COMPUTED.dtype}
         self.types = tile_types(self.scene) | computed
-        # Tiles that will be joined are not compressed, except on an object store, where the network is slower than compression.
+        # Tiles that will be joined are compressed only on an object store, because the network is slower than the compression.
         level = 0 if isinstance(path, Path) and path.suffix == RUN_SUFFIX else LEVEL
         self.levels_place = self.place.inside("levels")
         self.tiles = Tiles(self.place.inside(TILES), self.key, self.types, self.tiling, level=level)
@@ -86,19 +86,19 @@ class RunFolder:
         return RunFolder.open, (self.path,)
 
     def __dask_tokenize__(self) -> tuple[str, str]:
-        # By default dask would pickle and open the folder for each of its arrays.
+        # Without this method dask would pickle and open the folder for each array.
         return str(self.path), self.key
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """Open a run; BadInput if the path is no run, its manifest is damaged, or another version wrote it."""
+        """Open a run. BadInput if the path is no run, the manifest is damaged, or another version of atlas wrote the run."""
         path = located(path)
         place = place_at(path)
         file = f"{place}/{MANIFEST}"
         try:
             try:
                 manifest = files.parsed(place.read(MANIFEST), is_sealed=True)
-            except FileNotFoundError:  # version 0.1.0 wrote the run into a group of the store
+            except FileNotFoundError:  # Version 0.1.0 wrote the run into the group `atlas` of the store.
                 manifest = files.parsed(place.read(f"atlas/{MANIFEST}"), is_sealed=True)
         except FileNotFoundError:
             if ".zgroup" in place.names():
@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene; BadInput if the path holds anything else. `check`, called during a wait, may raise."""
+        """Create or open the run of a scene. BadInput if the path holds something else. Waits call `check`, which may raise."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -147,7 +147,7 @@ class RunFolder:
             manifest = _new_manifest(plan)
             place.make()
             wait = claims.Wait(place)
-            while MANIFEST not in place.names():  # only one of several processes creates the manifest
+            while MANIFEST not in place.names():  # Only the process that has the claim creates the manifest.
                 if not claims.claim(place, CREATION):
                     check(f"another process begins {place}")
                     wait.announce(CREATION)
@@ -165,7 +165,7 @@ class RunFolder:
 
     @classmethod
     def discard(cls, plan: ScenePlan, path: Path | str) -> None:
-        """Remove the run at a path if it is another scene's; BadInput if a process is computing it."""
+        """Remove the run at a path unless `check_same` accepts the run. BadInput if a process is computing the run."""
         run = None
         with suppress(BadInput):
             if MANIFEST in place_at(path).names():
@@ -173,7 +173,7 @@ class RunFolder:
                 run.check_same(plan)
                 return
         if run is None:
-            return  # `prepare` refuses the path
+            return  # If the path holds something else, `prepare` refuses the path later.
         processes = (process for _, process in claims.claimants(run.place) if process)
         if at_work := [*processes, *run.hosts()]:
             process = claims.named(at_work[-1], run.hosts())
@@ -183,7 +183,7 @@ class RunFolder:
         run.remove()
 
     def check_same(self, plan: ScenePlan) -> None:
-        """Raise BadInput, with the differences, unless this process would compute the same bits for the scene."""
+        """Raise BadInput if the run has another scene, or if this process would compute other bits."""
         stored = _flatten(tomllib.loads(self.manifest["scene"])) | self.manifest["identity"]
         current = _flatten(tomllib.loads(plan.scene.toml())) | identity(plan.runs)
         different = differences(stored, current, "in the folder", "now")
@@ -203,21 +203,21 @@ class RunFolder:
         )
 
     def processes(self) -> Iterator[tuple[str, dict[str, Any], str]]:
-        """Name and content of each readable progress file, and the state of its process."""
+        """Yield the name and content of each readable progress file, and the state of the process."""
         for name in sorted(filter(PROGRESS.fullmatch, self.place.names())):
-            # KeyError and TypeError: no entry `running`, or a time without a zone
+            # A file without the entry `running` gives KeyError, and a time without a zone gives TypeError.
             with suppress(OSError, ValueError, KeyError, TypeError):
                 content = files.parsed(self.place.read(name))
                 files.check_types(content, PROGRESS_TYPES)
                 yield name, content, progress.state(content, partial(self.place.age, name))
 
     def hosts(self) -> dict[str, str]:
-        """Process -> host, for the processes whose progress files say that they are at work."""
+        """Return the hosts, by process, of the processes that are at work according to the progress files."""
         return {c["process"]: c["host"] for _, c, state in self.processes() if state == progress.AT_WORK}
 
     def levels(self) -> Iterator[Level]:
-        """The levels before the first damaged one, which is logged; the next run writes it again."""
-        from .levels import Level  # only refined runs need it
+        """Yield the levels before the first missing or damaged level. A damaged level is logged, and written again by a run."""
+        from .levels import Level  # only refined runs need this module
 
         for number in count():
             try:
@@ -228,14 +228,14 @@ class RunFolder:
                 logging.getLogger("atlas").warning("%s", error)
 
     def tile_sets(self) -> dict[str, Tiles]:
-        """Integrated tiles by the name of the part of the run: one unnamed part, or levels."""
+        """Return the integrated tiles, by level for a refined run, otherwise under an empty name."""
         if self.scene.refine is None:
             return {"": self.tiles}
         return {f"level {level.number}: ": level.tiles for level in self.levels()}
 
     @property
     def is_complete(self) -> bool:
-        """Whether the whole atlas can be read."""
+        """Whether all tiles are written, and the notes too if the run is refined."""
         return not self.tiles.missing() and (self.scene.refine is None or self.notes()[1] is not None)
 
     def remove_leftovers(self) -> None:
@@ -247,7 +247,7 @@ class RunFolder:
                     self.place.remove(name)
 
     def progress_text(self) -> str:
-        """Text with the number of finished tiles; empty if the folder of the run has been removed."""
+        """Return a text with the number of finished tiles, or an empty text if the folder of the run has been removed."""
         path, sets = str(self.path), self.tile_sets().values()
         if isinstance(self.path, Path):
             if not self.path.is_dir():
@@ -258,7 +258,7 @@ class RunFolder:
         return f"{total - missing} of {total} tiles are in {path if path[0] != '.' else self.path}/"
 
     def dataset(self) -> xr.Dataset:
-        """The atlas from the tiles so far, a dask chunk for each tile; missing points are `not_computed` and nan."""
+        """Return the atlas with a dask chunk for each tile. Values in missing tiles are `not_computed` or nan."""
         import dask.array as da
 
         totals, is_complete = self.notes()[1], self.is_complete
@@ -279,13 +279,13 @@ class RunFolder:
         return ds
 
     def template(self) -> xr.Dataset:
-        """The atlas with zeros for values, which take no memory."""
+        """Return the atlas with zeros in place of the values, in arrays that take no memory."""
         shape, types = self.scene.shape, self.types.items()
         zeros = {name: np.broadcast_to(np.zeros((), kind), shape) for name, kind in types}
         return dataset.dataset(self.scene, zeros, self.tiling.tile)
 
     def attributes(self, totals: Totals) -> dict[str, Any]:
-        """Attributes of the atlas; totals: sums over its tiles."""
+        """Return the attributes of the atlas. `totals` are sums over the tiles."""
         attributes = {
             name: math.nan if value is None else value for name, value in self.manifest["provenance"].items()
         }
@@ -295,20 +295,20 @@ class RunFolder:
         computed = totals.points - totals.reused.total()
         attributes["atlas_points_per_second"] = computed / seconds if seconds > 0 else math.nan
         attributes |= dataset.history_text(totals.reused)
-        # A refined run can only be read when all its levels are complete.
+        # A refined run can be read only when all levels are complete, so no tile is missing.
         tiles = self.tiling.count if self.scene.refine is None else totals.by.total()
         shares = [f"{number} by {by}" for by, number in sorted(totals.by.items())]
         attributes["atlas_run"] = "; ".join([f"{totals.by.total()} of {tiles} tiles", *shares])
         return attributes | self.notes()[0]
 
     def save_notes(self, attributes: dict[str, Any], totals: Totals) -> None:
-        """Save the attributes of the finished run, and the sums over its tiles."""
+        """Save the attributes of a finished run, and the sums over the tiles."""
         self.check_kept()
         content = {"key": self.key, "attributes": attributes, "totals": totals.table()}
         self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
-        """Attributes and sums from `save_notes`, empty and None before it was called; BadInput if they are damaged."""
+        """Return what `save_notes` saved, or ({}, None) if there are no notes. BadInput if the notes are damaged."""
         file = f"{self.place}/{NOTES}"
         try:
             content = files.parsed(self.place.read(NOTES), is_sealed=True)
@@ -327,25 +327,25 @@ class RunFolder:
             raise BadInput(files.damaged_message(file, error)) from None
 
     def join(self, out: Path | str) -> None:
-        """Write the atlas as a file or store, box by box, in constant memory; after an error an earlier file remains."""
+        """Write the atlas as a file or store, box by box in constant memory. An error leaves an earlier file as it was."""
         if not self.is_complete:
             raise BadInput(f"{self.path}: unfinished, {self.progress_text()}; run its scene again first")
         ds, (notes, saved), totals = self.template(), self.notes(), Totals()
 
         def attributes() -> dict[str, Any]:
-            # The tiles of a refined atlas do not contain the cost of its levels.
+            # The notes of a refined atlas contain the cost of the levels, which the tiles do not contain.
             return notes | self.attributes(totals if self.scene.refine is None else saved or totals)
 
-        # Chunks no smaller than the tiles of a cheap scene: many small chunks make a slow file.
+        # Chunks are as large as the tiles of a cheap scene, because a file with many small chunks is slow.
         lengths = Tiling.of(self.scene.shape, grid.max_points_per_tile()).tile
         chunk = dict(zip(dataset.dims(self.scene), lengths, strict=True))
         blocks = self._blocks(lengths, totals)
         finished.format_of(out).write(finished.Content(ds, self.types, chunk, blocks, attributes), out)
 
     def _blocks(self, lengths: tuple[int, ...], totals: Totals) -> Iterator[Block]:
-        """All points in boxes of the given lengths, with values from the tiles; the tiles are added to the totals."""
+        """Yield the values of all points in boxes of the given lengths, and add the tiles that are read to `totals`."""
         boxes, types, tiles = Tiling(self.scene.shape, lengths), self.types, count()
-        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values read beyond the box
+        parts = [{name: np.empty(0, dtype) for name, dtype in types.items()}]  # values read but not yielded
         points = 0  # number of points in `parts`
         for box in range(boxes.count):
             size, shape = boxes.size_of(box), boxes.shape_of(box)
@@ -363,8 +363,8 @@ class RunFolder:
             parts, points = [{name: values[size:] for name, values in flat.items()}], points - size
 
     def remove(self) -> None:
-        """Remove the run, the manifest last, and its folder if it is then empty."""
-        # All tiles are removed in one move, so that a process at work cannot leave any behind.
+        """Remove the run, with the manifest last, and then the folder if it is empty."""
+        # All tiles are removed in one move, so that a process at work cannot leave tiles behind.
         for part in (self.tiles.place, self.levels_place):
             with suppress(OSError):
                 part.clear()
@@ -374,7 +374,7 @@ class RunFolder:
 
 
 def remove_empty(path: Path | str) -> None:
-    """Remove what is left of a removed run, except temporary files of processes at work."""
+    """Remove the remains of a removed run, except temporary files of processes at work."""
     place = place_at(path)
     names = [name for name in place.names() if not files.TEMPORARY.fullmatch(name)]
     if all(map(REMNANT.fullmatch, names)):
@@ -387,12 +387,12 @@ def remove_empty(path: Path | str) -> None:
 
 
 def result_hash(scene: str, programs: dict[str, str]) -> str:
-    """Hash of all that determines the bits of an atlas: the text of its scene, and its `identity`."""
+    """Return a hash of the text of a scene and the `identity` of the programs, which determine the bits of an atlas."""
     return files.hash_of({"scene": scene, "identity": programs})
 
 
 def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
-    """The manifest of a run of a scene."""
+    """Return the manifest of a new run of a scene."""
     scene, kernel = plan.scene, plan.runs.kernel_hash
     attributes = dataset.provenance(
         scene.system, scene.settings, kernel, scene=scene, warnings=plan.warnings, timing=(scene.size, 0.0)
@@ -414,12 +414,12 @@ def _new_manifest(plan: ScenePlan) -> dict[str, Any]:
 
 
 def _key(manifest: dict[str, Any]) -> str:
-    """Hash of the scene, the programs and the tiling of a manifest."""
+    """Return the hash of the scene, the programs and the tiling of a manifest."""
     return files.hash_of({name: manifest[name] for name in ("format", "scene", "identity", "tile")})
 
 
 def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndarray:
-    """One tile of one variable; not_computed or nan where the tile is missing or damaged."""
+    """Return the values of a variable in a tile, or `not_computed` or nan if the tile is missing or damaged."""
     tile = int(np.ravel_multi_index(block_id, run.tiling.counts))
     try:
         return run.tiles.read(tile, (name,))[1][name]
@@ -433,7 +433,7 @@ def _read_chunk(run: RunFolder, name: str, block_id: tuple[int, ...]) -> np.ndar
 
 
 def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A nested table as a flat one with dotted names."""
+    """Return a nested table as a flat table with dotted names."""
     flat: dict[str, Any] = {}
     for name, value in table.items():
         flat |= _flatten(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}

@@ -1,4 +1,4 @@
-"""The state of a run, or of a finished atlas, as text."""
+"""The state of a run or finished atlas as text."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .run import RunFolder
 
 
 def status(path: str | Path, *, verify: bool = False) -> str:
-    """State of a run or finished atlas as text; verify: read all of it, with BadInput if a finished atlas was changed."""
+    """Return the state of a run or finished atlas as text. `verify` reads all values. BadInput if a finished atlas was changed."""
     place = located(path)
     if isinstance(place, Path):
         check_name(place)
     if not finished.is_finished(place):
-        run = folder_of(place)  # folder of a file or store that does not exist yet
+        run = folder_of(place)  # the run folder, if the file or store does not exist yet
         return _status_of(RunFolder.open(run if place_at(run).names() else path), verify)
     with open_atlas(path) as ds:
         size = " x ".join(f"{name} {length}" for name, length in ds.sizes.items())
@@ -32,7 +32,7 @@ def status(path: str | Path, *, verify: bool = False) -> str:
 
 
 def _status_of(run: RunFolder, verify: bool) -> str:
-    """State of processes and tiles as text; removes files of killed processes."""
+    """Return the state of the processes and tiles of a run as text, and remove the files of killed processes."""
     run.remove_leftovers()
     if isinstance(run.path, Path):
         remove_leftovers(run.path.parent)

@@ -1,4 +1,4 @@
-"""The source files on which the numbers of an atlas depend, as they were when this process imported them."""
+"""A record of the source files on which the numbers of an atlas depend, made when this process imported the package."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
-# The modules that make tiles from a scene and so determine points, variables and numbers; not readers of finished tiles.
+# Modules that compute tiles from a scene and thereby determine numbers. Modules that only read finished tiles are left out.
 NUMERIC_SOURCES = (
     "flags.py", "variables.py", "kernel/**/*.py", "systems/**/*.py", "measure/**/*.py", "scene/**/*.py", "theory/**/*.py", "label/**/*.py",
     "store/dataset.py", "store/tile.py", "store/tiling.py", "runs/memory.py", "runs/folder.py", "runs/reuse.py", "runs/levels.py", "runs/refine.py",
@@ -15,12 +15,12 @@ NUMERIC_SOURCES = (
 )  # fmt: skip
 EVERY_MODULE = ("**/*.py",)
 
-# Name in a folder -> time of the last change of the file, in ns, and its hash.
+# Time of the last change in ns, and hash, of each file in a folder by name.
 Files = dict[str, tuple[int, str]]
 
 
 def read(folder: Path | None = None) -> Files:
-    """The modules of a folder, or the modules of this package that numbers depend on."""
+    """Read the modules of a folder, by default the modules of this package on which numbers depend."""
     files, root = {}, PACKAGE if folder is None else folder
     patterns = NUMERIC_SOURCES if folder is None else EVERY_MODULE
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
@@ -31,19 +31,19 @@ def read(folder: Path | None = None) -> Files:
 
 # The package imports this module before all others, so that no loaded module is older than this record.
 AT_IMPORT = read()
-# Folder of an extension or of a room -> its files when `of_folder` was first called.
+# Files of the folders of extensions and rooms, at the first call of `of_folder`.
 OF_FOLDERS: dict[Path, Files] = {}
 
 
 def of_folder(folder: Path) -> Files:
-    """The files of a folder, as they were at the first call."""
+    """Return the files of a folder, as they were at the first call."""
     if folder not in OF_FOLDERS:
         OF_FOLDERS[folder] = read(folder)
     return OF_FOLDERS[folder]
 
 
 def changed(folders: Iterable[Path] = ()) -> list[Path]:
-    """Files of this package and of extensions that were written since the import, so that loaded modules may not fit together."""
+    """Return the files of this package and of extensions that have changed since the import. Loaded modules may not match."""
     states = [(PACKAGE, AT_IMPORT, read()), *((each, of_folder(each), read(each)) for each in folders)]
     return sorted(
         folder / name
@@ -54,7 +54,7 @@ def changed(folders: Iterable[Path] = ()) -> list[Path]:
 
 
 def code(files: Files | None = None) -> str:
-    """Hash of files, by default of this package, as they were at the import."""
+    """Return the hash of files, by default of the files of this package as they were at the import."""
     files = AT_IMPORT if files is None else files
     text = "\n".join(f"{name} {content}" for name, (_, content) in files.items())
     return hashlib.sha256(text.encode()).hexdigest()[:16]

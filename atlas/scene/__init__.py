@@ -1,1 +1,1 @@
-"""Scenes: job files as checked dataclasses, and the points of their grids."""
+"""Reading and checking of scenes, and the points of their grids."""

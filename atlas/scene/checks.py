@@ -1,4 +1,4 @@
-"""Checks of input values: each returns the value or raises BadInput with one line; many have a JSON Schema."""
+"""Checks of input values. A check returns the value or raises BadInput with one line. Many checks have a JSON Schema."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Parameter
 from .expressions import RESERVED, Expression
 
-MAX_NAME = 60  # largest length of a name chosen by the user
-MAX_THREADS = 1024  # threads or processes of a run
-MAX_LISTED_NUMBERS = 200_000  # in one list of a scene
+MAX_NAME = 60  # largest number of characters of a name chosen by the user
+MAX_THREADS = 1024  # largest number of threads or processes of a run
+MAX_LISTED_NUMBERS = 200_000  # largest number of numbers in a list of a scene
 
 T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
 class Check(Generic[T]):
-    """A function that checks a value, and the JSON Schema of the values it accepts."""
+    """A function that checks a value, and the JSON Schema of the accepted values."""
 
     read: Callable[[str, Any], T]
     schema: dict[str, Any]
@@ -38,13 +38,13 @@ class Check(Generic[T]):
 
 
 def accepts(**schema: Any) -> Callable[[Callable[[str, Any], T]], Check[T]]:
-    """Decorator that makes a function a check with this schema."""
+    """Return a decorator that turns a function into a check with the given schema."""
     return lambda read: Check(read, schema)
 
 
 @accepts(type="number")
 def number(key: str, value: object) -> float:
-    """The value as a float, if it is a finite number."""
+    """Return the value as a float. BadInput unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise BadInput(f"{key} = {shown(value)}: must be a number")
     try:
@@ -58,7 +58,7 @@ def number(key: str, value: object) -> float:
 
 @accepts(type=["number", "string"], pattern=rf"^([-+*/().0-9\s]|[0-9][eE]|{'|'.join(sorted(RESERVED))})+$")
 def quantity(key: str, value: object) -> float:
-    """The value as a float, if it is a finite number or arithmetic with numbers, such as "90 * deg"."""
+    """Return the value as a float. BadInput unless the value is a finite number or arithmetic such as "90 * deg"."""
     if not isinstance(value, str):
         return number(key, value)
     expression = Expression(key, value)
@@ -71,7 +71,7 @@ def quantity(key: str, value: object) -> float:
 
 @accepts(type="number", exclusiveMinimum=0)
 def positive(key: str, value: object) -> float:
-    """The value as a float, if it is a finite number above 0."""
+    """Return the value as a float. BadInput unless the value is a finite number above 0."""
     result = number(key, value)
     if result <= 0:
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
@@ -80,7 +80,7 @@ def positive(key: str, value: object) -> float:
 
 @accepts(type=["number", "string"], exclusiveMinimum=0)
 def positive_at_points(key: str, value: object) -> float | str:
-    """The value as a float above 0, or as the text of arithmetic if it contains names."""
+    """Return a value above 0 as a float. Arithmetic that contains names is returned as text, since the value is not known yet."""
     if not isinstance(value, str):
         return positive(key, value)
     expression = Expression(key, value)
@@ -89,13 +89,13 @@ def positive_at_points(key: str, value: object) -> float | str:
 
 @accepts(type="object", additionalProperties=positive.schema)
 def positive_numbers(key: str, value: object) -> dict[str, float]:
-    """The value as floats by name, if it is a table of finite numbers above 0."""
+    """Return a table as floats by name. BadInput unless the table contains only finite numbers above 0."""
     return {name: positive(f"{key}.{name}", each) for name, each in mapping(key, value).items()}
 
 
 @accepts(type="number", exclusiveMinimum=0, maximum=1)
 def at_most_one(key: str, value: object) -> float:
-    """The value as a float, if it is a number above 0 and at most 1."""
+    """Return the value as a float. BadInput unless the value is a number above 0 and at most 1."""
     result = positive(key, value)
     if result > 1:
         raise BadInput(f"{key} = {shown(value)}: must be above 0 and at most 1")
@@ -104,7 +104,7 @@ def at_most_one(key: str, value: object) -> float:
 
 @accepts(type="number", minimum=0, maximum=1)
 def fraction(key: str, value: object) -> float:
-    """The value as a float, if it is a number from 0 to 1."""
+    """Return the value as a float. BadInput unless the value is a number from 0 to 1."""
     result = number(key, value)
     if not 0 <= result <= 1:
         raise BadInput(f"{key} = {result:g}: must be a share of the points, from 0 to 1")
@@ -112,7 +112,7 @@ def fraction(key: str, value: object) -> float:
 
 
 def whole_number(key: str, value: object, low: int, high: float = math.inf) -> int:
-    """The value, if it is an integer (not a Boolean) from low to high."""
+    """Return the value as an int. BadInput unless the value is an integer, and no Boolean, from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
         raise BadInput(f"{key} = {shown(value)}: must be a whole number{allowed}")
@@ -120,14 +120,14 @@ def whole_number(key: str, value: object, low: int, high: float = math.inf) -> i
 
 
 def whole(low: int, high: int) -> Check[int]:
-    """Check for `whole_number` within these limits."""
+    """Return a check for a `whole_number` from `low` to `high`."""
     schema = {"type": "integer", "minimum": low, "maximum": high}
     return Check(partial(whole_number, low=low, high=high), schema)
 
 
 @accepts(type="boolean")
 def boolean(key: str, value: object) -> bool:
-    """The value, if it is true or false."""
+    """Return the value. BadInput unless the value is true or false."""
     if not isinstance(value, bool):
         raise BadInput(f"{key} = {shown(value)}: must be true or false")
     return value
@@ -135,27 +135,27 @@ def boolean(key: str, value: object) -> bool:
 
 @accepts(type="string")
 def text(key: str, value: object) -> str:
-    """The value, if it is a string."""
+    """Return the value. BadInput unless the value is a string."""
     if not isinstance(value, str):
         raise BadInput(f"{key} = {shown(value)}: must be a string")
     return value
 
 
 def choice(key: str, value: object, allowed: Collection[str]) -> str:
-    """The value, if it is one of the allowed strings."""
+    """Return the value. BadInput unless the value is one of the allowed strings."""
     if not isinstance(value, str) or value not in allowed:
         raise BadInput(f"{key} = {shown(value)}: {allowed_text(value, allowed)}")
     return value
 
 
 def one_of(allowed: Collection[str]) -> Check[str]:
-    """Check for a `choice` among these strings."""
+    """Return a check for a `choice` among the allowed strings."""
     return Check(partial(choice, allowed=allowed), {"type": "string", "enum": list(allowed)})
 
 
 @accepts(anyOf=[text.schema, {"type": "array", "items": text.schema}])
 def texts(key: str, value: object) -> tuple[str, ...]:
-    """The value as a tuple of strings, if it is a string or a list of strings."""
+    """Return the value as a tuple of strings. BadInput unless the value is a string or a list of strings."""
     if isinstance(value, list | tuple | set | frozenset) and all(isinstance(item, str) for item in value):
         return tuple(text(key, item) for item in value)
     if not isinstance(value, str):
@@ -165,7 +165,7 @@ def texts(key: str, value: object) -> tuple[str, ...]:
 
 @accepts(type="array", items=number.schema, minItems=1)
 def numbers(key: str, value: object) -> list[float]:
-    """The values as floats, if they are a list of at least one finite number."""
+    """Return a list of floats. BadInput unless the value is a list of at least one finite number."""
     if not isinstance(value, list) or not value:
         raise BadInput(f"{key} = {shown(value)}: must be a list of at least one number")
     if len(value) > MAX_LISTED_NUMBERS:
@@ -175,7 +175,7 @@ def numbers(key: str, value: object) -> list[float]:
 
 @accepts(**numbers.schema, uniqueItems=True)
 def distinct_numbers(key: str, value: object) -> list[float]:
-    """The values as floats, if they are a list of at least one finite number, all different."""
+    """Return a list of floats. BadInput unless the value is a list of at least one finite number, without equal numbers."""
     values = numbers(key, value)
     if len(set(values)) < len(values):
         raise BadInput(f"{key}: some values occur twice; an axis needs distinct values")
@@ -183,7 +183,7 @@ def distinct_numbers(key: str, value: object) -> list[float]:
 
 
 def identifier(key: str, name: str) -> str:
-    """The name, if ties can use it."""
+    """Return the name. BadInput if the name cannot be used in ties."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or len(name) > MAX_NAME or name in RESERVED:
         raise BadInput(
             f"{key}: {shown(name)} cannot be used as a name; allowed: ASCII letters, digits and _, at most {MAX_NAME},"
@@ -194,21 +194,21 @@ def identifier(key: str, name: str) -> str:
 
 @accepts(type="object")
 def mapping(key: str, value: object) -> Mapping[str, Any]:
-    """The value, if it is a table."""
+    """Return the value. BadInput unless the value is a table."""
     if not isinstance(value, Mapping):
         raise BadInput(f"{key} = {shown(value)}: must be a table, [{key}]")
     return value
 
 
 def check_keys(table: Mapping[str, Any], parent: str, allowed: Collection[str]) -> None:
-    """Raise BadInput if the table has a key that is not allowed. parent: key of the table and a dot, for the message."""
+    """Raise BadInput if the table has a key that is not allowed. `parent` is the key of the table and a dot, for the message."""
     for key in table:
         if key not in allowed:
             raise BadInput(f"{parent}{key}: unknown key; {allowed_text(key, allowed)}")
 
 
 def check_range(parameter: Parameter, key: str, low: float, high: float) -> None:
-    """Raise BadInput if low or high is outside the range of a parameter."""
+    """Raise BadInput if `low` or `high` is outside the range of the parameter."""
     below = low <= parameter.low if parameter.open_low else low < parameter.low
     if below or high > parameter.high:
         sign = ">" if parameter.open_low else ">="
@@ -218,7 +218,7 @@ def check_range(parameter: Parameter, key: str, low: float, high: float) -> None
         )
 
 
-# Type as annotated in public functions -> accepted classes, name in messages.
+# Accepted classes, and words for messages, of each type with which public functions are annotated.
 _TYPES: dict[str, tuple[tuple[type, ...], str]] = {
     "None": ((type(None),), "None"),
     "str": ((str,), "a text"),
@@ -234,7 +234,7 @@ Annotated = TypeVar("Annotated", bound=Callable[..., Any])
 
 
 def typed(target: Annotated) -> Annotated:
-    """Make a function, or each public method of a class, raise BadInput for arguments not of their annotated type in _TYPES."""
+    """Make a function, or each public method of a class, raise BadInput for arguments of a type other than the annotated types."""
     if isinstance(target, type):
         for name, method in vars(target).copy().items():
             if inspect.isfunction(method) and not name.startswith("_"):
@@ -274,7 +274,7 @@ SPACINGS = ("linear", "log")
 
 
 def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
-    """The ends and the spacing, "linear" or "log", of a table that was read with the keys of INTERVAL."""
+    """Return the ends and the spacing, "linear" or "log", of a table that was read with the keys of INTERVAL."""
     first, last, spacing = table["from"], table["to"], table.get("spacing", "linear")
     if spacing == "log" and not (first > 0 and last > 0):
         raise BadInput(f"{key}.spacing = 'log': from and to must be above 0, found {first:g} and {last:g}")
@@ -284,13 +284,13 @@ def interval(key: str, table: Mapping[str, Any]) -> tuple[float, float, str]:
     return first, last, spacing
 
 
-Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # name -> field made by `checked`
+Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # fields made by `checked`, by name
 
 
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Dataclass field with a check, required if it has no default; section: its table, if a class is read from several tables."""
+    """Return a dataclass field with a check. A class that is read from several tables gives the table of the field as `section`."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -303,17 +303,17 @@ INTERVAL: Keys = {
 
 
 def keys_of(cls: type, section: str = "") -> Keys:
-    """Keys of the table `section`: the `checked` fields of a class that are read from it."""
+    """Return the `checked` fields of a class that are read from the table `section`, by name."""
     return {f.name: f for f in dataclasses.fields(cls) if f.metadata["section"] in ("", section)}
 
 
 def instance_of(cls: type[T], table: Mapping[str, Any], section: str) -> T:
-    """Instance of a class with `checked` fields, from a table; BadInput as in `from_table`."""
+    """Return an instance of a class with `checked` fields, read by `from_table`."""
     return cls(**from_table(keys_of(cls), table, section))
 
 
 def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
-    """JSON Schema of the table that `from_table` reads; needed: whether keys without a default are required."""
+    """Return the JSON Schema of the table that `from_table` reads. With `needed`, keys without a default are required."""
     keys = {}
     for name, field in fields.items():
         keys[name] = dict(field.metadata["check"].schema)
@@ -329,7 +329,7 @@ def table_schema(fields: Keys, *, needed: bool = True) -> dict[str, Any]:
 def from_table(
     fields: Keys, table: Mapping[str, Any], section: str, also: Collection[str] = (), rule: str = ""
 ) -> dict[str, Any]:
-    """Checked values of a table; BadInput for bad values, keys in neither fields nor also, missing keys (rule: what is needed)."""
+    """Return the checked values of a table. Keys in `also` are allowed but not read. `rule` tells a user which keys are needed."""
     check_keys(table, f"{section}.", [*also, *fields])
     needed = [name for name, field in fields.items() if field.default is dataclasses.MISSING]
     for name in needed:

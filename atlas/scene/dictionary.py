@@ -1,4 +1,4 @@
-"""Conversion of scene dictionaries into TOML text."""
+"""Conversion of scenes from dictionaries into TOML text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import BadInput, shown
 
 
 def text_of(table: Mapping[str, Any]) -> str:
-    """TOML text of a scene given as nested mappings, to be read and checked like a file."""
+    """Return the TOML text of a scene that is given as nested mappings. The text is read and checked like a file."""
     try:
         return tomli_w.dumps(_plain(table))
     except RecursionError:
@@ -21,14 +21,14 @@ def text_of(table: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any, key: str = "") -> Any:
-    """A value of a scene converted into a type of TOML; BadInput if no type fits."""
+    """Return a value of a scene as a type that TOML has. BadInput if no type fits."""
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):
                 raise BadInput(f"{key or 'scene'}: the key {shown(name)} must be a text")
         return {name: _plain(value[name], f"{key}.{name}" if key else name) for name in value}
     if isinstance(value, np.ndarray | np.generic):
-        from .tables import check_written  # here, because few dictionaries have arrays
+        from .tables import check_written  # imported here, because few dictionaries have arrays
 
         check_written(key, value)
         value = value.tolist()

@@ -45,7 +45,7 @@ def example(name: str, **changes: Any) -> dict[str, Any]:
 
 
 def _with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy of a table with changes; tables are merged key by key."""
+    """Return a copy of a table with changes. Nested tables are merged key by key."""
     values = dict(table)
     for key, change in changes.items():
         if isinstance(change, Mapping):
@@ -59,7 +59,7 @@ def _with_changes(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
 
 
 def examples() -> dict[str, Traversable]:
-    """Example scenes by name, from the installed package or from the folder configs/ of its source."""
+    """Return the example scenes by name, from the installed package or from the folder configs/ of the repository."""
     folder: Traversable = files("atlas") / "examples"
     if not folder.is_dir():
         folder = Path(__file__).parents[2] / "configs"

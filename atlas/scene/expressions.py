@@ -1,4 +1,4 @@
-"""Ties: arithmetic expressions in names, parsed by Python's parser but never executed as Python."""
+"""Ties, which are arithmetic expressions in names. The parser of Python parses them, but they never run as Python code."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ..errors import BadInput, allowed_text, shown
 from ..systems.base import Array
 from .draws import DRAWS
 
-MAX_LENGTH = 500  # characters
-MAX_DEPTH = 200  # levels of nesting
+MAX_LENGTH = 500  # largest number of characters of an expression
+MAX_DEPTH = 200  # largest number of nested levels of an expression
 _OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -53,9 +53,9 @@ _ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 
 
 class Expression:
-    """Parsed arithmetic in names, numbers, CONSTANTS, + - * / ** and FUNCTIONS; BadInput, which names `key`, for other texts.
+    """Parsed arithmetic in names, numbers, CONSTANTS, + - * / ** and FUNCTIONS. BadInput, with `key`, for other texts.
 
-    With a seed, DRAWS are allowed: random numbers determined by arguments, seed, key and the place of the call among the draws.
+    With a seed the functions DRAWS are allowed. A draw depends on the arguments, the seed, the key and the place in the text.
     """
 
     def __init__(self, key: str, text: str, seed: int | None = None):
@@ -64,7 +64,7 @@ class Expression:
             raise BadInput(f"{key}: the expression has {len(text)} characters; allowed: at most {MAX_LENGTH}")
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("error")  # a text such as 1if gives a warning only
+                warnings.simplefilter("error")  # A text such as 1if gives only a warning.
                 tree = ast.parse(self.text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError, Warning):
             raise BadInput(f"{key} = {shown(text)}: not an expression; {_ALLOWED}") from None
@@ -75,13 +75,13 @@ class Expression:
             raise BadInput(f"{key} = {shown(self.text)}: nested more than {MAX_DEPTH} deep")
         calls = [] if seed is None else [part for part in ast.walk(tree) if isinstance(part, ast.Call)]
         draws = [call for call in calls if isinstance(call.func, ast.Name) and call.func.id in DRAWS]
-        # Postfix order: (number or name, 0), or (function, number of its arguments).
+        # The program is in postfix order. An entry is (number or name, 0) or (function, number of arguments).
         self._program, self.drawn = list[tuple[Any, int]](), set[str]()
         self._compile(tree, draws)
         self.names = frozenset(part for part, _ in self._program if isinstance(part, str))
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """Value of the expression, possibly inf or nan, for these values of its names."""
+        """Return the value of the expression for the given values of the names. The value may be inf or nan."""
         stack: list[Any] = []
         with np.errstate(all="ignore"):
             for part, count in self._program:
@@ -92,12 +92,12 @@ class Expression:
         return stack[0]
 
     def _compile(self, node: ast.expr, draws: list[ast.Call]) -> None:
-        """Append a subexpression to the postfix program; BadInput if it is not arithmetic."""
+        """Append a subexpression to the postfix program. BadInput if the subexpression is not arithmetic."""
         function: Any
         start, arguments = len(self._program), list[ast.expr]()
         match node:
             case ast.Constant(value=value) if type(value) in (int, float):
-                function = np.asarray(float(str(value)))  # inf where float(value) would overflow
+                function = np.asarray(float(str(value)))  # gives inf where float(value) would overflow
             case ast.Name(id=name):
                 function = np.asarray(CONSTANTS[name]) if name in CONSTANTS else name
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
@@ -124,7 +124,7 @@ class Expression:
 
 @dataclass(frozen=True, eq=False)
 class PointColumn:
-    """One value for each point of a scene with [points]: a tie whose argument is the number of the point."""
+    """A tie with a value for each point of a scene with [points]. The argument of the tie is the number of the point."""
 
     key: str  # key of the values in the scene, such as "points.values.C"
     column: Array  # the values, float64 of shape (points,)
@@ -132,7 +132,7 @@ class PointColumn:
     names = frozenset({"point"})
 
     def value(self, values: Mapping[str, Array]) -> Array:
-        """The values of the points whose numbers are values["point"]."""
+        """Return the values at the points with the numbers values["point"]."""
         return self.column[values["point"].astype(np.int64)]
 
 
@@ -140,7 +140,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """An order of ties in which each uses known names and earlier ties; BadInput for circles and unknown names."""
+    """Return the ties in an order in which each tie uses only known names and earlier ties. BadInput if there is none."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(

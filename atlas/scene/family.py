@@ -1,4 +1,4 @@
-"""The family of a scene: solved parameters, and error messages where no point is on the family."""
+"""Solution of parameters by the family of a scene, and error messages for scenes without a point on the family."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from ..systems.base import NEAR, Array, Family, Points, System, on_family
 from . import checks
 from .expressions import Expression
 
-# A point counts as on the family if its largest condition residual (dimensionless) is below this.
+# A point counts as on the family if the residuals of all conditions, which are dimensionless, are below this number.
 ON_FAMILY = 1e-9
-# Values tried for an error message where a formula has no solution; 0 is not among them, because angles are singular at theta0 = 0.
+# If a formula has no solution, an error message names the best of these values. The value 0 is left out, because Euler angles
+# are singular at theta0 = 0.
 TRIAL_VALUES = np.array([0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0, 2.5, -2.5])[:, None]
-# Amounts added to a solved parameter; if the conditions hold after each of them, the family leaves the parameter free.
+# These amounts are added to a solved parameter. If the conditions still hold, the family leaves the parameter free.
 TRIAL_CHANGES = np.array([1.3, -0.6])[:, None]
 
 
 def free_message(family: Family, name: str, where: str = "") -> str:
-    """Error message for a parameter in `solve` that the family leaves free."""
+    """Return the error message for a parameter in `solve` that the family leaves free."""
     reason = f"the family {family.name} leaves it free{where}, every value is one"
     return f"family.solve = {shown(name)}: {reason}; give it in [fixed], [axes] or [ties]"
 
@@ -29,7 +30,7 @@ def free_message(family: Family, name: str, where: str = "") -> str:
 def solution(
     family: Family, solve: Sequence[str], points: Points, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Points whose parameters in `solve` are computed in turn by the family's formulas; near: see `near_values`."""
+    """Return points whose parameters in `solve` are computed by formulas of the family. `near` comes from `near_values`."""
     result = dict(points)
     for name, value in near.items():
         result[NEAR + name] = np.full_like(points[name], value)
@@ -43,13 +44,13 @@ def solution(
 def near_values(
     system: System, family: Family, solve: Sequence[str], table: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Parameter -> value to which its solution shall be nearest: `near` of [family], or 0 for the branch slow, infinity for fast."""
+    """Return, for each parameter whose branch the scene chooses, the value to which the chosen solution is nearest."""
     key = next((key for key in ("branch", "near") if key in table), "")
     if "branch" in table and "near" in table:
         raise BadInput("family: branch and near are both given; a scene has one of them")
     if not key:
         return {}
-    # Start values p0 .. gamma30 are solved from the rate of the motion, which may have several solutions.
+    # Formulas for the start values p0 .. gamma30 use the rate of the motion, which may have several solutions.
     names = [name for name in family.several if name in solve or ("p0" in solve and name not in family.solve)]
     found = f"family.{key} = {shown(table[key])}: "
     if key == "branch":
@@ -75,7 +76,7 @@ def near_values(
 
 
 def _near(key: str, value: object, unit: str) -> float:
-    """A value of the key near, a number or arithmetic without names; BadInput for angles above 2 pi, probably in degrees."""
+    """Return a value of the key `near` as a number. BadInput for an angle above 2 pi, which is probably in degrees."""
     arithmetic = isinstance(value, str) and not Expression(key, value).names
     result = (checks.quantity if arithmetic else checks.number)(key, value)
     if unit == "rad" and abs(result) > 2 * np.pi:
@@ -86,7 +87,7 @@ def _near(key: str, value: object, unit: str) -> float:
 def check_solution(
     family: Family, solve: Sequence[str], base: Points, near: Mapping[str, float], *, exists: bool
 ) -> None:
-    """Raise BadInput if the family leaves a solved parameter free at all these points, or exists at none of them."""
+    """Raise BadInput if the family leaves a solved parameter free at all points, or has no motion at any point."""
     with np.errstate(all="ignore"):
         points = solution(family, solve, base, near)
         for i, name in enumerate(solve):
@@ -113,19 +114,19 @@ def check_solution(
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Points (trials, points) with these values of one parameter, after the parameters in `solve` are solved again."""
+    """Return points of shape (trials, points) with the given values of a parameter, after `solve` is solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return solution(family, solve, repeated, near) | {name: values}
 
 
 def _check_not_free(family: Family, name: str, points: Points) -> None:
-    """Raise BadInput if points with several values of one parameter are all on the family, unless the family's rates vary."""
+    """Raise BadInput if all points are on the family, whatever the value of a parameter, unless the rates of the family vary."""
     if family.rate_std is None and (on_family(family, points) < ON_FAMILY).all():
         raise BadInput(free_message(family, name, " here"))
 
 
 def _failure_text(family: Family, points: Points) -> str:
-    """The condition that fails most at the point nearest to the family, and by how much."""
+    """Return a text on the condition that fails most at the point nearest to the family."""
     residual = on_family(family, points)
     nearest = np.unravel_index(np.argmin(residual), residual.shape)
     if not np.isfinite(residual[nearest]):

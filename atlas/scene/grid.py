@@ -1,4 +1,4 @@
-"""The grid of a scene: points at any of its indices, from axes, ties, family and nudge."""
+"""The grid of a scene. Points at any indices are computed from axes, ties, family and nudge."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ from .model import Duration, Scene, Settings
 
 # Default and upper limit of the environment variable ATLAS_TILE_POINTS.
 MAX_POINTS_PER_TILE = 65536
-# Largest numbers of bodies and of starts that are checked before a run; the others are checked with their tiles.
+# At most these numbers of bodies and starts are checked before a run. All others are checked when their tiles are computed.
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
-# Largest grid whose points are all checked before a run (about 0.1 s), to count each `Reason`.
+# On a grid of at most this many points, each `Reason` is counted before a run, which takes about 0.1 s.
 MAX_COUNTED = 2**19
-# Largest number of points at which a family's formulas are tried for an error message.
+# The formulas of a family are tried at at most this many points for an error message.
 MAX_CHECKED_FORMULAS = 100
-# Ratio of rate tolerance to natural rate above which a warning is given.
+# A warning is given if the ratio of the rate tolerance to the natural rate is above this number.
 COARSE = 1e-2
 
 
 def max_points_per_tile() -> int:
-    """Largest number of points of a tile or a file's chunk: ATLAS_TILE_POINTS of the environment, or MAX_POINTS_PER_TILE."""
+    """Return the largest number of points of a tile or chunk, from the environment variable ATLAS_TILE_POINTS if it is set."""
     text = os.environ.get("ATLAS_TILE_POINTS") or str(MAX_POINTS_PER_TILE)
     if text.isascii() and text.isdecimal() and 1 <= int(text[:6]) <= MAX_POINTS_PER_TILE and len(text) <= 6:
         return int(text)
@@ -60,29 +60,29 @@ def max_points_per_tile() -> int:
 
 
 class Reason(IntEnum):
-    """Why a point of a grid is not computed: the first reason that applies."""
+    """The first reason why a point of a grid is not computed."""
 
     NONE = 0  # the point is computed
     NO_VALUE = 1  # a tie has no finite value
-    IMPOSSIBLE_BODY = 2  # see systems.base.possible_body
-    IMPOSSIBLE_START = 3  # see System.possible_start
-    NO_MOTION = 4  # the scene's family has no motion here
-    NO_DURATION = 5  # turns or orbits where nothing turns, or arithmetic without a finite value above 0
+    IMPOSSIBLE_BODY = 2  # systems.base.possible_body is false
+    IMPOSSIBLE_START = 3  # System.possible_start is false
+    NO_MOTION = 4  # the family of the scene has no motion here
+    NO_DURATION = 5  # nothing turns at a duration in turns, or arithmetic gives no finite value above 0
     NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
-    NO_TRANSIENT = 7  # the transient has no value, for the same reasons as a duration
+    NO_TRANSIENT = 7  # the transient has no value, for the reasons of NO_DURATION
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Points of a scene, as columns."""
+    """Points of a scene, as columns of shape (points,)."""
 
-    base: dict[str, Array]  # parameter -> values before the nudge, used by theory; float64 of shape (points,)
-    points: dict[str, Array]  # parameter -> values of the starts, after the nudge; float64 of shape (points,)
-    reason: Flags  # values of `Reason`, int8 of shape (points,)
-    duration: Array  # time units; float64 of shape (points,), nan where the scene gives none
-    rate_tolerance: Array  # rad per time unit; float64 of shape (points,), nan where the scene gives none
-    step: Array | None = None  # time units, (points,); replaces `settings.step`
-    transient: Array | float = 0.0  # time units before the run, (points,) or one number for all
+    base: dict[str, Array]  # values of the parameters before the nudge, which theory uses
+    points: dict[str, Array]  # values of the parameters after the nudge, at which motions start
+    reason: Flags  # values of `Reason`, int8
+    duration: Array  # in time units, nan where the duration has no value
+    rate_tolerance: Array  # in rad per time unit, nan where the rate tolerance has no value
+    step: Array | None = None  # step sizes in time units, which replace `settings.step`
+    transient: Array | float = 0.0  # in time units before the run, an array or a number for all points
 
     @property
     def until(self) -> Array:
@@ -91,11 +91,11 @@ class Grid:
 
     @property
     def exists(self) -> Mask:
-        """Which points are computed, bool of shape (points,)."""
+        """Mask of the points that are computed."""
         return np.asarray(self.reason == Reason.NONE)
 
     def subset(self, where: np.ndarray | slice) -> Grid:
-        """Some of the points, by their indices, a mask or a slice."""
+        """Return the points that indices, a mask or a slice select."""
         base, points = subset(self.base, where), subset(self.points, where)
         step = None if self.step is None else self.step[where]
         transient = self.transient if isinstance(self.transient, float) else self.transient[where]
@@ -104,16 +104,16 @@ class Grid:
 
 
 def status_of(reason: Flags) -> Flags:
-    """flags.Status of points that are not computed, from their `Reason`."""
+    """Return the `flags.Status` of points that are not computed for the given `Reason`."""
     status = np.where(reason == Reason.IMPOSSIBLE_BODY, Status.IMPOSSIBLE_BODY, Status.NOT_COMPUTED)
     return status.astype(np.int8)
 
 
 def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
-    """Values of every parameter, axis and tie, before the family is solved; a tie may be inf or nan."""
+    """Return the values of every parameter, axis and tie before the family is solved. A tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # Constants are views of one number, but copies where ties use them: NumPy rounds powers with a scalar exponent differently.
+    # Constants are views of a single number. They are copied for ties, because NumPy rounds powers with a scalar exponent otherwise.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -131,7 +131,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points at flat indices (C order); BadInput for a tie out of its range or an incomplete start."""
+    """Return the points at flat indices in C order. BadInput if a tie is out of range or a start is incomplete."""
     grid = _before_nudge(scene, indices)
     base = {name: np.ascontiguousarray(values) for name, values in grid.base.items()}
     with np.errstate(all="ignore"):
@@ -141,7 +141,7 @@ def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
-    """Points at flat indices (C order), without the nudge."""
+    """Return the points at flat indices in C order, without the nudge."""
     system = scene.system
     values = parameter_values(scene, indices)
     base = {name: values[name] for name in system.parameters}
@@ -175,7 +175,7 @@ def _before_nudge(scene: Scene, indices: np.ndarray) -> Grid:
 
 
 def without_settings(reason: Flags, *settings: Array) -> None:
-    """Set the reason of points whose only fault is a duration, rate tolerance or transient without a value (nan)."""
+    """Set the reason of points that would be computed if the duration, rate tolerance or transient had a value."""
     for value, no_value in zip(settings, list(Reason)[Reason.NO_DURATION :], strict=False):
         reason[(reason == Reason.NONE) & np.isnan(value)] = no_value
 
@@ -183,7 +183,7 @@ def without_settings(reason: Flags, *settings: Array) -> None:
 def reasons(
     system: System, points: Points, no_value: Mask | bool = False, no_motion: Mask | bool = False
 ) -> Flags:
-    """Values of `Reason` that follow from body, start, ties and family, without regard to settings."""
+    """Return the `Reason` of points that follows from body, start, ties and family, without regard to settings."""
     conditions = {
         Reason.NO_VALUE: no_value,
         Reason.IMPOSSIBLE_BODY: ~possible_body(system, points),
@@ -194,7 +194,7 @@ def reasons(
 
 
 def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
-    """Points of a scene at any values along its axes, on its grid or not; BadInput as `points_at_indices`."""
+    """Return points of a scene at any values along the axes, on the grid or not. BadInput as in `points_at_indices`."""
     axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(coordinates[name], return_inverse=True)
@@ -224,7 +224,7 @@ def of_points(
     duration: Duration | Array,
     transient: Duration,
 ) -> Grid:
-    """Grid of listed points; duration: length of the runs, as a Duration or an array (points,) in time units."""
+    """Return the grid of listed points. `duration` is a Duration, or an array of shape (points,) in time units."""
     values = SharedValues(points)
     lengths = durations(system, duration, values) if isinstance(duration, Duration) else duration
     rate_tolerance = at_points(system, settings.rate_tolerance, values)
@@ -235,9 +235,9 @@ def of_points(
 
 
 def at_points(system: System, amount: float | str, points: Points, names: Points | None = None, zero: bool = False) -> Array:  # fmt: skip
-    """Values of a number or of arithmetic at points, (points,); nan where they are not finite or not above 0.
+    """Return the values of a number or of arithmetic at points, and nan for values that are not finite or not above 0.
 
-    names: values of the names in the arithmetic (default: the parameters); zero: whether 0 is allowed.
+    `names` are the values of the names in the arithmetic, by default the parameters. With `zero`, the value 0 is allowed.
     """
     if not isinstance(amount, str):
         return np.full(shape_of(points), amount)
@@ -252,7 +252,7 @@ def durations(
     system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
     zero: bool = False,
 ) -> Array:  # fmt: skip
-    """Durations in time units, (points,); nan where there is none, see `at_points`; BadInput if turns or orbits overflow."""
+    """Return durations in time units, or nan as in `at_points` or if nothing turns. BadInput if turns or orbits overflow."""
     if isinstance(duration.amount, str) or not duration.unit:
         return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):
@@ -270,13 +270,13 @@ def durations(
 
 
 def check(scene: Scene) -> Grid:
-    """Sample of at most MAX_CHECKED_STARTS points, evenly spaced over the grid, of which at least one is computed.
+    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid, with at least one to compute.
 
-    Raises BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
+    BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """
     try:
         bodies = _even_indices(scene.size, MAX_CHECKED_BODIES)
-        # parameter_values checks the ranges of ties.
+        # `parameter_values` also checks the ranges of ties.
         possible = bodies[possible_body(scene.system, parameter_values(scene, bodies))]
         indices = _even_indices(scene.size, MAX_CHECKED_STARTS)
         grid = points_at_indices(scene, indices)
@@ -333,7 +333,7 @@ _NOTHING_TURNS = {
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Sentences on the points not computed, by reason; above MAX_COUNTED points, their fraction of the sample."""
+    """Return a sentence for each reason why points are not computed. Above MAX_COUNTED points the sample gives the fraction."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         length = max_points_per_tile()
@@ -350,7 +350,7 @@ def not_computed(scene: Scene, sample: Grid) -> list[str]:
 
 
 def count_lines(counts: np.ndarray, system: System, family: str | None, duration: Duration) -> list[str]:
-    """A sentence for each reason that occurs; counts: number of points by `Reason`, shape (len(Reason),)."""
+    """Return a sentence for each reason that occurs. counts[i] is the number of points with the Reason i."""
     return [
         f"{count} of {counts.sum()} points: {sentence(Reason(i), system, family, duration)}"
         for i, count in enumerate(counts)
@@ -359,7 +359,7 @@ def count_lines(counts: np.ndarray, system: System, family: str | None, duration
 
 
 def sentence(reason: Reason, system: System, family: str | None, duration: Duration) -> str:
-    """Why a point of a scene with this family and duration is not computed."""
+    """Return the reason why a point is not computed as text. `family` and `duration` are those of the scene."""
     return {
         Reason.NONE: "computed",
         Reason.NO_VALUE: "a tie has no finite value",
@@ -373,7 +373,7 @@ def sentence(reason: Reason, system: System, family: str | None, duration: Durat
 
 
 def warnings(scene: Scene, sample: Grid) -> list[str]:
-    """Warnings about a scene: points not computed, and unusual parameters or settings of the others."""
+    """Return warnings about points that are not computed, and about unusual parameters or settings of all other points."""
     points = sample.subset(sample.exists)
     return [
         *not_computed(scene, sample),
@@ -384,9 +384,9 @@ def warnings(scene: Scene, sample: Grid) -> list[str]:
 
 
 def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, whole: bool = True) -> list[str]:
-    """Warnings about rate tolerances that are large, and durations that are short, compared with the points' natural rates.
+    """Return warnings about rate tolerances and durations that are unusual for the natural rates of the points.
 
-    whole: whether the points are all computed points of the scene, not a sample.
+    `whole` says that the points are all computed points of the scene, not a sample.
     """
     if type(system).natural_rate is System.natural_rate or set(LABELS).isdisjoint(outputs):
         return []
@@ -408,7 +408,7 @@ def unit_warnings(system: System, outputs: Collection[str], points: Grid, *, who
 
 
 def settling_warnings(system: System, points: Grid) -> list[str]:
-    """A warning about transients where phase volume is conserved at and near the start, so that nothing settles."""
+    """Return a warning, in a list, about transients of motions that never settle, because they conserve phase volume."""
     if not np.any(points.transient):
         return []
     points = points.subset(_even_indices(points.duration.size, MAX_CHECKED_STARTS))
@@ -420,7 +420,7 @@ def settling_warnings(system: System, points: Grid) -> list[str]:
 
 
 def settings_lines(scene: Scene, sample: Grid) -> list[str]:
-    """A sentence with the numeric ranges of a duration, rate tolerance or transient given as arithmetic."""
+    """Return a sentence, in a list, with the ranges of a duration, rate tolerance and transient that are arithmetic."""
     settings = (
         ("duration", scene.duration.amount, sample.duration, "time units"),
         ("rate_tolerance", scene.settings.rate_tolerance, sample.rate_tolerance, "rad per time unit"),
@@ -435,19 +435,19 @@ def settings_lines(scene: Scene, sample: Grid) -> list[str]:
 
 
 def _interval(low: float, high: float) -> str:
-    """Text of an interval, one number where both ends print alike."""
+    """Return the text of an interval, which is a single number if both ends print alike."""
     return f"{low:.4g}" if f"{low:.4g}" == f"{high:.4g}" else f"{low:.4g} to {high:.4g}"
 
 
 def near_change(values: np.ndarray, window: Sequence[int]) -> Mask:
-    """Grid points with more than one value in the window about them; window: its number of points along each axis."""
-    from scipy.ndimage import maximum_filter, minimum_filter  # slow to import, and most runs do not need it
+    """Return a mask of grid points around which values differ within `window`, a number of points along each axis."""
+    from scipy.ndimage import maximum_filter, minimum_filter  # a slow import that most runs do not need
 
     return np.asarray(maximum_filter(values, window) != minimum_filter(values, window))
 
 
 def system_warnings(system: System, points: Points) -> list[str]:
-    """The system's own warnings about points, and warnings about lacking theory, angles in degrees and extreme numbers."""
+    """Return the warnings of a system about points, and warnings about lacking theory, angles in degrees and extreme numbers."""
     messages = system.warnings(points)
     if lacks_theory(system, points).any():
         messages.append(
@@ -470,5 +470,5 @@ def system_warnings(system: System, points: Points) -> list[str]:
 
 
 def _even_indices(size: int, count: int) -> np.ndarray:
-    """At most `count` evenly spaced indices from 0 to size - 1."""
+    """Return at most `count` evenly spaced indices from 0 to size - 1."""
     return np.linspace(0, size - 1, min(size, count)).round().astype(np.int64)

@@ -1,4 +1,4 @@
-"""A scene and its parts: frozen dataclasses, complete and checked."""
+"""The classes of a scene and of the parts of a scene. They are frozen dataclasses, complete and checked."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from .expressions import PointColumn, Tie
 from .text import Source
 
 SCHEMA = 1
-# Largest allowed `max_steps`: above every practical run, and sums over many runs fit into an int64.
+# Largest allowed `max_steps`. No practical run needs more, and sums over many runs fit into an int64.
 MAX_STEPS = 10**12
 DURATION_UNITS = ("orbits", "turns")
-DEFAULT_ANGLE = 1e-5  # rad; cylinder tolerance if the rate tolerance is arithmetic
+DEFAULT_ANGLE = 1e-5  # default cylinder tolerance in rad, if the rate tolerance is arithmetic
 HALF_STEP = ("none", "sample", "all")
 MAX_REFINEMENT_LEVELS = 8
-# Largest number of axes, parameters or ties that the repr of a scene lists.
+# The repr of a scene lists at most this many axes, parameters or ties.
 MAX_SHOWN = 8
-MAX_TIE_SHOWN = 30  # characters
+MAX_TIE_SHOWN = 30  # largest number of characters of a tie in the repr of a scene
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of integration and labels, except the duration; BadInput for a value out of range."""
+    """Settings of integration and labels, except the duration. BadInput for a value out of range."""
 
     method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
-    # At most 1: with an error above 1 rad nothing is known of the phase.
+    # The tolerance is at most 1, because nothing is known of a phase with an error above 1 rad.
     tolerance: float = checked(
         checks.at_most_one, 1e-8, "integration",
         "expected phase error of the fastest frequency at the end of the run (rad)",
@@ -62,7 +62,7 @@ class Settings:
     drift_tolerance: float = checked(
         checks.positive, 1e-5, "labels", "largest relative change of a first integral"
     )
-    # Observables without an entry keep their default, `systems.base.Observable.tolerance`.
+    # An observable without an entry has the default `systems.base.Observable.tolerance`.
     std_tolerance: Mapping[str, float] | None = checked(
         checks.positive_numbers, None, "labels",
         "largest standard deviation with which an observable counts as constant, by its name, for systems with"
@@ -82,17 +82,17 @@ class Settings:
 
     @property
     def cylinder(self) -> float:
-        """Cylinder tolerance (rad): angle from the vertical up to which the third axis counts as vertical."""
+        """Largest angle from the vertical, in rad, at which the third axis counts as vertical."""
         if self.cylinder_tolerance is not None:
             return self.cylinder_tolerance
         return DEFAULT_ANGLE if isinstance(self.rate_tolerance, str) else self.rate_tolerance
 
     def with_number(self, rate_tolerance: float) -> Settings:
-        """Copy with this rate tolerance (rad per time unit) and the same cylinder tolerance."""
+        """Return a copy with the given rate tolerance (rad per time unit) and the same cylinder tolerance."""
         return replace(self, rate_tolerance=rate_tolerance, cylinder_tolerance=self.cylinder)
 
     def at(self, rate_tolerance: Array | float, transient: Array | float = 0.0) -> RunSettings:
-        """Run settings; rate tolerances (rad per time unit) and transients (time units) are (points,) or one for all."""
+        """Return run settings with rate tolerances (rad per time unit) and transients (time units) at points or for all points."""
         return RunSettings(
             self.method, self.tolerance, self.step, self.max_steps, Tolerances(rate_tolerance, self.cylinder),
             self.drift_tolerance, self.std_tolerance, self.check_half_step, transient,
@@ -103,30 +103,30 @@ DEFAULTS = Settings()
 
 
 def rate_text(rate_tolerance: float | str) -> str:
-    """Text of a rate tolerance."""
+    """Return a rate tolerance as text."""
     return rate_tolerance if isinstance(rate_tolerance, str) else f"{rate_tolerance:g}"
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """One dimension of the atlas."""
+    """A dimension of the atlas. Empty texts leave the attributes of the coordinate to the parameter."""
 
-    name: str  # a parameter, or a name used in ties
-    values: Array  # values along the axis, all different; float64 of shape (count,)
-    offset_from_family: bool = False  # whether the values are added to the solution of the family's formula
-    long_name: str = ""  # attribute of the coordinate; empty: long_name of the parameter
-    units: str = ""  # attribute of the coordinate; empty: unit of the parameter
-    display_units: str = ""  # attribute of the coordinate; "deg": figures show an angle (rad) in degrees
+    name: str  # name of a parameter, or a name that ties use
+    values: Array  # the values along the axis, all different, float64 of shape (count,)
+    offset_from_family: bool = False  # whether the values are added to the solution of the family
+    long_name: str = ""  # attribute of the coordinate
+    units: str = ""  # attribute of the coordinate
+    display_units: str = ""  # attribute of the coordinate, "deg" for figures with degrees
     table: Mapping[str, Any] = field(default_factory=dict)  # the table [axes.NAME] of the scene
 
     @property
     def dim(self) -> str:
-        """Name of the axis as a dimension of the atlas."""
+        """Name of the dimension of the atlas."""
         return f"{self.name}_offset" if self.offset_from_family else self.name
 
     @property
     def can_be_refined(self) -> bool:
-        """Whether [refine] halves the spacing: only on axes with a count above 1, not with listed values."""
+        """Whether [refine] halves the spacing, which requires a count above 1 and no listed values."""
         return self.table.get("count", 1) > 1
 
     def __str__(self) -> str:
@@ -140,12 +140,12 @@ class Axis:
 class Duration:
     """Length of the runs."""
 
-    amount: float | str = f"60 / {NATURAL_RATE}"  # number of units, or arithmetic that gives time units
-    unit: str = ""  # "": time units; "orbits"; "turns": periods of the slower of the rates n and m
+    amount: float | str = f"60 / {NATURAL_RATE}"  # a number of units, or arithmetic that gives time units
+    unit: str = ""  # "orbits", "turns" (periods of the slower of the rates n and m), or "" for time units
 
     @property
     def toml(self) -> float | str:
-        """Value of the key duration or transient of a scene."""
+        """The value of the key `duration` or `transient` in a scene file."""
         return str(self) if self.unit else self.amount
 
     def __str__(self) -> str:
@@ -156,9 +156,9 @@ class Duration:
 
 @dataclass(frozen=True)
 class Refine:
-    """Refinement near borders of labels: the grid spacing is halved `levels` times."""
+    """Refinement near borders of labels, which halves the spacing of the grid `levels` times."""
 
-    # `Scene.axes` hold the finest grid.
+    # The axes of a scene contain the values of the finest grid.
     levels: int = checked(
         checks.whole(1, MAX_REFINEMENT_LEVELS), description="how often the spacing is halved"
     )
@@ -182,18 +182,18 @@ EMPTY_CREATOR = Creator()
 
 @checks.accepts(**checks.table_schema(checks.keys_of(Creator)))
 def creator(key: str, value: object) -> Creator:
-    """Creator from a table; key: its name in messages."""
+    """Return a Creator from a table. Messages name the table by `key`."""
     return checks.instance_of(Creator, checks.mapping(key, value), key)
 
 
 @dataclass(frozen=True)
 class About:
-    """Global attributes of an atlas, named as in ACDD-1.3, except its title."""
+    """Global attributes of an atlas, apart from the title. The names are those of ACDD-1.3."""
 
-    summary: str = checked(checks.text, "")  # a paragraph about the content
+    summary: str = checked(checks.text, "")  # a paragraph about the content of the atlas
     license: str = checked(checks.text, "")  # such as "CC-BY-4.0"
     keywords: tuple[str, ...] = checked(checks.texts, ())
-    references: tuple[str, ...] = checked(checks.texts, ())  # listed before the reference of the system
+    references: tuple[str, ...] = checked(checks.texts, ())  # without the reference of the system
     acknowledgement: str = checked(checks.text, "")
     comment: str = checked(checks.text, "")
     project: str = checked(checks.text, "")
@@ -201,7 +201,7 @@ class About:
     creator: Creator = checked(creator, EMPTY_CREATOR)  # noqa: RUF009 - Creator is frozen
 
     def attributes(self) -> dict[str, str]:
-        """Nonempty attributes by their names in ACDD-1.3, except the references."""
+        """Return the attributes that are not empty, except the references, by the names of ACDD-1.3."""
         attributes = {f.name: getattr(self, f.name) for f in fields(self)}
         del attributes["references"]
         attributes |= {f"creator_{name}": value for name, value in vars(attributes.pop("creator")).items()}
@@ -209,7 +209,7 @@ class About:
         return {name: value for name, value in attributes.items() if value}
 
     def table(self) -> dict[str, Any]:
-        """The table [about] of a scene, without empty entries."""
+        """Return the table [about] of a scene, without empty entries."""
         table = {
             name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()
         }
@@ -222,25 +222,25 @@ EMPTY_ABOUT = About()
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """A checked scene: everything that determines the content of an atlas."""
+    """A checked scene, which determines the content of an atlas."""
 
     title: str  # free text, kept in the atlas
     system: System  # equations, parameters and families
-    fixed: Mapping[str, float]  # name -> constant value; parameters, and names used in ties
-    axes: Mapping[str, Axis]  # dimensions of the atlas in order; with [points] the single axis "point"
-    ties: Mapping[str, Tie]  # name -> expression of other names, in order of evaluation
-    family: str | None = None  # family of steady motions on which every point starts
-    solve: tuple[str, ...] = ()  # parameters computed by the family's formulas, in this order
-    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near, see `family.near_values`
-    nudge: Mapping[str, float] = field(default_factory=dict)  # start value -> amount added after solving
+    fixed: Mapping[str, float]  # constant values of parameters and of names that ties use
+    axes: Mapping[str, Axis]  # dimensions of the atlas in order, or the single axis "point" for [points]
+    ties: Mapping[str, Tie]  # expressions by the names that they define, in order of evaluation
+    family: str | None = None  # name of the family of steady motions on which every point starts
+    solve: tuple[str, ...] = ()  # parameters that formulas of the family compute, in this order
+    choice: Mapping[str, Any] = field(default_factory=dict)  # branch or near for `family.near_values`
+    nudge: Mapping[str, float] = field(default_factory=dict)  # amounts added to start values after solving
     duration: Duration = Duration()  # length of the runs
     transient: Duration = Duration(0.0)  # time before statistics and labels begin
     settings: Settings = DEFAULTS  # settings of integration and labels
     outputs: tuple[str, ...] = ()  # variables of the atlas
-    map: str = ""  # variable shown first on maps and pages; empty: chosen by `analysis.metadata.map_variable`
+    map: str = ""  # variable shown first on maps and pages, or empty to leave the choice to `map_variable`
     seed: int = 0  # seed of the random numbers in ties
     refine: Refine | None = None  # refinement near borders of labels
-    points: Mapping[str, Any] | None = None  # table [points], with the numbers of a file in place of its name
+    points: Mapping[str, Any] | None = None  # the table [points], in which numbers replace the name of a file
     about: About = EMPTY_ABOUT  # global attributes of the atlas
     source: Source | None = field(default=None, compare=False)  # the file of the scene, for error messages
 
@@ -251,19 +251,19 @@ class Scene:
 
     @property
     def size(self) -> int:
-        """Number of points."""
+        """Number of points of the grid."""
         return math.prod(self.shape)
 
     @property
     def extensions(self) -> list[str]:
-        """Names of the extensions that define variables or the family of the scene, in alphabetical order."""
+        """Names, in alphabetical order, of the extensions that define outputs or the family of the scene."""
         variables = [name for name in self.outputs if name not in self.system.derived]
         families = [] if self.family is None or self.family in self.system.families else [self.family]
         return [each.name for each in extension.used(variables, families)]
 
     @property
     def solved_text(self) -> str:
-        """Text of the solved parameters and the chosen branch; empty if nothing is solved."""
+        """Text of the solved parameters and the chosen branch, or an empty text if nothing is solved."""
         choice = [f"{key} = {shown(value)}" for key, value in self.choice.items()]
         return ", ".join([f"solved for {', '.join(self.solve)}", *choice]) if self.solve else ""
 
@@ -279,7 +279,7 @@ class Scene:
         return tuple(2**self.refine.levels if axis.can_be_refined else 1 for axis in self.axes.values())
 
     def zero_and_equal_parameters(self) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-        """Parameters that are 0 or absent at every point, and pairs of equal parameters; kernels omit terms that vanish then."""
+        """Return parameters that are 0 or absent at every point, and pairs of equal parameters. Kernels omit vanishing terms."""
         parameters, varying = self.system.parameters, {*self.axes, *self.ties, *self.solve}
         constants = {
             name: self.fixed.get(name, parameters[name].default) for name in parameters if name not in varying
@@ -289,7 +289,7 @@ class Scene:
         return zero, equal | {(a, b) for a, b in combinations(parameters, 2) if {a, b} in copies}
 
     def toml(self) -> str:
-        """The scene with every default written out; `load_scene` of this text gives the same scene."""
+        """Return the scene as TOML text with every default written out. `load_scene` reads the same scene from the text."""
         settings = self.settings
         table: dict[str, Any] = {
             "extensions": self.extensions,
@@ -355,7 +355,7 @@ class Scene:
 
 
 def zero_and_equal(constants: Mapping[str, float]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
-    """Names of the constants that are 0 or absent (nan), and pairs of names with equal values."""
+    """Return the names of constants that are 0 or absent (nan), and pairs of names with equal values."""
     zero = {name for name, value in constants.items() if value == 0 or math.isnan(value)}
     return frozenset(zero), frozenset(
         (a, b) for a, b in combinations(constants, 2) if constants[a] == constants[b]
@@ -363,5 +363,5 @@ def zero_and_equal(constants: Mapping[str, float]) -> tuple[frozenset[str], froz
 
 
 def optional_start_values(system: System, names: Iterable[str]) -> list[str]:
-    """The optional start values, whose default is nan, among these names."""
+    """Return the names of optional start values, whose default is nan."""
     return [name for name in names if math.isnan(system.parameters[name].default)]

@@ -1,4 +1,4 @@
-"""Check of the columns that are no parameters: a probably mistyped parameter is refused."""
+"""Checks of columns that are no parameters. A column that is probably a mistyped parameter is refused."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from ..errors import BadInput, shown
 
-MAX_FIELDS, MAX_NAME = 10_000, 100  # fields of a column and characters of a name that are examined
+MAX_FIELDS, MAX_NAME = 10_000, 100  # most examined fields of a column and characters of a name
 REMEDY = "rename it, or keep it as it is by keep"
-# Separators between two names, or two values, that were read as one column.
+# Separators between two names or two values that were read as a single column.
 _BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
-# Products of units, such as kg m^2, rad/s, A.m2 or Nms; quantifiers are possessive, because mmmm has many readings.
+# Products of units, such as kg m^2, rad/s, A.m2 or Nms. Possessive quantifiers avoid slow matching of texts such as mmmm.
 _UNITS = (
     r"(?:1?/)?(?:(?:(?i:kg|mg|lbm?|slugs?|[cmkuµμ]m|ms|min|hr?s?|hours?|sec|days?|[mµμ]?rad|deg(?:rees?)?|arcmin|arcsec|rp[ms]|rev|turns?"
     r"|orbits?|k?hz|[mk]N|[munµμ]T|gauss)|[gmshNTAJWVG°%])(?:\*\*|\^)?[-+]?\d*[\s*·.⋅/-]*)++"
@@ -25,19 +25,19 @@ _UNITS = (
 _DIGITS = r"[-+]?(?:\d{1,3}(?:[ '.,]\d{3})+(?:[.,]\d+)?|\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?"
 _NUMBER = re.compile(rf"[~<>≈]?\s*{_DIGITS}(?:\s*(?:±|\+/?-)\s*{_DIGITS}|\(\d+\))?\s*(?:{_UNITS})?[,;]?")
 _UNIT_OF_NAME = re.compile(rf"(?<=\w)(?:\s*[(\[{{<].*|[\s_,;:/.-]+(?:in\s+)?{_UNITS})$")
-_LETTER_OF_NAME = re.compile(r"\d+[A-Z]")  # such as 1A and 3U, names of satellites
+_LETTER_OF_NAME = re.compile(r"\d+[A-Z]")  # names of satellites such as 1A and 3U
 _MISSING = {"", "-", "--", "?", "na", "n/a", "n.a.", "nan", "nat", "<na>", "none", "null", "unknown"}
 _QUOTES = "\"'` \t\u00b4\u00ab\u00bb\u2018\u2019\u201c\u201d\u201e"
 
 
 @lru_cache(1000)
 def _plain(name: str) -> str:
-    """A name in lower case without blanks and punctuation."""
+    """Return a name in lower case, without blanks and punctuation."""
     return re.sub(r"[^\w°]|_", "", name).lower()
 
 
 def parameter_meant(name: str, parameters: Collection[str]) -> str:
-    """The parameter equal to a name up to case, blanks, punctuation and a unit at the end; else an empty text."""
+    """Return the parameter that equals a name but for case, blanks, punctuation and a final unit, or an empty text."""
     text = unicodedata.normalize("NFKC", name[:MAX_NAME])
     by_plain = {_plain(each): each for each in parameters} | {each: each for each in parameters}
     forms = (name, _plain(text), _plain(_UNIT_OF_NAME.sub("", text)))
@@ -45,7 +45,7 @@ def parameter_meant(name: str, parameters: Collection[str]) -> str:
 
 
 def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
-    """Raise BadInput if a name resembles a parameter or contains parameters, unless its values are 0, 1, 2, ..."""
+    """Raise BadInput if a name resembles a parameter or contains parameters, unless the values are 0, 1, 2, ..."""
     problem, meant = "", parameter_meant(name, parameters)
     if meant:
         problem = f"no parameter, but {meant} if case, blanks and units do not count; {REMEDY}"
@@ -67,7 +67,7 @@ def check_name(name: str, values: Any, parameters: Collection[str]) -> None:
 
 
 def check_texts(name: str, values: Any, parameters: Collection[str]) -> None:
-    """Raise BadInput for a column of texts whose name or values suggest one or several parameters."""
+    """Raise BadInput if the name or the values of a column of texts suggest a parameter."""
     check_name(name, values, parameters)
     if _most(map(_is_numbers, fields := _fields(values))):
         example = next(field for field in fields if _is_numbers(field))
@@ -78,7 +78,7 @@ def check_texts(name: str, values: Any, parameters: Collection[str]) -> None:
 
 
 def _fields(values: Any) -> list[str]:
-    """The first MAX_FIELDS values as texts, without missing values."""
+    """Return the first MAX_FIELDS values as texts, without missing values."""
     texts = (str(value).strip() for value in np.ravel(values)[:MAX_FIELDS])
     return [text for text in texts if text.lower() not in _MISSING]
 
@@ -90,8 +90,8 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether a text is a number as in `_is_nearly_number`, or several such numbers with a decimal point among them."""
-    parts = re.split(r"[\s,;|/&]+", field)  # not at colons, which occur in times of day
+    """Whether a text is a number for `_is_nearly_number`, or consists of several numbers with a decimal point."""
+    parts = re.split(r"[\s,;|/&]+", field)  # Colons are left out, because they occur in times of day.
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 
 

@@ -1,4 +1,4 @@
-"""The table [points] of a scene: points from a sample, a file or a list, instead of axes."""
+"""The table [points] of a scene, which gives points by a sample, a file or a list instead of axes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from .tables import CsvColumns
 from .text import read_text
 
 SAMPLES = ("latin_hypercube", "sobol")
-# Largest number of points of a sample, and of its numbers (points times ranges).
+# Largest number of points of a sample, and largest number of values, which is the number of points times the number of ranges.
 MAX_SAMPLED_POINTS = MAX_SAMPLED_NUMBERS = 10**7
-MAX_COLUMNS = 100  # columns of a table or file of points
-# Largest points file, in bytes and in CSV fields (more fields than numbers, because some columns may name points).
+MAX_COLUMNS = 100  # largest number of columns of a table or file of points
+# Largest size of a points file, in bytes and in CSV fields. Fields may outnumber values, because some columns only name points.
 MAX_FILE_BYTES, MAX_FILE_FIELDS = 50_000_000, 5 * checks.MAX_LISTED_NUMBERS
 
 RANGES = checks.Check(
@@ -34,14 +34,14 @@ RANGES = checks.Check(
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
-    """Quasi-random points."""
+    """Quasi-random points within ranges."""
 
     sample: str = checked(
         checks.one_of(SAMPLES), description="quasi-random points that fill the ranges evenly"
     )
     count: int = checked(checks.whole(1, MAX_SAMPLED_POINTS), description="number of points")
     seed: int = checked(checks.SEED, 0)  # seed of the random numbers
-    ranges: Mapping[str, Any] = checked(RANGES)  # name -> table with from, to and spacing
+    ranges: Mapping[str, Any] = checked(RANGES)  # tables with from, to and spacing, by name
 
 
 KEYS: checks.Keys = {
@@ -61,7 +61,7 @@ KEYS: checks.Keys = {
 def read_points(
     system: System, table: Mapping[str, Any], ties: Mapping[str, Any], folder: Path | None
 ) -> tuple[dict[str, Any], dict[str, PointColumn]]:
-    """Table [points], with the numbers of a file in place of its name, and the columns by name; folder None: files are refused."""
+    """Return the table [points], in which numbers replace the name of a file, and columns by name. Files need a `folder`."""
     checks.check_keys(table, "points.", KEYS)
     sources = [key for key in ("sample", "file", "values") if key in table]
     if len(sources) != 1:
@@ -105,8 +105,8 @@ def read_points(
 
 
 def file_of(scene: Path) -> list[Path]:
-    """A list of one path, the points file that a scene file names, even if it is missing; empty if the scene names none."""
-    if not scene.is_file():  # a pipe could not be read again
+    """Return the path of the points file that a scene file names, in a list that is empty if the scene names no file."""
+    if not scene.is_file():  # A pipe could not be read a second time.
         return []
     try:
         file = tomllib.loads(read_text(scene))["points"]["file"]
@@ -116,19 +116,19 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Quasi-random numbers in the unit cube, (dimensions, count); "sobol" is balanced for powers of two."""
+    """Return quasi-random numbers in the unit cube, of shape (dimensions, count). A balanced "sobol" count is a power of two."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":
         points = qmc.LatinHypercube(dimensions, seed=seed).random(count)
     else:
-        # SciPy warns about a count that is no power of two: take the first points of the next power.
+        # SciPy warns about a count that is no power of two, so take the first points of the next power of two.
         points = qmc.Sobol(dimensions, seed=seed).random_base2((count - 1).bit_length())[:count]
     return np.ascontiguousarray(points.T)
 
 
 def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
-    """The columns of a sample: quasi-random numbers stretched over the range of each name."""
+    """Return the columns of a sample, which are quasi-random numbers stretched over the range of each name."""
     if not sample.ranges:
         raise BadInput(
             "points.ranges: a sample needs at least one [points.ranges.NAME] table with from and to"
@@ -161,7 +161,7 @@ def _sampled_columns(system: System, sample: Sample) -> dict[str, PointColumn]:
 def _listed_column(
     system: System, name: str, values: Any, location: Callable[[int], str] | None
 ) -> PointColumn:
-    """Checked column of a file or a list; location: point -> file and line."""
+    """Return a checked column of a file or list. `location` gives the file and line of a point for messages."""
     key = f"points.values.{checks.identifier('points', name)}"
     tables.check_written(key, values)
     try:
@@ -182,6 +182,6 @@ def _listed_column(
 
 
 def _check_columns(columns: Mapping[str, Any]) -> None:
-    """Raise BadInput for more columns than a scene may have."""
+    """Raise BadInput if there are more columns than a scene may have."""
     if len(columns) > MAX_COLUMNS:
         raise BadInput(f"points: {len(columns)} names; allowed: at most {MAX_COLUMNS}")

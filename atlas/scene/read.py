@@ -1,4 +1,4 @@
-"""Reading a TOML scene file into a checked Scene; every error is one line that names the key."""
+"""Reading of a TOML scene file into a checked Scene. Every error is one line that names the key."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ from .text import MAX_CHARACTERS, Source, read_text
 
 # With these limits any text is read and checked within a few seconds and 500 MB.
 MAX_TABLES = 2000
-MAX_JOINED_NAMES = 16  # in a dotted key such as a.b.c
-MAX_NAMES = 200  # in [fixed], [axes] and [ties] together
-MAX_TIE_CHARACTERS = 10_000  # of all ties together
+MAX_JOINED_NAMES = 16  # largest number of names in a dotted key such as a.b.c
+MAX_NAMES = 200  # largest number of names in [fixed], [axes] and [ties] together
+MAX_TIE_CHARACTERS = 10_000  # largest number of characters of all ties together
 MAX_AXES = 32
 MAX_AXIS_COUNT = 10**7
 MAX_POINTS = 10**11
-# Largest number of points in the finest grid of a refined scene; theory predicts the label of each point.
+# Largest number of points in the finest grid of a refined scene, because theory predicts the label of each point.
 MAX_REFINED_POINTS = 2 * 10**8
 _KEY = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _JOINED_KEYS = re.compile(rf"(?<![\w-]){_KEY}(?:[ \t]*+\.[ \t]*+{_KEY}){{{MAX_JOINED_NAMES}}}")
@@ -58,7 +58,7 @@ TABLES = (
     *("about", "fixed", "axes", "points", "ties", "family", "nudge", "integration", "labels", "refine"),
     "outputs",
 )
-# First bytes of NetCDF files, in the HDF5 format and in the classic ones.
+# First bytes of NetCDF files in the HDF5 format and in classic formats.
 NETCDF_BEGINS = (b"\x89HDF", b"CDF")
 KEYS = ("schema", "title", "system", "extensions", "seed", *TABLES)
 
@@ -69,8 +69,8 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     Parameters
     ----------
     source : str, Path, mapping or Scene
-        Path of a scene file, the text of one (any string with a line break), or nested mappings with its keys, whose
-        values may be NumPy numbers and 1-D arrays. A Scene is returned as it is.
+        Path of a scene file, text of a scene file, or nested mappings with the keys of a scene file. A string with a line break is
+        a text. Values in mappings may be NumPy numbers and 1-D arrays. A Scene is returned as it is.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     Raises
     ------
     BadInput
-        With one line that names the file, the line and the key, its value and what is allowed.
+        If the scene is not valid. The message names the file, the line, the key and what is allowed.
 
     Examples
     --------
@@ -105,9 +105,9 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene) -> Scene:
     if isinstance(source, str) and ("\n" in source or "\r" in source):
         return parse_scene(source, folder=Path())
     path, is_atlas = Path(source), False
-    with suppress(OSError, ValueError):  # read_text reports the error below
+    with suppress(OSError, ValueError):  # `read_text` below reports the same error to the user
         is_atlas = (path / "manifest.json").exists()
-        if path.is_file():  # a pipe could not be read again
+        if path.is_file():  # A pipe could not be read a second time.
             with path.open("rb") as file:
                 is_atlas = file.read(4).startswith(NETCDF_BEGINS)
     if is_atlas:
@@ -126,13 +126,13 @@ def parse_scene(
     *,
     of_atlas: bool = False,
 ) -> Scene:
-    """Scene from TOML text; BadInput names path, line and key.
+    """Return the scene of a TOML text. BadInput names path, line and key.
 
-    folder: where a points file is read from, None: nowhere; of_atlas: drop outputs that no installed package computes.
+    A points file is read from `folder`, and refused if `folder` is None. `of_atlas` drops outputs that nothing installed computes.
     """
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     source = Source(path or name, text)
-    # A text far longer than any scene, or with far more tables, would take long to parse.
+    # Texts that are far longer than any scene, or have far more tables, are refused because parsing would take long.
     if len(text) > MAX_CHARACTERS:
         raise BadInput(f"{source.path}: too many characters; allowed: at most {MAX_CHARACTERS}")
     tables = text.count("{") + len(re.findall(r"^[ \t]*+\[", text, re.MULTILINE))
@@ -159,7 +159,7 @@ def parse_scene(
 def scene_from(
     table: Mapping[str, Any], name: str = "scene", folder: Path | None = Path(), *, of_atlas: bool = False
 ) -> Scene:
-    """Scene from a parsed TOML text; arguments as for `parse_scene`."""
+    """Return the scene of a parsed TOML text. The arguments are those of `parse_scene`."""
     checks.check_keys(table, "", KEYS)
     for key in ("schema", "system", "axes"):
         if key not in table and not (key == "axes" and "points" in table):
@@ -218,7 +218,7 @@ def scene_from(
     if settings.prove and not of_atlas:
         outputs = _with_proofs(system, outputs, is_refined=refine is not None)
     about = section["about"]
-    if "licence" in about and "license" not in about:  # both spellings are read
+    if "licence" in about and "license" not in about:  # both spellings are allowed
         about = {"license" if key == "licence" else key: value for key, value in about.items()}
     return Scene(
         title=title,
@@ -243,7 +243,7 @@ def scene_from(
 
 
 def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
-    """Ties of the table [ties] as expressions."""
+    """Return the ties of the table [ties] as expressions."""
     expressions = {}
     for key, value in table.items():
         checks.identifier(f"ties.{key}", key)
@@ -258,7 +258,7 @@ def _expressions(table: Mapping[str, Any], seed: int) -> dict[str, Expression]:
 
 
 def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[tuple[str, ...], str]:
-    """Variables in the order of the registry (of_atlas: unknown ones are dropped), and the variable that maps show, or ""."""
+    """Return the outputs in the order of the registry, and the variable that maps show, or "". `of_atlas` drops unknown outputs."""
     checks.check_keys(table, "outputs.", ("variables", "map"))
     registry = variables(system)
     listed = table.get("variables", default_variables(system))
@@ -269,7 +269,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
         raise BadInput(
             f"outputs.variables: {shown(name)} is unknown; {extension.available_text(name, registry)}"
         )
-    # The list of a finished atlas is complete, so that nothing is added to it.
+    # The list of a finished atlas is complete and gets no further variables.
     outputs = tuple(
         [name for name in registry if name in listed] if of_atlas else listed_variables(system, listed)
     )
@@ -278,7 +278,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
 
 
 def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> tuple[str, ...]:
-    """`outputs` and the variables that say where labels are proved; BadInput if no label can be proved, or for a refined scene."""
+    """Add the variables that say where labels are proved. BadInput if no label can be proved, or for a refined scene."""
     if is_refined:
         raise BadInput(
             "integration.prove = true: not together with refine, whose borders are those of measured labels"
@@ -298,7 +298,7 @@ def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> 
     return tuple(name for name in registry if name in wanted or name in outputs)
 
 
-# Keys of a table [axes.NAME]: for evenly spaced values, for listed values, for both.
+# A table [axes.NAME] has the keys SPACED for evenly spaced values or LISTED for listed values, and in both cases OF_BOTH.
 SPACED: checks.Keys = {
     "from": checks.INTERVAL["from"],
     "to": checks.INTERVAL["to"],
@@ -321,7 +321,7 @@ OF_BOTH: checks.Keys = {
 
 
 def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> dict[str, Axis]:
-    """Axes of the table [axes] on the grid of the finest level; sizes are checked before values are allocated."""
+    """Return the axes of the table [axes] on the finest grid. Sizes are checked before values are allocated."""
     if len(tables) > MAX_AXES:
         raise BadInput(f"axes: {len(tables)} of them; allowed: at most {MAX_AXES}")
     if POINT in tables:
@@ -377,11 +377,11 @@ def _axes(system: System, tables: Mapping[str, Any], refine: Refine | None) -> d
 
 
 def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
-    """`count` distinct values from `from` to `to`, evenly spaced or, for log, with evenly spaced logarithms."""
+    """Return `count` distinct values between the ends in `table`, with even spacing of the values or of the logarithms."""
     first, last, spacing = checks.interval(key, table)
     if count > 1 and first == last:
         raise BadInput(f"{key}: from = to = {first:g} with count = {count}; an axis needs distinct values")
-    with np.errstate(all="ignore"):  # rounding in geomspace may overflow near the largest float
+    with np.errstate(all="ignore"):  # Rounding in geomspace may overflow near the largest float.
         values = np.asarray((np.linspace if spacing == "linear" else np.geomspace)(first, last, count))
     if not (values[1:] != values[:-1]).all():
         raise BadInput(f"{key}.values: some values occur twice; an axis needs distinct values")
@@ -389,7 +389,7 @@ def _even_values(key: str, table: Mapping[str, Any], count: int) -> Array:
 
 
 def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[str, ...], dict[str, Any]]:
-    """Name of the family, solved parameters in the order of its formulas, and the entry `branch` or `near` of [family]."""
+    """Return the name of the family, the solved parameters in the order of the formulas, and the entry `branch` or `near`."""
     checks.check_keys(table, "family.", ("name", "solve", "branch", "near"))
     families = families_of(system)
     if "name" not in table:
@@ -422,7 +422,7 @@ def parse_family(system: System, table: Mapping[str, Any]) -> tuple[str, tuple[s
 def _check_names(
     system: System, names: Mapping[str, Iterable[str]], axes: Mapping[str, Axis], ties: Mapping[str, Tie]
 ) -> None:
-    """Raise BadInput for a name that is unused or is in two sections, except an axis with offset_from_family."""
+    """Raise BadInput for a name that is unused or in two sections. An axis with offset_from_family may also be solved."""
     sections: dict[str, list[str]] = {}
     for section, section_names in names.items():
         for name in section_names:
@@ -431,7 +431,7 @@ def _check_names(
         is_offset = given_in == ["axes", "solve"] and axes[name].offset_from_family
         if len(given_in) > 1 and not is_offset:
             raise BadInput(f"{name} is given in {' and in '.join(given_in)}: a name has one value")
-    # In a dataset a name is either a variable, a parameter or a dimension.
+    # A name in a dataset cannot be a variable and also a parameter or dimension.
     variables_of_file = data_variables(system)
     for name, given_in in sections.items():
         if name in variables_of_file:
@@ -464,7 +464,7 @@ def _check_ties(
     *,
     is_refined: bool,
 ) -> None:
-    """Raise BadInput if a tie uses a solved parameter, an axis is an offset of an unsolved one, or a refined axis numbers draws."""
+    """Raise BadInput if a tie uses a solved parameter, an offset axis is not solved, or random numbers depend on a refined axis."""
     for name, expression in expressions.items():
         for solved in sorted(expression.names & set(solve)):
             raise BadInput(
@@ -483,7 +483,7 @@ def _check_ties(
 
 
 def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[str, float]:
-    """Start value -> amount added, from [nudge]; names: all names with a value in the scene."""
+    """Return the amounts of the table [nudge] by start value. `names` are all names with a value in the scene."""
     starts = [parameter.name for parameter in system.parameters.values() if parameter.start]
     checks.check_keys(table, "nudge.", starts)
     nudge = {name: checks.quantity(f"nudge.{name}", value) for name, value in table.items()}
@@ -503,7 +503,7 @@ def _nudge(system: System, table: Mapping[str, Any], names: set[str]) -> dict[st
 def _integration(
     system: System, integration: Mapping[str, Any], labels: Mapping[str, Any], names: Collection[str]
 ) -> tuple[Duration, Duration, Settings]:
-    """Duration, transient and settings from [integration] and [labels]; names: names allowed in arithmetic."""
+    """Return duration, transient and settings from [integration] and [labels]. Arithmetic may use `names`."""
     values = checks.from_table(
         checks.keys_of(Settings, "integration"), integration, "integration", also=["duration"]
     )
@@ -526,7 +526,7 @@ def _integration(
 def check_std_tolerance(
     system: System, tolerances: Mapping[str, float] | None, key: str = "std_tolerance"
 ) -> None:
-    """Raise BadInput for a tolerance whose name is no observable of the system."""
+    """Raise BadInput if the name of a tolerance is no observable of the system."""
     names = [observable.name for observable in system.observables]
     for name in tolerances or ():
         if name not in names:
@@ -536,7 +536,7 @@ def check_std_tolerance(
 
 
 def parse_duration(value: object, key: str = "duration", names: Collection[str] = ()) -> Duration:
-    """Duration from time units or a text: "60", "20 orbits", "50 turns" or arithmetic in names; else BadInput."""
+    """Return a duration from a number of time units or from a text, such as "60", "20 orbits" or arithmetic in `names`."""
     if not isinstance(value, str):
         return Duration(checks.positive(key, value))
     match = re.fullmatch(r"([-+]?[0-9.][-+0-9.eE]*)\s*([A-Za-z]+)", value.strip())
@@ -563,7 +563,7 @@ def parse_duration(value: object, key: str = "duration", names: Collection[str] 
 
 
 def parse_transient(system: System, value: object, key: str, names: Collection[str]) -> Duration:
-    """Transient: a duration as by `parse_duration`, or 0."""
+    """Return a transient, which is 0 or a duration that `parse_duration` reads."""
     if value in (0, "0") and not isinstance(value, bool):
         return Duration(0.0)
     check_unit(system, transient := parse_duration(value, key, names), key)
@@ -571,7 +571,7 @@ def parse_transient(system: System, value: object, key: str, names: Collection[s
 
 
 def check_at_points(key: str, amount: float | str, names: Collection[str]) -> None:
-    """Raise BadInput for arithmetic that uses other names than `names` and natural_rate."""
+    """Raise BadInput if arithmetic uses names other than `names` and natural_rate."""
     known = {*names, NATURAL_RATE}
     for name in sorted(Expression(key, amount).names - known if isinstance(amount, str) else ()):
         raise BadInput(
@@ -581,7 +581,7 @@ def check_at_points(key: str, amount: float | str, names: Collection[str]) -> No
 
 
 def check_unit(system: System, duration: Duration, key: str = "duration") -> None:
-    """Raise BadInput for turns or orbits where the system has none; key: beginning of the message."""
+    """Raise BadInput if a duration is in turns or orbits and the system has none. The message begins with `key`."""
     if duration.unit and not system.frame:
         raise BadInput(f"{key} = {shown(str(duration))}: nothing turns in the {system.name}; use time units")
     if duration.unit == "orbits" and system.frame_rate is None:

@@ -1,4 +1,4 @@
-"""Points of a user as columns by name: from files, data frames, datasets and mappings."""
+"""Reading of points of a user from files, data frames, datasets and mappings. Points are columns by name."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ Table: TypeAlias = (
     "Mapping[str, Values] | Sequence[Mapping[str, float]] | xr.Dataset | pd.DataFrame | str | Path"
 )
 FORMATS = (".csv", ".nc")
-# NumPy type -> fill value of NetCDF, read where no number was written.
+# Fill values of NetCDF by NumPy type. A file contains them where no number was written.
 _UNWRITTEN = {"f4": 15 * 2.0**119, "f8": 15 * 2.0**119, "i4": -(2**31) + 1, "i8": -(2**63) + 2}
-_NO_RADIANS = re.compile(r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE)  # units other than rad
-IDENTIFIERS = ("id", "index", "name", "number", "point")  # columns that name points, in lower case
+_NO_RADIANS = re.compile(r"\s*(deg|°|arc|rpm|rev|turn)", re.IGNORECASE)  # units of angles other than rad
+IDENTIFIERS = ("id", "index", "name", "number", "point")  # lower-case names of columns that name points
 
 
 def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) -> dict[str, Any]:
-    """Columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or one of its rows.
+    """Return columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or a row.
 
-    Columns of a Dataset are its data variables and the coordinates named in `parameters` or `keep`, as DataArrays with all other
-    coordinates. A single dimension with another name is renamed "point", without its index. The index of a DataFrame becomes a
-    column of its name, if `parameters` or `keep` has it, else "point"; an index that numbers the rows is dropped.
+    Columns of a Dataset are the data variables, and the coordinates that `parameters` or `keep` names. They are DataArrays with all
+    other coordinates. The only dimension is renamed "point", without the index, unless it is named there. The index of a DataFrame
+    becomes a column, with the name "point" unless the index is named there. An index that numbers the rows is dropped.
     """
     import xarray as xr
 
@@ -61,7 +61,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
             if not any(dim in source[name].dims for name in columns):
                 raise BadInput(f"{dim}: no parameter varies along it; {allowed_text(dim, sorted(names))}")
         if len(source.dims) == 1 and (only := next(iter(source.dims))) not in names:
-            # A list of points; its index numbers them, unless it has several levels.
+            # The dataset is a list of points, which an index of a single level numbers.
             index = [only] if only in source.indexes and source.indexes[only].nlevels == 1 else []
             for name in index:
                 check_name(str(name), source[name], {*parameters} - {*columns})
@@ -73,7 +73,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         return {str(name): values for name, values in source.items()}
     labels: Any = getattr(source, "index", None)
     of_pandas = hasattr(labels, "nlevels")
-    # Lazy tables have no length, and may warn on access to `columns`; if a table has `column_names`, its `columns` may be arrays.
+    # A lazy table has no length and may warn about access to `columns`. In a table with `column_names`, `columns` may be arrays.
     if hasattr(source, "__len__") and hasattr(source, "columns") and not hasattr(source, "column_names"):
         values: dict[str, Any] = {str(name): np.asanyarray(source[name]) for name in source.columns}
         if not of_pandas:
@@ -87,7 +87,7 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
         check_name(str(labels.name), labels, {*parameters} - {*values})
         numbers_rows = labels.name is None and np.array_equal(labels, range(len(labels)))
         return values if numbers_rows else {POINT: np.asarray(labels)} | values
-    if of_pandas and hasattr(source, "to_dict"):  # a row; entries that name the point are dropped
+    if of_pandas and hasattr(source, "to_dict"):  # a row, without entries that name the point
         row = {str(name): value for name, value in source.to_dict().items()}
         naming = {n for n, v in row.items() if isinstance(v, str) or n.lower() in IDENTIFIERS} - names
         _check_others(parameters, {name: row[name] for name in naming}, row, keep)
@@ -114,7 +114,7 @@ def read(
     max_bytes: float = math.inf,
     max_fields: float = math.inf,
 ) -> dict[str, Any]:
-    """Columns of a .csv or .nc file, as in `table`; BadInput above the limits on bytes and CSV fields."""
+    """Return the columns of a .csv or .nc file, as in `table`. BadInput above the limits on bytes and CSV fields."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
@@ -139,7 +139,7 @@ def read(
                 raise BadInput(f"{path}: has the dimensions {dims}; points need one")
             _check_bytes(path, ds.nbytes, max_bytes)
             ds.load()
-    except Exception as error:  # opening and loading a damaged file may raise any error
+    except Exception as error:  # A damaged file may raise any error.
         raise hdf5.unreadable(path, error) from None
     try:
         return table(ds, parameters, keep)
@@ -150,9 +150,9 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = (), ties: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Columns that name the points: texts, IDENTIFIERS and `keep`; BadInput for a probably mistyped parameter.
+    """Return the columns that name points, which are texts, IDENTIFIERS and `keep`. BadInput for a probably mistyped parameter.
 
-    ties: names of numeric columns that ties use.
+    Columns that are named in `ties` contain numbers that ties use, and are left out.
     """
     import xarray as xr
 
@@ -169,7 +169,7 @@ def kept_columns(
     for name, values in ((name, table[name]) for name in table if name not in {*system.parameters, *ties}):
         column = values if isinstance(values, xr.DataArray) else np.asarray(values)
         is_text = column.dtype.kind in "UT"
-        if column.dtype.kind == "O":  # texts and missing values
+        if column.dtype.kind == "O":  # such as texts with missing values
             is_text = any(isinstance(value, str) for value in np.ravel(column))
         if is_text or name in keep or name.lower() in IDENTIFIERS:
             if isinstance(column, xr.DataArray) and column.ndim:
@@ -183,7 +183,7 @@ def kept_columns(
 def _check_others(
     parameters: Collection[str], others: Mapping[str, Any], columns: Mapping[str, Any], keep: Collection[str]
 ) -> None:
-    """Raise BadInput if a column that names points may be a mistyped parameter, or if no column is a parameter."""
+    """Raise BadInput if one of the columns `others` may be a mistyped parameter, or if no column is a parameter."""
     source = f"{columns.source}: " if isinstance(columns, CsvColumns) else ""
     try:
         for name in (name for name in columns if name in others and name.lower() not in IDENTIFIERS):
@@ -199,7 +199,7 @@ def _check_others(
 def parameter_arrays(
     system: System, columns: Mapping[str, Any], keep: Collection[str] = (), **others: Any
 ) -> tuple[tuple[str, ...], tuple[xr.DataArray, ...], dict[str, xr.DataArray]]:
-    """Names of the parameters in a table; aligned float64 arrays of these and of `others`; and columns that name points."""
+    """Return names of the parameters in a table, aligned float64 arrays of them and of `others`, and columns that name points."""
     import xarray as xr
 
     name_columns = kept_columns(system, columns, keep)
@@ -227,7 +227,7 @@ def parameter_arrays(
 
 
 def _numbers(name: str, values: Any) -> xr.DataArray:
-    """A number, 1-D array or DataArray as a float64 DataArray (lazy for dask arrays); BadInput for other values."""
+    """Return a number, 1-D array or DataArray as a float64 DataArray. Dask arrays stay lazy. BadInput for other values."""
     import xarray as xr
 
     check_written(name, values)
@@ -237,7 +237,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
         if kind not in "iufO" or (kind == "O" and any(isinstance(v, str | bool) for v in np.ravel(array))):
             raise TypeError
         array = array.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):  # also for rows of different lengths
+    except (TypeError, ValueError, OverflowError):  # such as for rows of different lengths
         raise BadInput(f"{name} = {shown(values)}: must be a number or an array of numbers") from None
     if isinstance(array, xr.DataArray):
         return array
@@ -248,7 +248,7 @@ def _numbers(name: str, values: Any) -> xr.DataArray:
 
 
 def check_written(name: str, values: Any) -> None:
-    """Raise BadInput for masked values and fill values of NetCDF; lazy arrays are not checked."""
+    """Raise BadInput if values are masked or are fill values of NetCDF. Lazy arrays are not checked."""
     if getattr(values, "chunks", None) is not None:
         return
     if isinstance(values, Sequence):
@@ -264,7 +264,7 @@ def check_written(name: str, values: Any) -> None:
 
 
 def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
-    """Checked columns of every parameter, nan for absent optional start values, and the number of points."""
+    """Return checked columns of every parameter, with nan for absent optional start values, and the number of points."""
     source = table(points, system.parameters)
     names, arrays, _ = parameter_arrays(system, source)
     values = [array.values for array in arrays]
@@ -275,7 +275,7 @@ def point_columns(system: System, points: Any) -> tuple[dict[str, Array], int]:
 def flat_columns(
     system: System, names: Sequence[str], values: Sequence[Array], shape: tuple[int, ...], source: Any
 ) -> dict[str, Array]:
-    """Checked columns of every parameter from arrays that broadcast to a shape; source: the table, for messages."""
+    """Return checked columns of every parameter from arrays that broadcast to `shape`. Messages name a line of `source`."""
     columns, by_name = {}, dict(zip(names, values, strict=True))
     for name, parameter in system.parameters.items():
         column = by_name.get(name, np.asarray(parameter.default))
@@ -287,7 +287,7 @@ def flat_columns(
 
 
 def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any] | None) -> None:
-    """Raise BadInput with the location of a value out of range or not finite; optional start values may be nan."""
+    """Raise BadInput if a value is out of range or not finite. Optional start values may be nan."""
     name = parameter.name
     missing = np.isnan(column) & np.isnan(parameter.default)
     if missing.all():
@@ -307,14 +307,14 @@ def _check_column(parameter: Parameter, column: Array, source: Mapping[str, Any]
 
 
 def _location(source: Mapping[str, Any] | None, column: Array, point: np.integer) -> str:
-    """Beginning of an error message about a point of a column."""
+    """Return the beginning of an error message about a point of a column."""
     if isinstance(source, CsvColumns):
         return f"{source.location(int(point))}: "
     return f"point {point} (counted from 0): " if column.ndim and source is not None else ""
 
 
 def common_size(sizes: Mapping[str, int]) -> int:
-    """Common length of the columns, 1 if there are none; BadInput for different lengths or length 0."""
+    """Return the common length of columns, or 1 if there are no columns. BadInput if lengths differ or are 0."""
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
         raise BadInput(f"points: columns of different lengths ({lengths})")
@@ -325,22 +325,22 @@ def common_size(sizes: Mapping[str, int]) -> int:
 
 
 def _check_bytes(path: Path, size: float, max_bytes: float) -> None:
-    """Raise BadInput for a file, or its variables, of more bytes than allowed."""
+    """Raise BadInput if a file, or the variables in a file, have more than `max_bytes` bytes."""
     if size > max_bytes:
         raise BadInput(
             f"{path}: {size:.3g} bytes; a scene reads at most {max_bytes:.3g}: use atlas points or atlas.label_points"
         )
 
 
-SEPARATORS = ("\t", ";", ",", " ")  # separators of fields in order of precedence; the line of names decides
-INDEX = "index"  # name given to an unnamed first column, the index in files of pandas
-# Longest line (a file that is no table may be a single line) and longest table (a pipe may have no end), in characters.
+SEPARATORS = ("\t", ";", ",", " ")  # The first of these in the line of names separates the fields.
+INDEX = "index"  # name for an unnamed first column, which is the index in files of pandas
+# Largest numbers of characters of a line and of a table. A file that is no table may be a single line, and a pipe may have no end.
 MAX_LINE, MAX_TABLE = 1_000_000, 2**31
-MAX_COMMENTS = 20  # last comments before the first point that are searched for names of columns
+MAX_COMMENTS = 20  # number of comments before the first point that are searched for names of columns
 
 
 class CsvColumns(dict[str, Any]):
-    """Columns of a CSV file by name, with the name of the file and the line (from 1) of each point."""
+    """Columns of a CSV file by name, with the name of the file, and the line of each point counted from 1."""
 
     def __init__(self, columns: dict[str, Any], source: str, lines: array.array[int]):
         super().__init__(columns)
@@ -348,20 +348,20 @@ class CsvColumns(dict[str, Any]):
         self.lines = lines
 
     def location(self, point: int) -> str:
-        """File and line of a point."""
+        """Return the file and line of a point as text."""
         return f"{self.source}, line {self.lines[point]}"
 
 
 def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: float = math.inf) -> CsvColumns:
-    """Columns of a CSV file, nan for empty fields of `numeric` columns; BadInput with file and line.
+    """Return the columns of a CSV file, with nan for empty fields of `numeric` columns. BadInput names file and line.
 
-    The first line, or a comment before it such as numpy.savetxt writes, names the columns.
+    The first line names the columns, or a comment before the first line, as numpy.savetxt writes it.
     """
-    number = size = 0  # number of the last line read; characters read
+    number = size = 0  # number of the last line, and number of characters, that have been read
     comments: deque[str] = deque(maxlen=MAX_COMMENTS)
 
     def content_lines() -> Iterator[str]:
-        """The lines that are neither empty nor comments."""
+        """Yield the lines that are neither empty nor comments."""
         nonlocal number, size
         for line in iter(partial(file.readline, MAX_LINE + 1), ""):
             number, size = number + 1, size + len(line)
@@ -425,19 +425,19 @@ def read_csv(file: TextIO, source: str, numeric: Collection[str], max_fields: fl
 
 
 def _separator(names: str) -> str:
-    """Separator of fields in a line of names."""
+    """Return the separator of fields in a line of names."""
     return next((each for each in SEPARATORS if each in names.strip(" \r\n")), ",")
 
 
 def _rows(lines: Iterable[str], separator: str) -> Iterator[list[str]]:
-    """The fields of each line."""
+    """Yield the fields of each line."""
     if separator == " ":
         lines = (line.strip() + "\n" for line in lines)
     return csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
 
 
 def _names_held(comment: str, first: str, numeric: Collection[str]) -> int:
-    """Number of `numeric` names in a comment, or 0 if the comment has not as many names as the first line of numbers has fields."""
+    """Return the number of `numeric` names in a comment, or 0 unless the comment has as many fields as the line `first`."""
     separator = _separator(comment)
     try:
         names, fields = (next(_rows([line], separator), []) for line in (comment, first))
@@ -455,14 +455,14 @@ def _is_number(text: str) -> bool:
 
 
 def _number(field: str) -> float:
-    """The number in a field, nan if it is empty; ValueError for other texts, also for 1_000, which is a number only in Python."""
+    """Return the number in a field, or nan for an empty field. Texts such as 1_000, a number only in Python, raise ValueError."""
     if "_" in field:
         raise ValueError
     return float(field.strip() or "nan")
 
 
 def _header(source: str, fields: list[str]) -> list[str]:
-    """Names of the columns, all different."""
+    """Return the names of the columns. BadInput unless all names differ."""
     header = [name.strip() for name in fields]
     if not any(header):
         raise BadInput(f"{source}: empty; its first line must name the columns, such as C,theta0,m")
@@ -478,7 +478,7 @@ def _header(source: str, fields: list[str]) -> list[str]:
 
 
 def _numbers_if_possible(texts: list[str]) -> np.ndarray:
-    """Column of numbers if all texts are numbers, else of texts."""
+    """Return a column of numbers if all texts are numbers, otherwise a column of texts."""
     if all(text.isdecimal() and len(text) < 19 for text in texts):
         return np.array([int(text) for text in texts])
     try:

@@ -1,4 +1,4 @@
-"""Text from files or standard input, and the line of a scene that an error message names."""
+"""Reading of text from files or standard input, and error messages with the line of a scene."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import TextIO
 
 from ..errors import BadInput
 
-MAX_CHARACTERS = 6_000_000  # of a scene
-MAX_KEY = 300  # characters of a line that are searched for a key
+MAX_CHARACTERS = 6_000_000  # largest number of characters of a scene
+MAX_KEY = 300  # number of characters of a line that are searched for a key
 _KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")
-# Pattern of a line that TOML's parser cannot read -> a hint.
+# Hints for lines that the TOML parser cannot read, by a pattern of the line.
 _TOML_HINTS = {
     r"^[^\"]*[^\x00-\x7f][^\"]*$": "names are ASCII letters, digits and _",
     r"=\s*(True|False)\b": "true and false have small letters",
@@ -31,9 +31,9 @@ _TOML_POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)
 
 @contextmanager
 def open_text(path: Path | None) -> Iterator[TextIO]:
-    """Open a file in UTF-8, or standard input; BadInput if it cannot be opened or read."""
+    """Open a file in UTF-8, or standard input if `path` is None. BadInput if the file cannot be opened or read."""
     name = path or "standard input"
-    if path is None and sys.__stdin__ is None:  # descriptor 0 may belong to another file
+    if path is None and sys.__stdin__ is None:  # File descriptor 0 may belong to another file.
         raise BadInput(f"{name}: is closed")
     try:
         with open(path or 0, encoding="utf-8-sig", closefd=path is not None) as file:
@@ -49,7 +49,7 @@ def open_text(path: Path | None) -> Iterator[TextIO]:
 
 
 def read_text(path: Path | None) -> str:
-    """Text in UTF-8, cut after MAX_CHARACTERS + 1 because a device may have no end; BadInput if it cannot be read."""
+    """Return at most MAX_CHARACTERS + 1 characters of a text in UTF-8, because a device may have no end."""
     with open_text(path) as file:
         return file.read(MAX_CHARACTERS + 1)
 
@@ -58,11 +58,11 @@ def read_text(path: Path | None) -> str:
 class Source:
     """The file that a scene was read from."""
 
-    path: str  # as the user named it
+    path: str  # the path as given by the user
     text: str
 
     def located(self, error: BadInput) -> BadInput:
-        """The error with file and line in front: the line of the key with which the message begins."""
+        """Return the error with the file in front, and the line of the key with which the message begins."""
         message = str(error)
         if message.startswith(self.path):
             return error
@@ -71,7 +71,7 @@ class Source:
         return self.at_line(line, message)
 
     def of_toml(self, message: str) -> BadInput:
-        """BadInput from a message of the TOML parser, with file and line in front and a hint behind."""
+        """Return a BadInput for a message of the TOML parser, with file and line in front and a hint at the end."""
         position = _TOML_POSITION.search(message)
         line = int(position[1]) if position and position[1] else None
         message = f"not valid TOML: {_TOML_POSITION.sub('', message)}"
@@ -82,12 +82,12 @@ class Source:
         return self.at_line(line, message)
 
     def at_line(self, line: int | None, message: str) -> BadInput:
-        """BadInput with file and line in front; None: the line is unknown."""
+        """Return a BadInput with the file in front, and the line if it is known."""
         return BadInput(f"{self.path}, line {line}: {message}" if line else f"{self.path}: {message}")
 
 
 def line_of(text: str, key: str) -> int | None:
-    """Line (from 1) of a dotted key in a TOML text, else of the innermost table around the key, else None."""
+    """Return the line, counted from 1, of a dotted key in a TOML text, or of the innermost table around the key, or None."""
     lines: dict[str, int] = {}
     table = ""
     for number, whole_line in enumerate(text.splitlines(), 1):
@@ -109,5 +109,5 @@ def line_of(text: str, key: str) -> int | None:
 
 
 def _plain(key: str) -> str:
-    """A dotted key of a TOML text without quotes and blanks."""
+    """Return a dotted key of a TOML text without quotes and blanks."""
     return ".".join(part.strip().strip("\"'") for part in key.split("."))

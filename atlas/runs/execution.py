@@ -41,8 +41,8 @@ def run(
     scene : Scene, str, Path or mapping
         A scene from `load_scene`, or an argument of `load_scene`.
     out : str or Path, optional
-        NAME.nc writes one file and NAME.zarr a Zarr store, also at an address such as s3://BUCKET/NAME.zarr. Extensions may add
-        suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed. A text
+        NAME.nc stands for a file and NAME.zarr for a Zarr store, also at an address such as s3://BUCKET/NAME.zarr. Extensions
+        may add suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed. A text
         that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix names a run folder that is kept. An existing run
         folder is continued.
     threads : int, optional
@@ -63,8 +63,8 @@ def run(
         Seconds after which no new tile begins; tiles that have begun are finished. Needs `out`.
     reuse : str, Path or sequence of str or Path, optional
         Earlier atlases or unfinished run folders, computed by the same programs on the same kind of processor. Points that they
-        share with the scene are not computed again. The result is the same to the bit. The attribute `atlas_history` of the
-        result states how many points come from which atlas.
+        share with the scene are not computed again. The result is the same to the bit as without `reuse`. The attribute
+        `atlas_history` states how many points come from which atlas.
 
     Returns
     -------

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MAX_DAMAGE_WARNINGS = 5
-# A process that waits for the tiles of other processes checks them after pauses that grow from claims.POLL to this many seconds.
+# A process that waits for tiles of other processes looks for them after pauses that grow from claims.POLL to this many seconds.
 MAX_CLAIM_POLL = 10.0
 # What a process needs to compute a tile.
 Source: TypeAlias = "tuple[RunFolder, Tiles, Plan, list[Earlier]]"
@@ -66,7 +66,7 @@ def run_kept(
     if options["shard"] and file:
         raise BadInput(f"shard: {file} is one file; shards need a run folder, a name that ends in /")
     if file is not None and not force and format_of(file).stamp(file) is not None:
-        left = folder_of(file)  # this folder remains if the process was killed while it removed the folder
+        left = folder_of(file)  # may remain if a process was killed while it removed the folder
         if MANIFEST not in place_at(left).names() and not (isinstance(left, Path) and left.exists()):
             raise BadInput(exists_message(file))
         return finished_atlas(ScenePlan.of(scene), file)
@@ -320,7 +320,7 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute missing and damaged tiles and return the sums over the share. Stopped if the time is up before the end."""
+        """Compute missing and damaged tiles and return the sums over all tiles of `share`. Stopped if the time is up before the end."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.share if tile not in written]
         done = sum(size_of(tile) for tile in self.share if tile in written)
@@ -422,7 +422,7 @@ def check_worker(path: str, level: int | None, key: str, reuse: tuple[str, ...] 
 
 
 def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple[str, ...] = ()) -> int:
-    """Compute and write a tile with one thread, as the task of a dask worker. BadInput as raised by `check_worker`."""
+    """Compute and write a tile with one thread, as the task of a dask worker. Raise BadInput as `check_worker` does."""
     source = _open_cached(path, level, key, reuse)
     _compute_tile(source, tile, blocks.Threads(1), "dask workers", Stopwatch().seconds)
     return tile

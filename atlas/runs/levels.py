@@ -3,9 +3,8 @@
     NAME/levels/0003/points.tile    flat indices of the points of level 3 in the finest grid
     NAME/levels/0003/00000012.tile  a tile of level 3
 
-The results of earlier levels determine the points of a level. A continued run therefore has the same levels, and so have all
-processes that share a run. Every tile of a level contains the key of the level, which is a hash of the run, the points and the
-key of the previous level.
+The results of earlier levels determine the points of a level, so that a continued run has the same levels. Every tile contains the
+key of the level, which is a hash of the run, the points and the key of the previous level.
 """
 
 from __future__ import annotations

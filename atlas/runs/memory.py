@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # An atlas of this many points may not fit into memory.
-# Seconds for a point and for a step on a slow processor with costly equations. The duration of a run is measured beforehand
-# only if these rates predict more than LONG seconds.
+# Seconds for a point and for a step on a slow processor. The time of a run is measured beforehand if these predict more than LONG.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes the number of points finished since the last call

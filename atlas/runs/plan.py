@@ -132,7 +132,7 @@ class ScenePlan:
         return tiling.Tiling.of(self.scene.shape, most)
 
     def tiles_in_flight(self, threads: int | None) -> int:
-        """Return the number of tiles that are computed at the same time. Small tiles need more than two to busy all threads."""
+        """Return the number of tiles that are computed at the same time. Small tiles need more than two to keep threads busy."""
         threads = threads or blocks.available_threads()
         if threads == 1:
             return 1

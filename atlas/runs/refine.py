@@ -49,7 +49,7 @@ MAX_BOX_POINTS = 2**20
 def refined(
     integrate: Integrate, plan: ScenePlan, folder: Path | None, threads: Threads, *, progress: bool
 ) -> tuple[FineGrid, dict[str, Any]]:
-    """Return the finest grid of a scene with [refine], and attributes of the atlas. The arguments are those of `FineGrid`."""
+    """Return the finest grid of a scene with [refine], and attributes. If there is a folder, measured numbers are left out."""
     scene = plan.scene
     assert scene.refine is not None
     fine = FineGrid(plan, integrate, folder)
@@ -61,10 +61,7 @@ def refined(
 
 
 class FineGrid:
-    """The finest grid of a scene, with predictions at every point, and flags that are measured or copied from neighbours.
-
-    If a folder is given, the arrays are in files there, and measured numbers are left out.
-    """
+    """The finest grid of a scene, with predictions and flags at every point. Flags are measured or copied from neighbours."""
 
     def __init__(self, plan: ScenePlan, integrate: Integrate, folder: Path | None):
         self.scene, self.plan, self.integrate = plan.scene, plan.runs, integrate
@@ -108,8 +105,8 @@ class FineGrid:
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
             # Growth is the growth rate times the duration. A nudged unstable point does not drift if the unstable component of the
-            # nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the nudge. This happens at a fraction f at most
-            # of the points. At growth `needed`, f times the size of the grid is EXPECTED_MISSES. Without a nudge no point drifts.
+            # nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the nudge. This happens at a fraction f of the
+            # points at most. At growth `needed`, f times the size of the grid is EXPECTED_MISSES. Without a nudge no point drifts.
             nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
             with np.errstate(divide="ignore"):
                 needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)
@@ -210,10 +207,7 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Return the number of points that `refined` is expected to integrate.
-
-    The refinement is simulated on a coarser grid with predicted instead of measured flags, and the count is scaled up.
-    """
+    """Return the number of points that `refined` is expected to integrate, by a simulation with predicted flags on a coarser grid."""
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)

@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene. BadInput if the path holds something else. Waits call `check`, which may raise."""
+        """Create or open the run of a scene. BadInput if the path holds something else. While waiting, call `check`."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):

@@ -1,4 +1,4 @@
-"""JSON Schema of scenes for editors, from the registries of parameters, families, methods and variables."""
+"""JSON Schema of scenes for editors, made from the registries of parameters, families, methods and variables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Schema = dict[str, Any]
 
 
 def scene_schema() -> Schema:
-    """JSON Schema (draft 2020-12) of scene files; dependencies between keys are left to `load_scene`."""
+    """Return the JSON Schema (draft 2020-12) of scene files. `load_scene` alone checks dependencies between keys."""
     systems = list(all_systems.available().values())
     integration = checks.table_schema(checks.keys_of(Settings, "integration"))
     integration["properties"]["duration"] = {
@@ -92,13 +92,13 @@ def scene_schema() -> Schema:
 
 
 def _table_of(description: str, values: Schema) -> Schema:
-    """Schema of a table whose keys are names chosen by the user."""
+    """Return the schema of a table whose keys are names chosen by the user."""
     names = {"propertyNames": {"pattern": NAME, "maxLength": checks.MAX_NAME}}
     return TABLE | names | {"description": description, "additionalProperties": values}
 
 
 def _without(*keys: str) -> Schema:
-    """Schema of a table without these keys."""
+    """Return the schema of a table without the given keys."""
     return {"not": {"anyOf": [{"required": [key]} for key in keys]}}
 
 
@@ -119,7 +119,7 @@ POINTS: Schema = checks.table_schema(points.KEYS, needed=False) | {
 
 
 def _properties_of(system: System) -> Schema:
-    """Schemas of the tables that contain parameters, families or variables of a system."""
+    """Return the schemas of the tables that contain parameters, families or variables of a system."""
     fixed, axes, ties, nudge, families = {}, {}, {}, {}, []
     for name, parameter in system.parameters.items():
         description, limits = {"description": f"{parameter.meaning} ({parameter.unit})"}, {}

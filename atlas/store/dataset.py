@@ -1,4 +1,4 @@
-"""The atlas as a Dataset: its variables, its parameters, and its provenance in attributes."""
+"""The atlas as a Dataset of variables and parameters, with the provenance in attributes."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from ..scene.model import About, Duration, Scene, Settings
 from ..systems.base import System, extensions_of
 from ..variables import COMPUTED, data_variables, is_measured
 
-# Attributes of an atlas
+# Names of attributes of an atlas.
 HISTORY = "atlas_history"  # numbers of points taken from each earlier atlas
-HASH = "atlas_sha256"  # hash of the content of a finished atlas, written last
+HASH = "atlas_sha256"  # hash of the content of a finished atlas, which is written last
 VERSION = "atlas_version"
-TRANSIENT = "atlas_transient"  # the transient, absent if there is none
+TRANSIENT = "atlas_transient"  # missing if there is no transient
 EARLIER_HASHES = {"atlas_seal", "atlas_checksum", "atlas_chunks"}  # attributes of stores of version 0.1.0
-# A parameter with more values is a dask array, computed chunk by chunk on use.
+# A parameter with more values than this is a dask array, computed chunk by chunk on use.
 MAX_EAGER_VALUES = 4_000_000
 Box: TypeAlias = tuple[slice, ...]
-# A box of the grid, and the values of variables in it by name.
+# A box of the grid, and the values of the variables in the box by name.
 Block: TypeAlias = tuple[Box, Mapping[str, np.ndarray]]
 
 
 def dims(scene: Scene) -> tuple[str, ...]:
-    """Names of the dimensions of a scene's atlas."""
+    """Return the names of the dimensions of the atlas of a scene."""
     return tuple(axis.dim for axis in scene.axes.values())
 
 
 def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | None = None) -> xr.Dataset:
-    """The atlas of a scene from its outputs and solved parameters; with `chunks`, large parameters become dask arrays."""
+    """Return the atlas of a scene, made of outputs and solved parameters. With `chunks`, large parameters are dask arrays."""
     dimensions, system = dims(scene), scene.system
     variables, coordinates = dict[str, Any](), dict[str, Any]()
     for name in (*scene.outputs, *({COMPUTED.name} & columns.keys())):
@@ -66,7 +66,7 @@ def dataset(scene: Scene, columns: Mapping[str, Any], chunks: Sequence[int] | No
 
 
 def variable_attributes(system: System, name: str, present: Collection[str]) -> dict[str, object]:
-    """Attributes of a data variable; a label refers to status and error if these are among the `present` variables."""
+    """Return the attributes of a data variable. A label names the variables status and error_estimate if they are `present`."""
     attributes = data_variables(system)[name].attributes()
     if name.startswith("label"):
         ancillary = [other for other in ("status", "error_estimate") if other in present]
@@ -75,7 +75,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """long_name and units of a parameter or of its offset; of an axis that is no parameter, the name of the axis and 1."""
+    """Return long_name and units of a parameter, or of an offset. An axis that is no parameter has its name and units 1."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -86,8 +86,8 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
 def with_parameters(
     ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
 ) -> xr.Dataset:
-    """A dataset with the parameters of a system as coordinates; BadInput if an index of the same name has other values."""
-    coordinates = dict[str, Any]()  # assigned at once, because each assignment copies the dataset
+    """Add the parameters of a system to a dataset as coordinates. BadInput if an index of the same name has other values."""
+    coordinates = dict[str, Any]()  # All are assigned together, because each assignment copies the dataset.
     for name, parameter in system.parameters.items():
         if name in leave_out:
             continue
@@ -102,7 +102,7 @@ def with_parameters(
         elif array.chunks is not None or not np.isnan(array).all():
             coordinates[name] = array.dims, array.data, attributes
     ds = ds.assign_coords(coordinates)
-    # A dimension without coordinate gets the values of its only array, if this array is in memory.
+    # If a single parameter lies along a dimension without coordinate, and is in memory, its values become the coordinate.
     for dim in [dim for dim in ds.sizes if dim != "point" and dim not in ds.coords]:
         match [ds[name] for name, array in arrays.items() if dim in array.dims and name in ds.coords]:
             case [array] if array.ndim == 1 and array.chunks is None and array.to_index().is_unique:
@@ -113,7 +113,7 @@ def with_parameters(
 
 
 def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None) -> tuple[list[int], Any]:
-    """Indices of the axes on which a fixed or tied parameter depends, and its values along these axes; chunks: see `dataset`."""
+    """Return the indices of the axes on which a fixed or tied parameter depends, and the values along these axes."""
     names, pending = {name}, {name}
     while pending:
         sources = set[str]().union(*(scene.ties[each].names for each in pending & scene.ties.keys()))
@@ -121,7 +121,7 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     axes = [i for i, axis in enumerate(scene.axes) if axis in names - scene.ties.keys()]
 
     def evaluate(indices: Sequence[np.ndarray]) -> np.ndarray:
-        """Values at the given indices along the axes, at the first value of each other axis."""
+        """Return the values at the given indices along the axes, and at the first value of each other axis."""
         all_indices = [np.zeros(1, np.int64)] * len(scene.shape)
         for i, index in zip(axes, indices, strict=True):
             all_indices[i] = index
@@ -136,21 +136,21 @@ def _parameter_along_axes(scene: Scene, name: str, chunks: Sequence[int] | None)
     lengths = da.core.normalize_chunks([chunks[i] for i in axes], shape)
     edges = [np.cumsum([0, *along]) for along in lengths]
 
-    def chunk(block_id: Any = None) -> np.ndarray:  # not block_info, made for all blocks at once
+    def chunk(block_id: Any = None) -> np.ndarray:  # block_info would be made for all blocks at once
         return evaluate([np.arange(*e[i : i + 2]) for e, i in zip(edges, block_id, strict=True)])
 
     return axes, da.map_blocks(chunk, chunks=lengths, dtype=float, meta=np.empty([0] * len(shape)))
 
 
 def without_fill_values(ds: xr.Dataset) -> xr.Dataset:
-    """The same dataset, changed so that `to_netcdf` writes its coordinates without _FillValue, as CF demands."""
+    """Change a dataset so that `to_netcdf` writes coordinates without _FillValue, as CF demands, and return the dataset."""
     for name in ds.coords:
         ds.variables[name].encoding["_FillValue"] = None
     return ds
 
 
 def classic(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Attributes that classic NetCDF and R can read: integers of 32 bits, or floats where an integer is larger."""
+    """Return attributes that classic NetCDF and R can read, with integers of 32 bits, and floats for larger integers."""
     values = {name: np.asarray(value) for name, value in attributes.items()}
     large = {name: value for name, value in values.items() if value.dtype == np.int64}
     kinds = {name: np.int32 if (abs(v) < 2**31).all() else np.float64 for name, v in large.items()}
@@ -158,13 +158,13 @@ def classic(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def log_warnings(warnings: list[str]) -> None:
-    """Log warnings about the input under the name "atlas"."""
+    """Log warnings about the input with the logger "atlas"."""
     for warning in warnings:
         logging.getLogger("atlas").warning(warning)
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """The attribute HISTORY; reused: earlier atlas -> number of points taken from it; no attribute if `reused` is empty."""
+    """Return the attribute HISTORY, or no attribute if `reused`, the number of points taken from each atlas, is empty."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
 
@@ -173,9 +173,9 @@ def provenance(
     system: System, settings: Settings, kernel_hash: str, *, warnings: list[str], timing: tuple[int, float] | None = None,
     title: str = "", outputs: Sequence[str] = (), scene: Scene | None = None, transient: Duration | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Attributes, by CF, by ACDD-1.3 and of this package, for the atlas of a scene or of points with a title and outputs.
+    """Return the attributes of CF, of ACDD-1.3 and of this package for the atlas of a scene, or of points with title and outputs.
 
-    timing: number of points and wall-clock time in seconds, if known.
+    `timing` is the number of points and the wall-clock time in seconds, if known.
     """
     from ..kernel.machine_code import cpu
 

@@ -1,4 +1,4 @@
-"""Atlases joined along a new dimension of names; each part keeps its attributes and so its scene."""
+"""Atlases joined along a new dimension of names. The attributes of each part, and thereby the scenes, are kept."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from ..scene.checks import typed
 from ..variables import POINT
 from .dataset import VERSION, without_fill_values
 
-PARTS = "atlas_parts"  # attribute, in JSON: {dimension: {name: attributes of this part}}
+PARTS = "atlas_parts"  # attribute with the JSON text {dimension: {name: attributes of the part}}
 COMMON = ("Conventions", "atlas_system", "atlas_system_package", "atlas_system_code", VERSION)
 
 
 @typed
 def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
-    """Join atlases along a new dimension of names; each keeps its scene.
+    """Join atlases along a new dimension of names, and keep the scene of each atlas.
 
-    `xarray.concat` keeps only the first scene, so that motions and theory of the other atlases are refused.
+    `xarray.concat` would keep only the first scene, and refuse motions and theory of the other atlases.
 
     Parameters
     ----------
     parts : mapping of str to Dataset
-        Name -> atlas. All have the same system, axes, variables and version of the program; scenes, and with them parameters,
-        families, nudges and durations, may differ.
+        Atlases by name. All have the same system, axes, variables and version of the program. Scenes may differ in parameters,
+        families, nudges and durations.
     dim : str
-        Name of the new dimension; its coordinate is the names of the parts.
+        Name of the new dimension. The coordinate contains the names of the parts.
 
     Returns
     -------
     xarray.Dataset
-        With the new dimension first. Parts that were opened lazily stay lazy. A part, such as ``joined.sel(kind="r")``, has all
-        methods of `ds.atlas`; the joined dataset has those that need no scene, such as `fractions` and `select`, and can be
-        written and opened like an atlas.
+        The joined dataset, with the new dimension first. Parts that were opened lazily stay lazy. A part, such as
+        ``joined.sel(kind="r")``, has all methods of `ds.atlas`. The joined dataset only has methods that need no scene, such as
+        `fractions` and `select`, and can be written and opened like an atlas.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
             raise BadInput(f"parts: {next(iter(parts))} and {name} cannot be joined: {difference}")
         for key, variable in ds.variables.items():
             if key not in ds.xindexes and not variable._in_memory:
-                ds[key] = variable.chunk()  # xarray would load an array that is not a dask array
+                ds[key] = variable.chunk()  # `xr.concat` loads arrays that are not dask arrays
     if not datasets:
         raise BadInput("parts: must have at least one atlas")
     first = datasets[0]
@@ -78,7 +78,7 @@ def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
 
 
 def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
-    """Reason why two atlases cannot be joined, empty if they can."""
+    """Return the reason why two atlases cannot be joined, or an empty text if they can be joined."""
     for key in COMMON:
         if (values := [each.attrs.get(key) for each in (first, ds)])[0] != values[1]:
             return f"{key} is {' and '.join(map(shown, values))}"
@@ -95,7 +95,7 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
 
 
 def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
-    """A part of joined atlases with its own attributes, any other dataset unchanged; BadInput for joined atlases if a part is needed."""
+    """Return a part of joined atlases with the attributes of the part, or another dataset as it is. `needed` demands a single scene."""
     if PARTS not in ds.attrs:
         return ds
     try:
@@ -116,9 +116,9 @@ def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
 
 
 def subject_of(ds: xr.Dataset) -> xr.Dataset:
-    """The dataset that methods of `ds.atlas` use: `ds`, a part of joined atlases as `part_of`, or points renamed to "point"."""
+    """Return the dataset for methods of `ds.atlas`, with the attributes of a part and the dimension "point" for points."""
     ds = part_of(ds)
     dims = [dim for dim in ds.dims if dim not in ds.coords or ds[dim].dtype.kind not in "iuf"]
     if len(dims) == len(ds.dims) == 1 and {*dims, *ds.variables, *ds.attrs}.isdisjoint({POINT, PARTS}):
-        return ds.rename({dims[0]: POINT})  # a list of points under another name
+        return ds.rename({dims[0]: POINT})  # a list of points whose dimension has another name
     return ds

@@ -1,7 +1,7 @@
-"""The finished atlas as a NetCDF file, with one hash of its content.
+"""The finished atlas as a NetCDF file, with a hash of the content.
 
-Any program that reads the file compares the Fletcher checksums of chunks and headers; index tables of chunks, and scalars, have no
-checksum. `verify` compares the attribute HASH, written last: a hash of dimensions, attributes and values (in C order) as read back.
+Any program that reads the file compares the Fletcher checksums of chunks and headers. Index tables of chunks, and scalars, have no
+checksum. `verify` compares the attribute HASH, a hash of the dimensions, attributes and values that are read back after writing.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from .finished import Content, Format, suffixes
 from .tiling import Tiling
 
 COMPRESSION: dict[str, Any] = {"zlib": True, "complevel": 4, "shuffle": True, "fletcher32": True}
-ROW_VALUES = 1 << 16  # values read at a time from a variable without chunks
-MAX_ROW_VALUES = 1 << 23  # largest number of values in a row of chunks that is read at once
-# The libraries below netCDF4 are not thread-safe; xarray reads under the same lock.
+ROW_VALUES = 1 << 16  # number of values that are read together from a variable without chunks
+MAX_ROW_VALUES = 1 << 23  # largest number of values in a row of chunks that is read as a whole
+# The libraries below netCDF4 are not thread-safe. Xarray reads under the same lock.
 NETCDF_LOCK = combine_locks([NETCDFC_LOCK, HDF5_LOCK])
 
 
 def write(ds: xr.Dataset, path: Path) -> None:
-    """Write a Dataset as one compressed NetCDF file, which appears whole or not at all."""
+    """Write a Dataset as a compressed NetCDF file, which appears whole or not at all."""
     floats = {name for name, variable in ds.data_vars.items() if variable.dtype.kind == "f"}
     encoding: dict[str, dict[str, Any]] = {
         str(name): {"_FillValue": np.nan if name in floats else None} | (COMPRESSION if variable.ndim else {})
@@ -50,7 +50,7 @@ def write(ds: xr.Dataset, path: Path) -> None:
 
 @contextmanager
 def _file_with_hash(path: Path) -> Iterator[Path]:
-    """Temporary path of a file, which then gets its hash and appears at `path`, whole or not at all."""
+    """Yield the temporary path of a file. When the context is closed, the file gets a hash and is moved to `path`."""
     with atomic_write(path) as temporary:
         try:
             yield temporary
@@ -61,13 +61,13 @@ def _file_with_hash(path: Path) -> Iterator[Path]:
 
 
 def _limit_cache(variable: netCDF4.Variable[Any]) -> None:
-    """Cache two chunks of a variable: each is used once, and by default the library caches up to 64 MB for every variable."""
+    """Limit the cache of a variable to two chunks, because each chunk is used once and the default is 64 MB for a variable."""
     if isinstance(chunks := variable.chunking(), list):
         variable.set_var_chunk_cache(size=16 * math.prod(chunks))
 
 
 def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
-    """Hash of the dimensions, attributes (except HASH) and variables of a file, with values in C order or chunk by chunk."""
+    """Return the hash of the dimensions, attributes except HASH, and variables of a file, in C order or chunk by chunk."""
     digest = hashlib.sha256()
 
     def add(*facts: Any) -> None:
@@ -82,12 +82,12 @@ def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
         blocks = Tiling.of(shape, ROW_VALUES)
         if isinstance(chunks, list):
             lengths = [max(min(pair), 1) for pair in zip(chunks, shape, strict=True)]
-            if not by_chunks:  # read a whole row of chunks, which is one range of the C order
+            if not by_chunks:  # A whole row of chunks is a range of the C order.
                 first = next((i for i, length in enumerate(lengths) if length > 1), len(shape) - 1)
                 lengths[first + 1 :] = (max(n, 1) for n in shape[first + 1 :])
             if by_chunks or math.prod(lengths) <= MAX_ROW_VALUES:
                 blocks = Tiling(shape, tuple(lengths))
-            else:  # a row too large for memory: chunks are read again for each block of MAX_ROW_VALUES
+            else:  # The row is too large for memory. Chunks are read again for each block of MAX_ROW_VALUES.
                 blocks = Tiling.of(shape, MAX_ROW_VALUES)
         _limit_cache(variable)
         for box in blocks:
@@ -100,23 +100,23 @@ def _hash(file: netCDF4.Dataset, *, by_chunks: bool = False) -> str:
 
 
 def _attributes(owner: Any) -> dict[str, Any]:
-    """Attributes of a file or variable except HASH, as lists of kind, size and exact value."""
+    """Return the attributes of a file or variable except HASH, as lists of kind, size and exact value."""
     values = {name: np.asarray(owner.getncattr(name)) for name in owner.ncattrs() if name != HASH}
     return {name: [v.dtype.kind, v.dtype.itemsize, repr(v.tolist())] for name, v in values.items()}
 
 
 class _Store(xr.backends.NetCDF4DataStore):
-    """A NetCDF file for xarray that raises BadInput where the library finds damage."""
+    """A NetCDF file for xarray that raises BadInput if the library finds damage."""
 
     def open_store_variable(self, name: str, var: Any) -> xr.Variable:
-        """Variable of the file, read through `_Array`."""
+        """Return a variable of the file, whose values are read through `_Array`."""
         variable = super().open_store_variable(name, var)
         _limit_cache(var)
         return variable.copy(deep=False, data=indexing.LazilyIndexedArray(_Array(name, self)))
 
 
 class _Array(NetCDF4ArrayWrapper):
-    """A variable that raises BadInput where it cannot be read."""
+    """A variable that raises BadInput if values cannot be read."""
 
     def _getitem(self, key: Any) -> Any:
         try:
@@ -160,20 +160,20 @@ class NetCDF(Format):
             file.setncatts(classic(content.attributes()))
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open a file lazily; BadInput if it cannot be read, or if it claims more than it can hold."""
+        """Open a file lazily. BadInput if the file cannot be read, or claims more values than the file can hold."""
         try:
             hdf5.check_contained(path)
             with ExitStack() as stack:
                 store = _Store.open(str(path))
                 stack.callback(store.close)
-                file = store.ds  # acquires NETCDF_LOCK itself
+                file = store.ds  # xarray acquires NETCDF_LOCK here
                 with NETCDF_LOCK:
                     variables = [v for g in (file, *file.groups.values()) for v in g.variables.values()]
                     claimed = (math.prod(v.shape) * getattr(v.dtype, "itemsize", 8) for v in variables)
                     check_claim(sum(claimed), Path(path).stat().st_size)
                 ds = xr.open_dataset(store, chunks=None)
                 stack.pop_all()
-        except Exception as error:  # reading a damaged file may raise any error
+        except Exception as error:  # A damaged file may raise any error.
             raise hdf5.unreadable(path, error) from None
         ds.encoding["source"] = str(path)
         ds.attrs.pop(HASH, None)
@@ -186,7 +186,7 @@ class NetCDF(Format):
                 expected = file.__dict__.get(HASH)
                 # Earlier versions hashed values in the order of the chunks.
                 is_sound = expected is None or expected in (_hash(file, by_chunks=c) for c in (False, True))
-        except Exception as error:  # reading a damaged file may raise any error
+        except Exception as error:  # A damaged file may raise any error.
             raise hdf5.unreadable(path, error, "damaged") from None
         if expected is None:
             raise BadInput(f"{path}: has no hash: another program or an earlier version wrote it")

@@ -1,6 +1,6 @@
-"""Places of runs and atlases: contents by name in a folder of the file system, or below an address of an object store.
+"""Places of runs and atlases. A place is a folder, or an address of an object store, and holds contents by name.
 
-Both have the same methods. A content appears whole or not at all. `create` never replaces a content, as claims require.
+Folders and object stores have the same methods. A content is the bytes of a file or object, and appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ..errors import BadInput, one_line
 from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
-# Seconds: limit of a request without an answer, first and longest pause between attempts, delay of the warning.
+# A request without an answer is given up after PATIENCE seconds, with a warning after QUIET. Pauses in seconds separate attempts.
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
-# Final answers of a server, which another attempt would not change.
+# Answers of a server that another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
-CLOCK = "clock"  # empty content, written to read the clock of the storage
+CLOCK = "clock"  # name of an empty content that is written to read the clock of the storage
 
 
 def located(path: str | Path) -> Path | str:
-    """An absolute path, or the unchanged address of an object store."""
+    """Return an absolute path, or the address of an object store without a final /."""
     text = str(path)
     if text.startswith("file://"):
         path = unquote(text.removeprefix("file://"))
@@ -40,22 +40,22 @@ def located(path: str | Path) -> Path | str:
 
 
 def place_at(path: Path | str) -> Place:
-    """The place at a path or address (a result of `located`)."""
+    """Return the place at a path or address from `located`."""
     return Folder(path) if isinstance(path, Path) else Objects(path)
 
 
 class Folder:
-    """Contents in the files of a folder."""
+    """A place whose contents are the files of a folder."""
 
     def __init__(self, path: Path):
         self.path = path
 
     def inside(self, name: str) -> Folder:
-        """The place inside this one with the given name."""
+        """Return the place with the given name inside this place."""
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """A content; FileNotFoundError if it is missing, ValueError if it is longer than allowed or no regular file."""
+        """Return a content. FileNotFoundError for a missing file, ValueError for a file of over `most` bytes or no regular file."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:
@@ -64,14 +64,14 @@ class Folder:
             temporary.write_bytes(content)
 
     def create(self, name: str, content: bytes) -> bool:
-        """Write a content unless the name exists, and return whether it was written."""
+        """Write a content unless the name exists, and return whether the content was written. Claims rely on this."""
         path = self._file(name)
         try:
             with atomic_write(path, durable=False, new=True) as temporary:
                 temporary.write_bytes(content)
         except FileExistsError:
             return False
-        except OSError:  # a file system without hard links; a kill may leave an empty file there
+        except OSError:  # The file system has no hard links. A killed process may leave an empty file.
             with suppress(FileExistsError), path.open("xb", buffering=0) as file:
                 try:
                     file.write(content)
@@ -83,7 +83,7 @@ class Folder:
         return True
 
     def _file(self, name: str) -> Path:
-        """Path of a content. Its folder is made, but not the folder of the place: another process may have removed the place."""
+        """Return the path of a content and make the parent folder, unless another process has removed the whole place."""
         path = self.path / name
         if not path.parent.is_dir() and self.path.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,40 +94,40 @@ class Folder:
         self.path.mkdir(exist_ok=True)
 
     def names(self, folder: str = "") -> list[str]:
-        """Names in a folder."""
+        """Return the names in a folder, or no names if there is no folder."""
         with suppress(FileNotFoundError, NotADirectoryError):
             return os.listdir(self.path / folder)
         return []
 
     def walk(self) -> list[str]:
-        """Names of all contents, also in folders inside."""
+        """Return the names of all contents, including those in folders inside."""
         start = len(str(self.path)) + 1
         return [f"{where}/{name}"[start:] for where, _, names in os.walk(self.path) for name in names]
 
     def remove(self, name: str) -> None:
-        """Remove a content, if there is one."""
+        """Remove a content, if it exists."""
         (self.path / name).unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Remove everything in one move, so that a process at work cannot leave anything behind."""
+        """Remove all contents in one move, so that a process at work cannot leave any behind."""
         removed = temporary_path(self.path)
         with suppress(FileNotFoundError):
             os.rename(self.path, removed)
             shutil.rmtree(removed, ignore_errors=True)
 
     def stamp(self, name: str) -> object:
-        """A value that changes when a content is replaced; None if it is missing."""
-        with suppress(OSError):  # raised also for a path that is too long
+        """Return a value that changes when a content is replaced, or None if the content is missing."""
+        with suppress(OSError):  # A path that is too long also raises OSError.
             status = os.stat(self.path / name)
             return status.st_ino, status.st_mtime_ns
         return None
 
     def age(self, name: str) -> float:
-        """Seconds since a content was written, by the clock of the storage."""
+        """Return the seconds since a content was written, by the clock of the storage."""
         return age(self.path / name)
 
     def remove_leftovers(self) -> None:
-        """Remove temporary files of processes that were killed, also in folders inside."""
+        """Remove temporary files of killed processes, here and in folders inside."""
         for folder, _, _ in os.walk(self.path):
             remove_leftovers(Path(folder))
 
@@ -137,7 +137,7 @@ class Folder:
 
 @lru_cache
 def _store(address: str) -> Any:
-    """The object store at an address, made once in each process; without retries, because `Objects._answer` repeats requests."""
+    """Return the object store at an address. The store makes no retries, because `Objects._answer` repeats requests."""
     try:
         from obstore.store import MemoryStore, from_url
     except ImportError:
@@ -146,12 +146,12 @@ def _store(address: str) -> Any:
         if address.startswith("memory://"):
             return MemoryStore()
         return from_url(address, retry_config={"max_retries": 0})
-    except Exception as error:  # obstore raises several types of errors
+    except Exception as error:  # The package obstore raises several types of errors.
         raise BadInput(f"{address}: no address of an object store ({one_line(error)})") from None
 
 
 class Objects:
-    """Contents in the objects of a store, with the methods of `Folder`."""
+    """A place whose contents are objects of a store, with the methods of `Folder`."""
 
     def __init__(self, address: str, prefix: str = ""):
         self.address, self.prefix, self.store = address, prefix, _store(address)
@@ -192,7 +192,7 @@ class Objects:
             self._answer("delete", name)
 
     def clear(self, *, but: str = "") -> None:
-        """Remove all contents but the one with the name `but`."""
+        """Remove all contents except the content with the name `but`."""
         if names := [self.prefix + name for name in self.walk() if name != but]:
             self._answer(lambda path, obstore: obstore.delete(self.store, names))
 
@@ -215,7 +215,7 @@ class Objects:
         return float((now - written).total_seconds())
 
     def remove_leftovers(self) -> None:
-        pass  # an unfinished put leaves no object
+        pass  # An unfinished put leaves no object.
 
     def __str__(self) -> str:
         return f"{self.address}/{self.prefix}".rstrip("/")
@@ -223,7 +223,7 @@ class Objects:
     def _answer(
         self, request: str | Callable[[str, Any], Any], name: str = "", *arguments: Any, **options: Any
     ) -> Any:
-        """Result of a function of obstore, repeated while the store does not answer; may raise OSError, such as FileNotFoundError."""
+        """Call a function of obstore, again while the store does not answer, and return the result. Failures raise OSError."""
         import obstore
 
         path, began, pause, warned = self.prefix + name, time.monotonic(), FIRST_PAUSE, False

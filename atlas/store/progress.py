@@ -1,4 +1,4 @@
-"""Progress of a run: a live line on a terminal, plain lines elsewhere, and a JSON file."""
+"""The progress of a run, shown by a live line on a terminal, by plain lines elsewhere, and by a JSON file."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from ..files import is_recent
 from ..kernel import compiling
 from ..process import is_running, process_name
 
-# Seconds between two plain lines, between two updates of the live line, between two writes of the file.
+# Seconds between two plain lines, between two updates of the live line, and between two writes of the file.
 PLAIN_INTERVAL = 10.0
 LIVE_INTERVAL = 0.2
 FILE_INTERVAL = 2.0
-# Seconds without a write after which a process on another machine counts as dead.
+# A process on another machine counts as dead if it has written no progress for this many seconds.
 SILENCE = 600.0
-# Fraction of the points, or seconds of computing, after which the time left is shown.
+# The time left is shown after this fraction of the points, or after this many seconds of computing.
 KNOWN_SHARE, KNOWN_TIME = 0.05, 60.0
 AT_WORK, ENDED = "at work", "ended"
 
 
 @dataclass(eq=False)
 class Progress:
-    """Counter of finished points of all threads, with points per second and time left; compilation of kernels does not count."""
+    """A counter of the points that all threads have finished. The time for compilation of kernels does not reduce the speed."""
 
     points: int
     _: KW_ONLY
     show: bool = True
-    save: Callable[[bytes], object] | None = None  # gets JSON for users; no computation reads it
+    save: Callable[[bytes], object] | None = None  # writes JSON for users, which no computation reads
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -47,17 +47,17 @@ class Progress:
         self._save(running=True)
 
     def add(self, points: int, done: int) -> None:
-        """Add points, some of them already done."""
+        """Add points to the total. The number `done` of them is finished already."""
         self.points += points
         self.skip(done)
         self._save(running=True)
 
     def advance(self, points: float) -> None:
-        """Add finished points, also fractions: a tile reports after each block of its points."""
+        """Count points as finished. The number may be a fraction, because a tile reports each block of the work."""
         with self._lock:
             self._done = min(
                 self._done + float(points), self.points
-            )  # float, because studies give numbers of NumPy
+            )  # Studies give numbers of NumPy, which `float` converts.
             now = time.perf_counter()
             if self.show and now - self._last_print >= (LIVE_INTERVAL if self.live else PLAIN_INTERVAL):
                 self._last_print = now
@@ -74,13 +74,13 @@ class Progress:
                 self._save(running=True)
 
     def skip(self, points: float) -> None:
-        """Add points that were not computed here; they do not count for the speed."""
+        """Count points as finished that were not computed here, and leave them out of the speed."""
         with self._lock:
             self._done_at_no_cost += points
             self._done += points
 
     def close(self) -> None:
-        """Clear the live line and mark the process as ended in the file."""
+        """Clear the live line, and save in the file that the process has ended."""
         if self.show:
             compiling.announce(-1)
             if self.live:
@@ -90,7 +90,7 @@ class Progress:
         self.show, self.save = False, None
 
     def _speed(self) -> tuple[float, float]:
-        """Points per second, and seconds left."""
+        """Return the points per second, and the seconds left."""
         speed = (self._done - self._done_at_no_cost) / max(self.stopwatch.seconds(), 1e-9)
         return speed, (self.points - self._done) / speed if speed > 0 else 0.0
 
@@ -102,13 +102,13 @@ class Progress:
             **self.facts, "points": self.points, "done": done, "points_per_second": speed, "seconds_left": seconds_left,
             "running": running, "process": process_name(), "written": f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         }  # fmt: skip
-        # On a full disk writing a tile fails with a better message.
+        # If the disk is full, writing a tile fails with a better message.
         with suppress(OSError):
             self.save(json.dumps(content, indent=1).encode())
 
 
 def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
-    """AT_WORK, or why the writer of a progress file ended; if the writer is on another machine, the age of the file decides."""
+    """Return AT_WORK, or how the writer of a progress file ended. The age of the file decides for a writer on another machine."""
     if not content["running"]:
         return ENDED
     running = is_running(str(content["process"]))
@@ -118,6 +118,6 @@ def state(content: Mapping[str, Any], age: Callable[[], float]) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Seconds as 1:02:03 or 2:03; at most about 30 years."""
+    """Return seconds as a text such as 1:02:03 or 2:03. Longer times than about 30 years are cut."""
     minutes, rest = divmod(round(min(seconds, 1e9)), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"

@@ -1,4 +1,4 @@
-"""Counts and largest values for the summary of a run, collected tile by tile."""
+"""Counts and largest values for the summary of a run, which are collected tile by tile."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import numpy as np
 from ..flags import LABELS, Label, Stability
 
 COUNTED = (*LABELS, "regularity", "status", "agreement", "computed")
-# Groups of points with separate histograms of errors: drifting motions amplify errors, steady ones do not.
+# These groups of labels have separate histograms of errors, because drifting motions amplify errors and steady motions do not.
 GROUPS = {"steady": (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION), "drifting": (Label.DRIFTING,)}
-# Histogram of errors: BINS of a quarter of a decade each, from 1e-20 on.
+# A histogram of errors has BINS bins, each a quarter of a decade wide, from 1e-20 on.
 BINS_PER_DECADE, LOWEST_DECADE, BINS = 4, -20, 161
 
 
 class Tally:
-    """Counts of flags and of errors, and largest values."""
+    """Counts of flags, histograms of errors, and largest values."""
 
     def __init__(self) -> None:
-        # counts: number of points for each flag of a variable, and for each bin of errors of a group in GROUPS; largest: the largest
-        # error of each group, of "unstable" motions (by theory) and of "others", and the largest integral_drift.
+        # `counts` has the number of points for each flag of a variable, and for each bin of errors of a group in GROUPS. `largest`
+        # has the largest error of each group, of motions "unstable" by theory and of "others", and the largest integral_drift.
         self.counts, self.largest = defaultdict[str, Counter[str]](Counter), dict[str, float]()
 
     @classmethod
     def of(cls, columns: Mapping[str, np.ndarray]) -> Tally:
-        """Tally of points by their variables, arrays of one shape."""
+        """Return the tally of points from columns of variables, which are arrays of equal shape."""
         tally = cls()
         counted = {name: columns[name] for name in COUNTED if name in columns}
         if "error_estimate" in columns and "label" in columns:
@@ -65,13 +65,13 @@ class Totals:
 
     points: int = 0
     seconds: float = 0.0
-    by: Counter[str] = field(default_factory=Counter)  # process -> number of its tiles
-    cpu: Counter[str] = field(default_factory=Counter)  # type of processor -> number of tiles
-    reused: Counter[str] = field(default_factory=Counter)  # earlier atlas -> number of points taken from it
+    by: Counter[str] = field(default_factory=Counter)  # number of tiles by process
+    cpu: Counter[str] = field(default_factory=Counter)  # number of tiles by type of processor
+    reused: Counter[str] = field(default_factory=Counter)  # number of reused points by earlier atlas
     tally: Tally = field(default_factory=Tally)
 
     def add(self, header: Mapping[str, Any]) -> None:
-        """Add the header of a tile, or the `table` of other totals."""
+        """Add the header of a tile, or the result of `table` of other totals."""
         self.points += header["points"]
         self.seconds += header["seconds"]
         for name, tiles in {"by": self.by, "cpu": self.cpu}.items():
@@ -80,6 +80,6 @@ class Totals:
         self.tally.add(**header["tally"])
 
     def table(self) -> dict[str, Any]:
-        """The sums in the form of a JSON object."""
+        """Return the sums in the form of a JSON object."""
         counts = {name: dict(sorted(number.items())) for name, number in sorted(self.tally.counts.items())}
         return vars(self) | {"tally": {"counts": counts, "largest": dict(sorted(self.tally.largest.items()))}}

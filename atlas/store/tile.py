@@ -1,7 +1,7 @@
-"""The tile, a part of a run in one file or object: a header in JSON, columns of values, and a hash.
+"""The tile is a part of a run in a file or object. It consists of a header in JSON, columns of values, and a hash.
 
     {"key": ..., "tile": 12, "points": 8192, ..., "columns": {"label": ["|i1", 371], ...}}
-    columns, each compressed by itself: the first bytes of all values, then the second bytes, and so on
+    columns, each compressed by itself, with the first bytes of all values, then the second bytes, and so on
     SHA-256 of header and columns
 
 A tile exists as a whole or not at all, and each reader compares the hash.
@@ -34,20 +34,20 @@ HASH_BYTES = hashlib.sha256().digest_size
 MAX_TILE_BYTES = 1 << 31
 TILES_PER_FOLDER = 1000
 TILE = re.compile(rf"(?:\d{{5}}/)?(\d{{8}}){re.escape(SUFFIX)}")
-# computed: number of points that have a motion; by, cpu: process, processor; reused: earlier atlas -> number of points taken from it.
+# `computed` is the number of points that have a motion, `by` the process, and `reused` the number of points by earlier atlas.
 HEADER_TYPES = {
     "computed": int, "seconds": (int, float), "by": str, "cpu": str, "reused": dict, "tally": dict
 }  # fmt: skip
-# Smaller tiles in a folder are read one by one, because threads would wait for each other.
+# Tiles in a folder with fewer points are read one after the other, because threads would wait for each other.
 MIN_PARALLEL_POINTS = 4096
 
 
 class DamagedTile(Exception):
-    """A tile that exists but cannot be used; the message gives the reason."""
+    """An error for a tile that exists but cannot be used. The message gives the reason."""
 
 
 def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: int = LEVEL) -> bytes:
-    """The bytes of a tile from flat columns of equal length, compressed at a level of zlib."""
+    """Return the bytes of a tile. The columns are flat and of equal length, and are compressed at a level of zlib."""
     parts, table = list[bytes](), {}
     for name, values in columns.items():
         planes = np.ascontiguousarray(values).view(np.uint8).reshape(values.size, -1).T
@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header, and the columns in `types` (name -> dtype); DamagedTile if the tile was changed, lacks `facts` or has over `most` points."""
+    """Return the header and the columns in `types`. DamagedTile if bytes have changed, `facts` differ or points exceed `most`."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -90,28 +90,28 @@ def decode(
 
 @dataclass(eq=False)
 class Tiles:
-    """The tiles of a run, or of one of its levels. If two processes write the same tile, the last write stays."""
+    """The tiles of a run or level. If two processes write the same tile, the last write stays."""
 
     place: Place
     key: str
     types: Mapping[str, str]
     tiling: Tiling
-    points: np.ndarray | None = None  # flat indices in the grid, if the tiles cover a part of it
+    points: np.ndarray | None = None  # flat indices of the points, if the tiles cover a part of the grid
     level: int = LEVEL  # compression level of zlib
-    listing: tuple[int, set[int]] | None = None  # number of the folder listed last, and its tiles
+    listing: tuple[int, set[int]] | None = None  # number of the folder that was listed last, and tiles in it
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
-        """Name of a tile, or of its claim."""
+        """Return the name of a tile, or the name of the claim of a tile for the suffix of claims."""
         folder = f"{tile // TILES_PER_FOLDER:05d}/" * (self.tiling.count > TILES_PER_FOLDER)
         return f"{folder}{tile:08d}{suffix}"
 
     def indices(self, tile: int) -> np.ndarray:
-        """Indices of a tile's points in the flat grid."""
+        """Return the flat indices of the points of a tile in the grid."""
         indices = self.tiling.indices(tile)
         return indices if self.points is None else self.points[indices]
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
-        """Write a tile with facts of HEADER_TYPES, and return its header; OSError if the bytes read back differ."""
+        """Write a tile with `facts` for the header, and return the header. OSError if the bytes read back differ."""
         from ..kernel.machine_code import cpu
 
         columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
@@ -127,7 +127,7 @@ class Tiles:
     def read(
         self, tile: int, names: Collection[str] | None = None
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Header and variables of a tile, by default all variables; FileNotFoundError or DamagedTile if it cannot be used."""
+        """Return the header and variables of a tile, by default all. FileNotFoundError or DamagedTile if the tile is unusable."""
         types = self.types if names is None else {name: self.types[name] for name in names}
         size = self.tiling.size_of(tile)
         facts = {"key": self.key, "tile": tile, "points": size}
@@ -144,7 +144,7 @@ class Tiles:
         return header, {name: column.reshape(shape) for name, column in columns.items()}
 
     def check(self, tiles: Iterable[int]) -> tuple[Totals, dict[int, str]]:
-        """Totals of the sound tiles, and damaged tile -> reason; missing tiles are ignored."""
+        """Return the totals of the sound tiles, and the reasons by damaged tile. Missing tiles are ignored."""
         totals, damaged = Totals(), dict[int, str]()
 
         def header(tile: int) -> dict[str, Any] | None:
@@ -163,19 +163,19 @@ class Tiles:
         return totals, dict(sorted(damaged.items()))
 
     def written(self) -> set[int]:
-        """Numbers of the written tiles."""
+        """Return the numbers of the written tiles."""
         return {int(match[1]) for name in self.place.walk() if (match := TILE.fullmatch(name))}
 
     def missing(self) -> list[int]:
-        """Numbers of the missing tiles, ascending."""
+        """Return the numbers of the missing tiles in ascending order."""
         return sorted({*range(self.tiling.count)} - self.written())
 
     def is_written(self, tile: int) -> bool:
-        """Whether some process has finished a tile."""
+        """Whether any process has finished a tile."""
         return self.place.stamp(self.name(tile)) is not None
 
     def was_written(self, tile: int) -> bool:
-        """Whether a tile was in the last listing of its folder; faster than `is_written` for many tiles."""
+        """Whether a tile was in the last listing of the folder. This is faster than `is_written` for many tiles."""
         part = tile // TILES_PER_FOLDER
         if self.listing is None or self.listing[0] != part:
             names = self.place.names(self.name(tile).rpartition("/")[0])

@@ -1,8 +1,8 @@
 """The finished atlas as a Zarr store, written by xarray and zarr.
 
 Each object has a CRC-32C, which any reader compares. The attribute HASH is written last, so that an unfinished store is never taken
-for an atlas. HASH has two parts: a hash of the root metadata, compared when the store is opened, and a hash of all other objects and
-their names, compared by `verify`, because a reader takes a lost object for fill values and a misplaced object for data.
+for an atlas. The first part of HASH is a hash of the root metadata, which is compared when a store is opened. The second part is a
+hash of the names and contents of all other objects. `verify` compares it, because a reader takes lost objects for fill values.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ try:
 except ImportError:
     raise BadInput("Zarr stores need the package zarr: python -m pip install zarr") from None
 
-# Names in a store; version 0.1.0 wrote the group `atlas`.
+# Names of objects in a store, including the group `atlas` that version 0.1.0 wrote.
 OWN = re.compile(r"atlas/([\w/-]+\.(json|claim|pack|nc|bin)|clock)|[^/]+/(zarr\.json|c(/\d+)*)|zarr\.json")
 MAX_OBJECT_BYTES = 1 << 31
-MAX_WHOLE = 1 << 20  # values up to which a coordinate is one object, which opens faster than many
-# Codecs that do not compress (version 0.1.0 wrote shards), and compressors; the unpacked size is checked before unpacking.
+MAX_WHOLE = 1 << 20  # A coordinate of up to this many values is a single object, which opens faster.
+# PLAIN codecs do not compress. PACKING codecs do, so the unpacked size is checked before unpacking. Version 0.1.0 wrote shards.
 PLAIN = {"bytes", "crc32c", "sharding_indexed", "transpose", "vlen-bytes", "vlen-utf8"}
 PACKING = {"blosc", "gzip", "zstd"}
 CODECS = {"compressors": [BloscCodec(cname="zstd", clevel=3, shuffle="shuffle"), Crc32cCodec()]}
 
 
 class PlaceStore(WrapperStore[Any]):
-    """A place as a store of the package zarr; in a whole store a missing object is an error, not fill values."""
+    """A place as a store of the package zarr. In a whole store a missing object is an error, instead of fill values."""
 
     def __init__(
         self,
@@ -75,9 +75,9 @@ class PlaceStore(WrapperStore[Any]):
         form, where = (LocalStore, place.path) if isinstance(place, Folder) else (ObjectStore, place.store)
         super().__init__(form(where, read_only=read_only))
         self.place, self.hashes = place, dict[str, str]()
-        self.is_whole, self.has_checksums = is_whole, has_checksums  # all objects exist; all have checksums
+        self.is_whole, self.has_checksums = is_whole, has_checksums
         self.stamp = stamp  # stamp of the metadata of a whole store
-        # Array -> codec that compresses its objects, and the least and most bytes of an unpacked object.
+        # The codec that compresses the objects of an array, and the least and most bytes of an unpacked object.
         self.packed = {} if packed is None else packed
         self.folder = os.path.realpath(place.path) if isinstance(place, Folder) else ""
 
@@ -98,7 +98,7 @@ class PlaceStore(WrapperStore[Any]):
         if "/c" in key:
             if self.is_whole:
                 await asyncio.to_thread(self.check_stamp)
-            # Checked here, because codecs report errors only after unpacking, and without the name of the object.
+            # The checksum is compared here, because codecs report errors after unpacking and without the name of the object.
             if self.has_checksums and int.from_bytes(content[-4:], "little") != crc32c(content[:-4]):
                 raise BadInput(damaged)
             if name in self.packed:
@@ -115,7 +115,7 @@ class PlaceStore(WrapperStore[Any]):
         return prototype.buffer.from_bytes(content)
 
     def check_stamp(self) -> None:
-        """Raise BadInput if another store replaced this one. Call it after a read: a new store writes metadata before objects."""
+        """Raise BadInput if the store was replaced. To be called after a read, since a new store writes metadata before objects."""
         if self.stamp != self.place.stamp(METADATA):
             raise BadInput(f"{self.place}: was replaced or removed after it was opened; open it again")
 
@@ -126,10 +126,10 @@ class PlaceStore(WrapperStore[Any]):
 
 
 class _Store(ZarrStore):
-    """A Zarr store for xarray that raises BadInput, with the name of the array, for any error in its values."""
+    """A Zarr store for xarray that raises BadInput, with the name of the array, for any error in values."""
 
     def open_store_variable(self, name: str) -> xr.Variable:
-        """Variable of the store, read through `_Array`."""
+        """Return a variable of the store, whose values are read through `_Array`."""
         variable = super().open_store_variable(name)
         array = _Array(self.members[name])
         array.what = f"{self.zarr_group.store.place}: the values of {name}"
@@ -137,29 +137,29 @@ class _Store(ZarrStore):
 
 
 class _Array(ZarrArrayWrapper):
-    """An array that raises BadInput where it cannot be read."""
+    """An array that raises BadInput if values cannot be read."""
 
     __slots__ = ("what",)
-    what: str  # array and store, for messages
+    what: str  # names the array and the store in messages
 
     def __getitem__(self, key: Any) -> Any:
         try:
             return super().__getitem__(key)
         except BadInput:
             raise
-        except Exception as error:  # from a codec, or because shapes do not fit
+        except Exception as error:  # A codec may fail, or shapes may not fit.
             raise BadInput(f"{self.what} are damaged: {one_line(error)}") from None
 
 
 def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
-    """Unpacked size of an object in bytes, from its header or, for gzip, counted up to most + 1; -1 if unknown."""
+    """Return the unpacked size of an object in bytes, or -1 if it is unknown. For gzip, bytes are counted up to most + 1."""
     if codec == "blosc":
         return int.from_bytes(content[4:8], "little")
     if codec == "gzip":
         with suppress(OSError, EOFError, zlib.error):
             return len(gzip.open(io.BytesIO(content)).read(most + 1))
         return -1
-    # RFC 8878: magic number, descriptor, window and dictionary, size of the content
+    # By RFC 8878, a frame begins with magic number, descriptor, window and dictionary, and size of the content.
     descriptor = content[4] if content[:4] == b"\x28\xb5\x2f\xfd" and len(content) > 4 else 0
     is_single, flag = descriptor >> 5 & 1, descriptor >> 6
     start, length = 5 + (not is_single) + (0, 1, 2, 4)[descriptor & 3], (is_single, 2, 4, 8)[flag]
@@ -168,8 +168,8 @@ def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
 
 
 def _codec(array: zarr.Array[Any]) -> str:
-    """Name of the codec that compresses the objects of an array, or empty; ValueError if the unpacked size has no limit."""
-    codecs = getattr(array.metadata, "codecs", ())  # format 2 has none
+    """Return the name of the codec that compresses an array, or "". ValueError if the unpacked size may have no limit."""
+    codecs = getattr(array.metadata, "codecs", ())  # Metadata of format 2 have no codecs.
     names = [str(codec.to_dict()["name"]) for codec in codecs]
     packing = [name for name in names if name not in PLAIN]
     if len(packing) > 1 or not PACKING.issuperset(packing):
@@ -180,18 +180,18 @@ def _codec(array: zarr.Array[Any]) -> str:
 
 
 def _root_hash(metadata: dict[str, Any]) -> str:
-    """Hash of the root metadata without HASH."""
+    """Return the hash of the root metadata without the attribute HASH."""
     attributes = {name: value for name, value in metadata["attributes"].items() if name != HASH}
     return hash_of(metadata | {"attributes": attributes})
 
 
 def _objects_hash(hashes: Mapping[str, str]) -> str:
-    """Hash of the hashes of all objects, by their names, except the root metadata."""
+    """Return a hash of the names and hashes of all objects except the root metadata."""
     return hash_of({name: each for name, each in hashes.items() if name != METADATA})
 
 
 def _attributes_of(place: Place) -> dict[str, Any]:
-    """Attributes of a Zarr store, empty if there is no store or they cannot be read."""
+    """Return the attributes of a Zarr store, or no attributes if they cannot be read."""
     try:
         return dict(json.loads(place.read(METADATA))["attributes"])
     except (FileNotFoundError, NotADirectoryError, LookupError, TypeError, ValueError, RecursionError):
@@ -202,7 +202,7 @@ class Zarr(Format):
     """Atlases as Zarr stores, in folders and on object stores."""
 
     def write(self, content: Content, path: Path | str) -> None:
-        """As `Format.write`, but a kill may leave a part of an atlas on an object store, which is marked as unfinished."""
+        """Write an atlas as in `Format.write`. A killed process may leave an atlas, marked as unfinished, on an object store."""
         ds, names, chunk = content.ds, content.names, content.chunk
         with (
             atomic_folder(path) if isinstance(path, Path) else nullcontext(path) as where,
@@ -212,7 +212,7 @@ class Zarr(Format):
             # The specification of Zarr 3 does not have consolidated metadata yet.
             warnings.simplefilter("ignore", ZarrUserWarning)
             place = place_at(where)
-            # Mark the atlas as unfinished before earlier objects are removed: this process may be killed at any time.
+            # The atlas is marked as unfinished before earlier objects are removed, because the process may be killed at any time.
             unfinished: dict[str, Any] = {VERSION: __version__}
             metadata: dict[str, Any] = {"zarr_format": 3, "node_type": "group", "attributes": unfinished}
             place.write(METADATA, json.dumps(metadata).encode())
@@ -229,7 +229,7 @@ class Zarr(Format):
             template = ds.drop_attrs(deep=False).assign_attrs(unfinished).assign(lazy)
             template.to_zarr(store, mode="a", compute=False, consolidated=False, encoding=encoding)
             group = zarr.open_group(store, mode="r+", use_consolidated=False)
-            for name, variable in ds.variables.items():  # parameters too large for memory
+            for name, variable in ds.variables.items():  # write parameters that are too large for memory
                 if variable.chunks is not None and name not in names:
                     lazy[name].data.store(group[str(name)], lock=False, scheduler="synchronous")
             arrays: dict[str, Any] = {name: group[name] for name in names}
@@ -247,7 +247,7 @@ class Zarr(Format):
             place.write(METADATA, json.dumps(metadata).encode())
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open any Zarr store lazily; BadInput if it is unfinished, damaged, no store, or claims more than its objects can hold."""
+        """Open any Zarr store lazily. BadInput if it is unfinished or damaged, or claims more than the objects can hold."""
         place = place_at(path)
         try:
             stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))
@@ -283,7 +283,7 @@ class Zarr(Format):
             if claimed > MIN_CLAIM and isinstance(place, Folder):
                 stored = 0
                 for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                    if stored * MAX_RATIO >= claimed:  # enough: a large store has many files to count
+                    if stored * MAX_RATIO >= claimed:  # No further files of a large store need to be counted.
                         break
                 check_claim(claimed, stored)
             own = _Store.open_group(store, mode="r", consolidated=is_consolidated)
@@ -292,7 +292,7 @@ class Zarr(Format):
             raise
         except FileNotFoundError:
             raise BadInput(f"{path}: not a Zarr store: there is no {METADATA} in it") from None
-        except Exception as error:  # damaged metadata may raise any error
+        except Exception as error:  # Damaged metadata may raise any error.
             raise BadInput(f"{path}: not a Zarr store that can be read ({one_line(error)})") from None
         for variable in ds.variables.values():
             if "flag_values" in variable.attrs:
@@ -302,7 +302,7 @@ class Zarr(Format):
         return without_fill_values(ds)
 
     def verify(self, path: Path | str) -> None:
-        with self.open_dataset(path) as ds:  # compares the hash of the root metadata
+        with self.open_dataset(path) as ds:  # This compares the hash of the root metadata.
             expected, place = ds.encoding[HASH], place_at(path)
         if expected is None:
             raise BadInput(
@@ -337,7 +337,7 @@ class Zarr(Format):
         place, contents = place_at(path), place_at(path).walk()
         is_own = not contents or f"atlas/{METADATA}" in contents
         with suppress(FileNotFoundError, ValueError):
-            # A search for VERSION in the bytes also works if the metadata are damaged.
+            # The bytes are searched for VERSION, because damaged metadata cannot be parsed.
             is_own = VERSION.encode() in place.read(METADATA)
         if not is_own or not all(
             OWN.fullmatch(each) or TEMPORARY.fullmatch(each.rpartition("/")[2]) for each in contents

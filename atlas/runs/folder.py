@@ -86,7 +86,7 @@ def run_kept(
 
 
 def destination(out: str | Path) -> tuple[Path | str, Path | str | None]:
-    """Return the place of a run, and the path of the file or store to write, or None. BadInput if a path cannot be written."""
+    """Return the place of a run, and the path of the file or store to write, or None. Raise BadInput if these cannot be written."""
     place = located(out)
     if isinstance(place, Path):
         check_name(place)
@@ -262,7 +262,7 @@ def _is_result(plan: ScenePlan, path: Path | str) -> bool:
 
 
 def finished_atlas(plan: ScenePlan, path: Path | str) -> xr.Dataset:
-    """Open a finished atlas and remove the rest of its run folder. BadInput if the atlas is the result of another run."""
+    """Open a finished atlas and remove the rest of its run folder. Raise BadInput if the atlas is the result of another run."""
     if not _is_result(plan, path):
         raise BadInput(exists_message(path))
     try:  # a process that was killed after it wrote the atlas has left a run folder
@@ -320,7 +320,7 @@ class _Job:
             tiles = claimed
 
     def compute(self, bar: Progress) -> Totals:
-        """Compute missing and damaged tiles and return the sums over all tiles of `share`. Stopped if the time is up before the end."""
+        """Compute missing and damaged tiles and return the sums over `share`. Raise Stopped if the time is up before the end."""
         size_of, written = self.tiles.tiling.size_of, self.tiles.written()
         unfinished = [tile for tile in self.share if tile not in written]
         done = sum(size_of(tile) for tile in self.share if tile in written)
@@ -430,7 +430,7 @@ def compute_tile(path: str, level: int | None, key: str, tile: int, reuse: tuple
 
 @lru_cache(maxsize=8)
 def _open_cached(path: str, level: int | None, key: str, reuse: tuple[str, ...]) -> Source:
-    """Return the source of the tiles of a run or level. BadInput unless this process would compute the same bits."""
+    """Return the source of the tiles of a run or level. Raise BadInput unless this process would compute the same bits."""
     run = RunFolder.open(path)
     tiles = run.tiles
     if level is not None:

@@ -87,7 +87,7 @@ class Level:
 
     @classmethod
     def open(cls, run: Run, number: int) -> Level:
-        """Open a level of a run. FileNotFoundError if the level has not begun, BadInput if the level is damaged."""
+        """Open a level of a run. Raise FileNotFoundError if the level has not begun, BadInput if the level is damaged."""
         place = run.levels_place.inside(f"{number:04d}")
         try:
             content, facts, types = place.read(POINTS, MAX_TILE_BYTES), {"level": number}, {"points": "<i8"}

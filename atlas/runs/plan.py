@@ -53,7 +53,7 @@ class ScenePlan:
 
     @classmethod
     def of(cls, scene: Scene) -> ScenePlan:
-        """Return the plan of a scene. BadInput if no point can be computed."""
+        """Return the plan of a scene. Raise BadInput if no point can be computed."""
         return cls(scene, grid.check(scene))
 
     @cached_property
@@ -254,7 +254,7 @@ class ScenePlan:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Return the versions, hashes and processor properties on which bits depend. BadInput if sources changed after import."""
+    """Return the versions, hashes and processor properties on which bits depend. Raise BadInput if sources changed after import."""
     import llvmlite
     import numba
     import scipy

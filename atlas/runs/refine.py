@@ -248,7 +248,7 @@ def expected_points(plan: ScenePlan) -> float:
 
 
 def _zeros(scene: Scene, types: Sequence[Any], folder: Path | None) -> Iterator[np.ndarray]:
-    """Yield arrays of zeros in memory, or in unnamed files in `folder`. BadInput if the arrays do not fit."""
+    """Yield arrays of zeros in memory, or in unnamed files in `folder`. Raise BadInput if the arrays do not fit."""
     bytes_per_point = sum(np.dtype(kind).itemsize for kind in types)
     bytes_per_point += 0 if folder else len(scene.outputs)  # flags in memory take a byte each
     place, room = "this machine has", os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

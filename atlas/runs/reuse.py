@@ -41,7 +41,7 @@ class Earlier:
 
     @classmethod
     def of(cls, path: str | Path, scene: Scene) -> Earlier:
-        """Open an earlier atlas for a scene. BadInput unless this process would compute the same bits as the atlas."""
+        """Open an earlier atlas for a scene. Raise BadInput unless this process would compute the same bits as the atlas."""
         path = located(path)
         ds = open_atlas(path)
         text = ds.attrs.get("atlas_scene")

@@ -91,7 +91,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """Open a run. BadInput if the path is no run, the manifest is damaged, or another version of atlas wrote the run."""
+        """Open a run. Raise BadInput if the path is no run, the manifest is damaged, or another version of atlas wrote the run."""
         path = located(path)
         place = place_at(path)
         file = f"{place}/{MANIFEST}"
@@ -134,7 +134,7 @@ class RunFolder:
 
     @classmethod
     def prepare(cls, plan: ScenePlan, path: Path | str, check: Callable[[str], object] = str) -> RunFolder:
-        """Create or open the run of a scene. BadInput if the path holds something else. While waiting, call `check`."""
+        """Create or open the run of a scene. Raise BadInput if the path holds something else. While waiting, call `check`."""
         path = located(path)
         place = place_at(path)
         if MANIFEST not in (names := place.names()):
@@ -165,7 +165,7 @@ class RunFolder:
 
     @classmethod
     def discard(cls, plan: ScenePlan, path: Path | str) -> None:
-        """Remove the run at a path unless `check_same` accepts the run. BadInput if a process is computing the run."""
+        """Remove the run at a path unless `check_same` accepts the run. Raise BadInput if a process is computing the run."""
         run = None
         with suppress(BadInput):
             if MANIFEST in place_at(path).names():
@@ -308,7 +308,7 @@ class RunFolder:
         self.place.write(NOTES, files.sealed(content).encode())
 
     def notes(self) -> tuple[dict[str, Any], Totals | None]:
-        """Return what `save_notes` saved, or ({}, None) if there are no notes. BadInput if the notes are damaged."""
+        """Return what `save_notes` saved, or ({}, None) if there are no notes. Raise BadInput if the notes are damaged."""
         file = f"{self.place}/{NOTES}"
         try:
             content = files.parsed(self.place.read(NOTES), is_sealed=True)

@@ -44,7 +44,7 @@ def accepts(**schema: Any) -> Callable[[Callable[[str, Any], T]], Check[T]]:
 
 @accepts(type="number")
 def number(key: str, value: object) -> float:
-    """Return the value as a float. BadInput unless the value is a finite number."""
+    """Return the value as a float. Raise BadInput unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise BadInput(f"{key} = {shown(value)}: must be a number")
     try:
@@ -58,7 +58,7 @@ def number(key: str, value: object) -> float:
 
 @accepts(type=["number", "string"], pattern=rf"^([-+*/().0-9\s]|[0-9][eE]|{'|'.join(sorted(RESERVED))})+$")
 def quantity(key: str, value: object) -> float:
-    """Return the value as a float. BadInput unless the value is a finite number or arithmetic such as "90 * deg"."""
+    """Return the value as a float. Raise BadInput unless the value is a finite number or arithmetic such as "90 * deg"."""
     if not isinstance(value, str):
         return number(key, value)
     expression = Expression(key, value)
@@ -71,7 +71,7 @@ def quantity(key: str, value: object) -> float:
 
 @accepts(type="number", exclusiveMinimum=0)
 def positive(key: str, value: object) -> float:
-    """Return the value as a float. BadInput unless the value is a finite number above 0."""
+    """Return the value as a float. Raise BadInput unless the value is a finite number above 0."""
     result = number(key, value)
     if result <= 0:
         raise BadInput(f"{key} = {shown(value)}: must be a finite number above 0")
@@ -89,13 +89,13 @@ def positive_at_points(key: str, value: object) -> float | str:
 
 @accepts(type="object", additionalProperties=positive.schema)
 def positive_numbers(key: str, value: object) -> dict[str, float]:
-    """Return a table as floats by name. BadInput unless the table contains only finite numbers above 0."""
+    """Return a table as floats by name. Raise BadInput unless the table contains only finite numbers above 0."""
     return {name: positive(f"{key}.{name}", each) for name, each in mapping(key, value).items()}
 
 
 @accepts(type="number", exclusiveMinimum=0, maximum=1)
 def at_most_one(key: str, value: object) -> float:
-    """Return the value as a float. BadInput unless the value is a number above 0 and at most 1."""
+    """Return the value as a float. Raise BadInput unless the value is a number above 0 and at most 1."""
     result = positive(key, value)
     if result > 1:
         raise BadInput(f"{key} = {shown(value)}: must be above 0 and at most 1")
@@ -104,7 +104,7 @@ def at_most_one(key: str, value: object) -> float:
 
 @accepts(type="number", minimum=0, maximum=1)
 def fraction(key: str, value: object) -> float:
-    """Return the value as a float. BadInput unless the value is a number from 0 to 1."""
+    """Return the value as a float. Raise BadInput unless the value is a number from 0 to 1."""
     result = number(key, value)
     if not 0 <= result <= 1:
         raise BadInput(f"{key} = {result:g}: must be a share of the points, from 0 to 1")
@@ -112,7 +112,7 @@ def fraction(key: str, value: object) -> float:
 
 
 def whole_number(key: str, value: object, low: int, high: float = math.inf) -> int:
-    """Return the value as an int. BadInput unless the value is an integer, and no Boolean, from `low` to `high`."""
+    """Return the value as an int. Raise BadInput unless the value is an integer, and no Boolean, from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         allowed = f", at least {low}" if high == math.inf else f" from {low} to {high}"
         raise BadInput(f"{key} = {shown(value)}: must be a whole number{allowed}")
@@ -127,7 +127,7 @@ def whole(low: int, high: int) -> Check[int]:
 
 @accepts(type="boolean")
 def boolean(key: str, value: object) -> bool:
-    """Return the value. BadInput unless the value is true or false."""
+    """Return the value. Raise BadInput unless the value is true or false."""
     if not isinstance(value, bool):
         raise BadInput(f"{key} = {shown(value)}: must be true or false")
     return value
@@ -135,14 +135,14 @@ def boolean(key: str, value: object) -> bool:
 
 @accepts(type="string")
 def text(key: str, value: object) -> str:
-    """Return the value. BadInput unless the value is a string."""
+    """Return the value. Raise BadInput unless the value is a string."""
     if not isinstance(value, str):
         raise BadInput(f"{key} = {shown(value)}: must be a string")
     return value
 
 
 def choice(key: str, value: object, allowed: Collection[str]) -> str:
-    """Return the value. BadInput unless the value is one of the allowed strings."""
+    """Return the value. Raise BadInput unless the value is one of the allowed strings."""
     if not isinstance(value, str) or value not in allowed:
         raise BadInput(f"{key} = {shown(value)}: {allowed_text(value, allowed)}")
     return value
@@ -155,7 +155,7 @@ def one_of(allowed: Collection[str]) -> Check[str]:
 
 @accepts(anyOf=[text.schema, {"type": "array", "items": text.schema}])
 def texts(key: str, value: object) -> tuple[str, ...]:
-    """Return the value as a tuple of strings. BadInput unless the value is a string or a list of strings."""
+    """Return the value as a tuple of strings. Raise BadInput unless the value is a string or a list of strings."""
     if isinstance(value, list | tuple | set | frozenset) and all(isinstance(item, str) for item in value):
         return tuple(text(key, item) for item in value)
     if not isinstance(value, str):
@@ -165,7 +165,7 @@ def texts(key: str, value: object) -> tuple[str, ...]:
 
 @accepts(type="array", items=number.schema, minItems=1)
 def numbers(key: str, value: object) -> list[float]:
-    """Return a list of floats. BadInput unless the value is a list of at least one finite number."""
+    """Return a list of floats. Raise BadInput unless the value is a list of at least one finite number."""
     if not isinstance(value, list) or not value:
         raise BadInput(f"{key} = {shown(value)}: must be a list of at least one number")
     if len(value) > MAX_LISTED_NUMBERS:
@@ -175,7 +175,7 @@ def numbers(key: str, value: object) -> list[float]:
 
 @accepts(**numbers.schema, uniqueItems=True)
 def distinct_numbers(key: str, value: object) -> list[float]:
-    """Return a list of floats. BadInput unless the value is a list of at least one finite number, without equal numbers."""
+    """Return a list of floats. Raise BadInput unless the value is a list of at least one finite number, without equal numbers."""
     values = numbers(key, value)
     if len(set(values)) < len(values):
         raise BadInput(f"{key}: some values occur twice; an axis needs distinct values")
@@ -183,7 +183,7 @@ def distinct_numbers(key: str, value: object) -> list[float]:
 
 
 def identifier(key: str, name: str) -> str:
-    """Return the name. BadInput if the name cannot be used in ties."""
+    """Return the name. Raise BadInput if the name cannot be used in ties."""
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or len(name) > MAX_NAME or name in RESERVED:
         raise BadInput(
             f"{key}: {shown(name)} cannot be used as a name; allowed: ASCII letters, digits and _, at most {MAX_NAME},"
@@ -194,7 +194,7 @@ def identifier(key: str, name: str) -> str:
 
 @accepts(type="object")
 def mapping(key: str, value: object) -> Mapping[str, Any]:
-    """Return the value. BadInput unless the value is a table."""
+    """Return the value. Raise BadInput unless the value is a table."""
     if not isinstance(value, Mapping):
         raise BadInput(f"{key} = {shown(value)}: must be a table, [{key}]")
     return value

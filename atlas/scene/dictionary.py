@@ -21,7 +21,7 @@ def text_of(table: Mapping[str, Any]) -> str:
 
 
 def _plain(value: Any, key: str = "") -> Any:
-    """Return a value of a scene as a type that TOML has. BadInput if no type fits."""
+    """Return a value of a scene as a type that TOML has. Raise BadInput if no type fits."""
     if isinstance(value, Mapping):
         for name in value:
             if not isinstance(name, str):

@@ -92,7 +92,7 @@ class Expression:
         return stack[0]
 
     def _compile(self, node: ast.expr, draws: list[ast.Call]) -> None:
-        """Append a subexpression to the postfix program. BadInput if the subexpression is not arithmetic."""
+        """Append a subexpression to the postfix program. Raise BadInput if the subexpression is not arithmetic."""
         function: Any
         start, arguments = len(self._program), list[ast.expr]()
         match node:
@@ -140,7 +140,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """Return the ties in an order in which each tie uses only known names and earlier ties. BadInput if there is none."""
+    """Return the ties in an order in which each tie uses only known names and earlier ties. Raise BadInput if there is none."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(

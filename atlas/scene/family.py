@@ -76,7 +76,7 @@ def near_values(
 
 
 def _near(key: str, value: object, unit: str) -> float:
-    """Return a value of the key `near` as a number. BadInput for an angle above 2 pi, which is probably in degrees."""
+    """Return a value of the key `near` as a number. Raise BadInput for an angle above 2 pi, which is probably in degrees."""
     arithmetic = isinstance(value, str) and not Expression(key, value).names
     result = (checks.quantity if arithmetic else checks.number)(key, value)
     if unit == "rad" and abs(result) > 2 * np.pi:

@@ -131,7 +131,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
 
 
 def points_at_indices(scene: Scene, indices: np.ndarray) -> Grid:
-    """Return the points at flat indices in C order. BadInput if a tie is out of range or a start is incomplete."""
+    """Return the points at flat indices in C order. Raise BadInput if a tie is out of range or a start is incomplete."""
     grid = _before_nudge(scene, indices)
     base = {name: np.ascontiguousarray(values) for name, values in grid.base.items()}
     with np.errstate(all="ignore"):
@@ -194,7 +194,7 @@ def reasons(
 
 
 def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
-    """Return points of a scene at any values along the axes, on the grid or not. BadInput as in `points_at_indices`."""
+    """Return points of a scene at any values along the axes, on the grid or not. Raise BadInput as in `points_at_indices`."""
     axes, indices = {}, []
     for name, axis in scene.axes.items():
         values, index = np.unique(coordinates[name], return_inverse=True)
@@ -252,7 +252,7 @@ def durations(
     system: System, duration: Duration, points: Points, names: Points | None = None, key: str = "duration", *,
     zero: bool = False,
 ) -> Array:  # fmt: skip
-    """Return durations in time units, or nan as in `at_points` or if nothing turns. BadInput if turns or orbits overflow."""
+    """Return durations in time units, or nan as in `at_points` or if nothing turns. Raise BadInput if turns or orbits overflow."""
     if isinstance(duration.amount, str) or not duration.unit:
         return at_points(system, duration.amount, points, names, zero=zero)
     with np.errstate(all="ignore"):
@@ -272,7 +272,7 @@ def durations(
 def check(scene: Scene) -> Grid:
     """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid, with at least one to compute.
 
-    BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
+    Raise BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """
     try:
         bodies = _even_indices(scene.size, MAX_CHECKED_BODIES)

@@ -35,7 +35,7 @@ MAX_TIE_SHOWN = 30  # largest number of characters of a tie in the repr of a sce
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of integration and labels, except the duration. BadInput for a value out of range."""
+    """Settings of integration and labels, except the duration. A value out of range raises BadInput."""
 
     method: str = checked(checks.one_of(METHODS), "rk4", "integration", "Runge-Kutta method")
     # The tolerance is at most 1, because nothing is known of a phase with an error above 1 rad.

@@ -278,7 +278,7 @@ def _outputs(system: System, table: Mapping[str, Any], of_atlas: bool) -> tuple[
 
 
 def _with_proofs(system: System, outputs: tuple[str, ...], is_refined: bool) -> tuple[str, ...]:
-    """Add the variables that say where labels are proved. BadInput if no label can be proved, or for a refined scene."""
+    """Add the variables that say where labels are proved. Raise BadInput if no label can be proved, or for a refined scene."""
     if is_refined:
         raise BadInput(
             "integration.prove = true: not together with refine, whose borders are those of measured labels"

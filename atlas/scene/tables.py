@@ -114,7 +114,7 @@ def read(
     max_bytes: float = math.inf,
     max_fields: float = math.inf,
 ) -> dict[str, Any]:
-    """Return the columns of a .csv or .nc file, as in `table`. BadInput above the limits on bytes and CSV fields."""
+    """Return the columns of a .csv or .nc file, as in `table`. Raise BadInput above the limits on bytes and CSV fields."""
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise BadInput(f"{path}: points are read from files that end in {' or '.join(FORMATS)}")
@@ -150,7 +150,7 @@ def read(
 def kept_columns(
     system: System, table: Mapping[str, Any], keep: Collection[str] = (), ties: Collection[str] = ()
 ) -> dict[str, xr.DataArray]:
-    """Return the columns that name points, which are texts, IDENTIFIERS and `keep`. BadInput for a probably mistyped parameter.
+    """Return the columns that name points, which are texts, IDENTIFIERS and `keep`. Raise BadInput for mistyped parameters.
 
     Columns that are named in `ties` contain numbers that ties use, and are left out.
     """
@@ -227,7 +227,7 @@ def parameter_arrays(
 
 
 def _numbers(name: str, values: Any) -> xr.DataArray:
-    """Return a number, 1-D array or DataArray as a float64 DataArray. Dask arrays stay lazy. BadInput for other values."""
+    """Return a number, 1-D array or DataArray as a float64 DataArray. Dask arrays stay lazy. Raise BadInput for other values."""
     import xarray as xr
 
     check_written(name, values)
@@ -314,7 +314,7 @@ def _location(source: Mapping[str, Any] | None, column: Array, point: np.integer
 
 
 def common_size(sizes: Mapping[str, int]) -> int:
-    """Return the common length of columns, or 1 if there are no columns. BadInput if lengths differ or are 0."""
+    """Return the common length of columns, or 1 if there are no columns. Raise BadInput if lengths differ or are 0."""
     if len(set(sizes.values())) > 1:
         lengths = ", ".join(f"{name}: {size}" for name, size in sizes.items())
         raise BadInput(f"points: columns of different lengths ({lengths})")
@@ -462,7 +462,7 @@ def _number(field: str) -> float:
 
 
 def _header(source: str, fields: list[str]) -> list[str]:
-    """Return the names of the columns. BadInput unless all names differ."""
+    """Return the names of the columns. Raise BadInput unless all names differ."""
     header = [name.strip() for name in fields]
     if not any(header):
         raise BadInput(f"{source}: empty; its first line must name the columns, such as C,theta0,m")

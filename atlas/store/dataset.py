@@ -86,7 +86,7 @@ def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, s
 def with_parameters(
     ds: xr.Dataset, system: System, arrays: Mapping[str, xr.DataArray], leave_out: Collection[str] = ()
 ) -> xr.Dataset:
-    """Add the parameters of a system to a dataset as coordinates. BadInput if an index of the same name has other values."""
+    """Add the parameters of a system to a dataset as coordinates. Raise BadInput if an index of the same name has other values."""
     coordinates = dict[str, Any]()  # All are assigned together, because each assignment copies the dataset.
     for name, parameter in system.parameters.items():
         if name in leave_out:

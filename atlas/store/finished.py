@@ -50,21 +50,21 @@ class Format(Protocol):
 
     @abstractmethod
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open an atlas with the variables, coordinates and attributes that were written. BadInput if the atlas cannot be read.
+        """Open an atlas with the variables, coordinates and attributes that were written. Raise BadInput if this is impossible.
 
         An implementation must execute nothing in the file, and must not allocate more memory than the file can fill.
         """
 
     @abstractmethod
     def verify(self, path: Path | str) -> None:
-        """Read a whole atlas. BadInput if the atlas has changed since it was written, or has no hash."""
+        """Read a whole atlas. Raise BadInput if the atlas has changed since it was written, or has no hash."""
 
     @abstractmethod
     def has_hash(self, path: Path | str) -> bool:
         """Whether an atlas has the hash that `verify` compares. A copy by another program and an unreadable file have none."""
 
     def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path | str:
-        """Return the path for a new atlas. BadInput as in `files.writable`, or if the path holds something other than an atlas."""
+        """Return the path for a new atlas. Raise BadInput as `files.writable`, or if the path holds something else than an atlas."""
         path = files.writable(path, suffixes(), force=force, inputs=inputs)
         if path.exists() and not self.has_hash(path):
             raise BadInput(files.foreign_message(path))
@@ -76,7 +76,7 @@ class Format(Protocol):
 
 
 def suffixes() -> dict[str, str]:
-    """Return the purposes of all suffixes, by suffix. BadInput if the suffix of an extension is taken or not in lower case."""
+    """Return the purposes of suffixes, by suffix. Raise BadInput if the suffix of an extension is taken or not in lower case."""
     all_suffixes = {suffix: atlases for suffix, (_, atlases) in FORMATS.items()}
     for suffix, (extension, _) in parts("formats").items():
         if suffix in all_suffixes or suffix != Path(f"a{suffix}").suffix.lower():

@@ -160,7 +160,7 @@ class NetCDF(Format):
             file.setncatts(classic(content.attributes()))
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open a file lazily. BadInput if the file cannot be read, or claims more values than the file can hold."""
+        """Open a file lazily. Raise BadInput if the file cannot be read, or claims more values than the file can hold."""
         try:
             hdf5.check_contained(path)
             with ExitStack() as stack:

@@ -55,7 +55,7 @@ class Folder:
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """Return a content. FileNotFoundError for a missing file, ValueError for a file of over `most` bytes or no regular file."""
+        """Return a content. Raise FileNotFoundError if it is missing, and ValueError if it has over `most` bytes or is no regular file."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:

@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header and the columns in `types`. DamagedTile if bytes have changed, `facts` differ or points exceed `most`."""
+    """Return the header and the columns in `types`. Raise DamagedTile if bytes or `facts` differ or points exceed `most`."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -111,7 +111,7 @@ class Tiles:
         return indices if self.points is None else self.points[indices]
 
     def write(self, tile: int, columns: Mapping[str, np.ndarray], **facts: Any) -> dict[str, Any]:
-        """Write a tile with `facts` for the header, and return the header. OSError if the bytes read back differ."""
+        """Write a tile with `facts` for the header, and return the header. Raise OSError if the bytes read back differ."""
         from ..kernel.machine_code import cpu
 
         columns = {name: columns[name].ravel().astype(kind, copy=False) for name, kind in self.types.items()}
@@ -127,7 +127,7 @@ class Tiles:
     def read(
         self, tile: int, names: Collection[str] | None = None
     ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Return the header and variables of a tile, by default all. FileNotFoundError or DamagedTile if the tile is unusable."""
+        """Return the header and variables, by default all, of a tile. Raise FileNotFoundError or DamagedTile if this fails."""
         types = self.types if names is None else {name: self.types[name] for name in names}
         size = self.tiling.size_of(tile)
         facts = {"key": self.key, "tile": tile, "points": size}

@@ -168,7 +168,7 @@ def _unpacked_bytes(content: bytes, codec: str, most: int) -> int:
 
 
 def _codec(array: zarr.Array[Any]) -> str:
-    """Return the name of the codec that compresses an array, or "". ValueError if the unpacked size may have no limit."""
+    """Return the name of the codec that compresses an array, or "". Raise ValueError if the unpacked size may have no limit."""
     codecs = getattr(array.metadata, "codecs", ())  # Metadata of format 2 have no codecs.
     names = [str(codec.to_dict()["name"]) for codec in codecs]
     packing = [name for name in names if name not in PLAIN]
@@ -247,7 +247,7 @@ class Zarr(Format):
             place.write(METADATA, json.dumps(metadata).encode())
 
     def open_dataset(self, path: Path | str) -> xr.Dataset:
-        """Open any Zarr store lazily. BadInput if it is unfinished or damaged, or claims more than the objects can hold."""
+        """Open any Zarr store lazily. Raise BadInput if it is unfinished or damaged, or claims more than the objects can hold."""
         place = place_at(path)
         try:
             stamp, metadata = place.stamp(METADATA), json.loads(place.read(METADATA))

@@ -41,9 +41,9 @@ def run(
     scene : Scene, str, Path or mapping
         A scene from `load_scene`, or an argument of `load_scene`.
     out : str or Path, optional
-        NAME.nc stands for a file and NAME.zarr for a Zarr store, also at an address such as s3://BUCKET/NAME.zarr. Extensions
-        may add suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed. A text
-        that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix names a run folder that is kept. An existing run
+        NAME.nc stands for a file and NAME.zarr for a Zarr store, also at an address such as s3://BUCKET/NAME.zarr. Extensions may
+        add suffixes. The atlas is computed in the run folder NAME.nc.run or NAME.zarr.run, which is then joined and removed. A
+        text that ends in /, such as s3://BUCKET/NAME/, or a Path without suffix names a run folder that is kept. An existing run
         folder is continued.
     threads : int, optional
         Number of threads, by default the number of processors of this process. Results do not depend on the number.

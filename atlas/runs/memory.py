@@ -1,4 +1,4 @@
-"""The computation of a scene in memory, in threads. It may be refined, and may reuse points of earlier atlases."""
+"""The computation of a scene in memory and in threads, with refinement and with reuse of points of earlier atlases."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from .reuse import Earlier
 
 MANY_POINTS = 10**6  # An atlas of this many points may not fit into memory.
-# Seconds for a point and for a step on a slow processor. The time of a run is measured beforehand if these predict more than LONG.
+# Seconds for a point and for a step on a slow processor. If they predict more than LONG seconds, the time of a run is measured.
 SLOW_POINT, SLOW_STEP = 1e-4, 1e-7
 
 Advance = Callable[[float], None]  # takes the number of points finished since the last call

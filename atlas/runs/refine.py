@@ -105,8 +105,8 @@ class FineGrid:
             flags = [prediction.variables[name] for name in self.predicted_flags]
             self.predicted.reshape(-1)[existing] = _encode(flags, self.predicted_counts)
             # Growth is the growth rate times the duration. A nudged unstable point does not drift if the unstable component of the
-            # nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the nudge. This happens at a fraction f of the
-            # points at most. At growth `needed`, f times the size of the grid is EXPECTED_MISSES. Without a nudge no point drifts.
+            # nudge is below the fraction f = rate_tolerance / nudge * exp(-growth) of the nudge. This happens at a fraction f of
+            # the points at most. At growth `needed`, f times the grid size is EXPECTED_MISSES. Without a nudge no point drifts.
             nudge = max(map(abs, self.scene.nudge.values()), default=0.0)
             with np.errstate(divide="ignore"):
                 needed = np.log(part.rate_tolerance / nudge * self.scene.size / EXPECTED_MISSES)
@@ -207,7 +207,7 @@ class FineGrid:
 
 
 def expected_points(plan: ScenePlan) -> float:
-    """Return the number of points that `refined` is expected to integrate, by a simulation with predicted flags on a coarser grid."""
+    """Return the number of points that `refined` is expected to integrate, from a simulation with predicted flags."""
     scene = plan.scene
     assert scene.refine is not None
     levels, n_axes = scene.refine.levels, sum(factor > 1 for factor in scene.coarsening)

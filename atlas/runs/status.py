@@ -15,7 +15,7 @@ from .run import RunFolder
 
 
 def status(path: str | Path, *, verify: bool = False) -> str:
-    """Return the state of a run or finished atlas as text. `verify` reads all values and raises BadInput if an atlas was changed."""
+    """Return the state of a run or finished atlas as text. `verify` reads all values. Raise BadInput if an atlas was changed."""
     place = located(path)
     if isinstance(place, Path):
         check_name(place)

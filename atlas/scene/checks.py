@@ -290,7 +290,7 @@ Keys: TypeAlias = Mapping[str, "dataclasses.Field[Any]"]  # fields made by `chec
 def checked(
     check: Check[Any], default: Any = dataclasses.MISSING, section: str = "", description: str = ""
 ) -> Any:
-    """Return a dataclass field with a check. A class that is read from several tables gives the table of the field as `section`."""
+    """Return a dataclass field with a check. `section` is the table of the field, if a class is read from several tables."""
     metadata = {"check": check, "section": section, "description": description}
     return dataclasses.field(default=default, metadata=metadata)
 

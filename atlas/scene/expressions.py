@@ -53,7 +53,7 @@ _ALLOWED_DRAWS = "".join(f", {name}(draw)" for name in DRAWS)
 
 
 class Expression:
-    """Parsed arithmetic in names, numbers, CONSTANTS, + - * / ** and FUNCTIONS. BadInput, with `key`, for other texts.
+    """Parsed arithmetic in names, numbers, CONSTANTS, + - * / ** and FUNCTIONS. Other texts raise BadInput with `key`.
 
     With a seed the functions DRAWS are allowed. A draw depends on the arguments, the seed, the key and the place in the text.
     """
@@ -140,7 +140,7 @@ Tie = Expression | PointColumn
 
 
 def evaluation_order(ties: Mapping[str, Tie], known: set[str]) -> list[str]:
-    """Return the ties in an order in which each tie uses only known names and earlier ties. Raise BadInput if there is none."""
+    """Return the ties in an order in which each uses only known names and earlier ties. Raise BadInput if that is impossible."""
     for tie in ties.values():
         for name in sorted(tie.names - known - set(ties)):
             raise BadInput(

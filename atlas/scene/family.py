@@ -114,7 +114,7 @@ def check_solution(
 def _with_values(
     family: Family, solve: Sequence[str], points: Points, name: str, values: Array, near: Mapping[str, float]
 ) -> dict[str, Array]:
-    """Return points of shape (trials, points) with the given values of a parameter, after `solve` is solved again."""
+    """Return points of shape (trials, points) with the given values of a parameter. The parameters in `solve` are solved again."""
     repeated = {key: np.broadcast_to(column, values.shape) for key, column in points.items()}
     return solution(family, solve, repeated, near) | {name: values}
 

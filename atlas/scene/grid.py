@@ -67,7 +67,7 @@ class Reason(IntEnum):
     IMPOSSIBLE_BODY = 2  # systems.base.possible_body is false
     IMPOSSIBLE_START = 3  # System.possible_start is false
     NO_MOTION = 4  # the family of the scene has no motion here
-    NO_DURATION = 5  # nothing turns at a duration in turns, or arithmetic gives no finite value above 0
+    NO_DURATION = 5  # the duration is in turns or orbits but nothing turns, or has no finite value above 0
     NO_TOLERANCE = 6  # the rate tolerance is arithmetic without a finite value above 0
     NO_TRANSIENT = 7  # the transient has no value, for the reasons of NO_DURATION
 
@@ -113,7 +113,7 @@ def parameter_values(scene: Scene, indices: np.ndarray) -> dict[str, Array]:
     """Return the values of every parameter, axis and tie before the family is solved. A tie may be inf or nan."""
     parameters = scene.system.parameters
     constants = {**{name: p.default for name, p in parameters.items()}, **scene.fixed}
-    # Constants are views of a single number. They are copied for ties, because NumPy rounds powers with a scalar exponent otherwise.
+    # Constants are views of a number. Ties get copies, because NumPy rounds powers with a scalar exponent differently.
     values: dict[str, Array] = {
         name: np.broadcast_to(np.float64(value), indices.shape) for name, value in constants.items()
     }
@@ -270,7 +270,7 @@ def durations(
 
 
 def check(scene: Scene) -> Grid:
-    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid, with at least one to compute.
+    """Check a scene, and return at most MAX_CHECKED_STARTS points, evenly spaced over the grid, of which one can be computed.
 
     Raise BadInput if no point can be computed, if the family leaves a solved parameter free, or if an output does not apply.
     """
@@ -333,7 +333,7 @@ _NOTHING_TURNS = {
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Return a sentence for each reason why points are not computed. Above MAX_COUNTED points the sample gives the fraction."""
+    """Return a sentence for each reason why points are not computed. Above MAX_COUNTED points, fractions of the sample are given."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         length = max_points_per_tile()

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import BadInput, shown
 
-MAX_FIELDS, MAX_NAME = 10_000, 100  # most examined fields of a column and characters of a name
+MAX_FIELDS, MAX_NAME = 10_000, 100  # numbers of fields and of characters of a name that are examined
 REMEDY = "rename it, or keep it as it is by keep"
 # Separators between two names or two values that were read as a single column.
 _BREAK, _SIGN = re.compile(r"[\s,;|:/&]+"), re.compile(r"\s*[,;|:/&\t]\s*")
@@ -90,7 +90,7 @@ def _most(answers: Iterable[bool]) -> bool:
 
 
 def _is_numbers(field: str) -> bool:
-    """Whether a text is a number for `_is_nearly_number`, or consists of several numbers with a decimal point."""
+    """Whether `_is_nearly_number` accepts a text, or all parts of a text with a decimal point."""
     parts = re.split(r"[\s,;|/&]+", field)  # Colons are left out, because they occur in times of day.
     return _is_nearly_number(field) or ("." in field and all(map(_is_nearly_number, parts)))
 

@@ -116,7 +116,7 @@ def file_of(scene: Path) -> list[Path]:
 
 
 def quasi_random(kind: str, dimensions: int, count: int, seed: int) -> np.ndarray:
-    """Return quasi-random numbers in the unit cube, of shape (dimensions, count). A balanced "sobol" count is a power of two."""
+    """Return quasi-random numbers in the unit cube, of shape (dimensions, count). A balanced "sobol" sample has 2^n points."""
     from scipy.stats import qmc
 
     if kind == "latin_hypercube":

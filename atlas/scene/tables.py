@@ -42,9 +42,10 @@ IDENTIFIERS = ("id", "index", "name", "number", "point")  # lower-case names of 
 def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) -> dict[str, Any]:
     """Return columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or a row.
 
-    Columns of a Dataset are the data variables, and the coordinates that `parameters` or `keep` names. They are DataArrays with all
-    other coordinates. The only dimension is renamed "point", without the index, unless it is named there. The index of a DataFrame
-    becomes a column, with the name "point" unless the index is named there. An index that numbers the rows is dropped.
+    Columns of a Dataset are the data variables and the coordinates in `parameters` or `keep`, as DataArrays with all other
+    coordinates. A single dimension is renamed "point", without the index, unless `parameters` or `keep` has the name. The index of a
+    DataFrame becomes a column, which keeps a name in `parameters` or `keep` and is called "point" otherwise. An index that numbers
+    the rows is dropped.
     """
     import xarray as xr
 
@@ -455,7 +456,7 @@ def _is_number(text: str) -> bool:
 
 
 def _number(field: str) -> float:
-    """Return the number in a field, or nan for an empty field. Texts such as 1_000, a number only in Python, raise ValueError."""
+    """Return the number in a field, or nan for an empty field. Other texts raise ValueError, as does 1_000."""
     if "_" in field:
         raise ValueError
     return float(field.strip() or "nan")

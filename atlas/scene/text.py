@@ -13,7 +13,7 @@ from typing import TextIO
 from ..errors import BadInput
 
 MAX_CHARACTERS = 6_000_000  # largest number of characters of a scene
-MAX_KEY = 300  # number of characters of a line that are searched for a key
+MAX_KEY = 300  # largest number of characters of a line that are searched for a key
 _KEY = re.compile(r"[A-Za-z_][\w-]*(?:\.[\w-]+)*")
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
 _ASSIGNMENT = re.compile(r"""\s*([\w."' -]+?)\s*=""")

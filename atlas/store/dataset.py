@@ -75,7 +75,7 @@ def variable_attributes(system: System, name: str, present: Collection[str]) -> 
 
 
 def parameter_attributes(system: System, name: str, offset: bool) -> dict[str, str]:
-    """Return long_name and units of a parameter, or of an offset. An axis that is no parameter has its name and units 1."""
+    """Return long_name and units of a parameter, or of an offset. For any other axis, long_name is the name and units are 1."""
     if name not in system.parameters:
         return {"long_name": name, "units": "1"}
     parameter = system.parameters[name]
@@ -164,7 +164,7 @@ def log_warnings(warnings: list[str]) -> None:
 
 
 def history_text(reused: Mapping[str, int]) -> dict[str, str]:
-    """Return the attribute HISTORY, or no attribute if `reused`, the number of points taken from each atlas, is empty."""
+    """Return the attribute HISTORY, or no attribute if `reused` is empty. `reused` is the number of points by earlier atlas."""
     lines = [f"{count} points of: {earlier}" for earlier, count in sorted(reused.items())]
     return {HISTORY: "\n".join(lines)} if lines else {}
 

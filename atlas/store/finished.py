@@ -41,7 +41,7 @@ class Content:
 class Format(Protocol):
     """A format of finished atlases. A subclass defines the abstract methods.
 
-    Only the format of Zarr stores is called with a str instead of a Path, which is the address of an object store.
+    Only the format of Zarr stores gets a str as path, which is the address of an object store.
     """
 
     @abstractmethod
@@ -64,7 +64,7 @@ class Format(Protocol):
         """Whether an atlas has the hash that `verify` compares. A copy by another program and an unreadable file have none."""
 
     def writable(self, path: Path | str, *, force: bool, inputs: Iterable[str | Path] = ()) -> Path | str:
-        """Return the path for a new atlas. Raise BadInput as `files.writable`, or if the path holds something else than an atlas."""
+        """Return the path for a new atlas. Raise BadInput as `files.writable` does, or if an existing file has no hash."""
         path = files.writable(path, suffixes(), force=force, inputs=inputs)
         if path.exists() and not self.has_hash(path):
             raise BadInput(files.foreign_message(path))

@@ -21,7 +21,7 @@ COMMON = ("Conventions", "atlas_system", "atlas_system_package", "atlas_system_c
 def concat(parts: Mapping[str, xr.Dataset], dim: str) -> xr.Dataset:
     """Join atlases along a new dimension of names, and keep the scene of each atlas.
 
-    `xarray.concat` would keep only the first scene, and refuse motions and theory of the other atlases.
+    `xarray.concat` keeps only the first scene, so that motions and theory of the other atlases are refused.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def _difference(first: xr.Dataset, ds: xr.Dataset) -> str:
 
 
 def part_of(ds: xr.Dataset, *, needed: bool = False) -> xr.Dataset:
-    """Return a part of joined atlases with the attributes of the part, or another dataset as it is. `needed` demands a single scene."""
+    """Return a part of joined atlases with the attributes of the part, or any other dataset. `needed` refuses joined atlases."""
     if PARTS not in ds.attrs:
         return ds
     try:

@@ -22,7 +22,7 @@ from ..errors import BadInput, one_line
 from ..files import MAX_JSON_BYTES, age, atomic_write, read_bytes, remove_leftovers, temporary_path
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+]+://")
-# A request without an answer is given up after PATIENCE seconds, with a warning after QUIET. Pauses in seconds separate attempts.
+# A request is repeated after FIRST_PAUSE to LONGEST_PAUSE seconds, with a warning after QUIET, and given up after PATIENCE seconds.
 PATIENCE, FIRST_PAUSE, LONGEST_PAUSE, QUIET = 600.0, 0.2, 5.0, 10.0
 # Answers of a server that another attempt would not change.
 FINAL = re.compile(r"status code: 4(?!08|09|25|29)\d\d")
@@ -55,7 +55,7 @@ class Folder:
         return Folder(self.path / name)
 
     def read(self, name: str, most: int = MAX_JSON_BYTES) -> bytes:
-        """Return a content. Raise FileNotFoundError if it is missing, and ValueError if it has over `most` bytes or is no regular file."""
+        """Return a content. Raise FileNotFoundError if it is missing, or ValueError if it is too long or no regular file."""
         return read_bytes(os.path.join(self.path, name), most)
 
     def write(self, name: str, content: bytes, *, durable: bool = True) -> None:

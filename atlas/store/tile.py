@@ -61,7 +61,7 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, np.ndarray], level: 
 def decode(
     content: bytes, facts: Mapping[str, Any], types: Mapping[str, str], most: int
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Return the header and the columns in `types`. Raise DamagedTile if bytes or `facts` differ or points exceed `most`."""
+    """Return the header and the columns in `types`. Raise DamagedTile if hash or facts differ, or for over `most` points."""
     whole = memoryview(content)[:-HASH_BYTES]
     if hashlib.sha256(whole).digest() != content[-HASH_BYTES:]:
         raise DamagedTile("its hash differs")
@@ -101,7 +101,7 @@ class Tiles:
     listing: tuple[int, set[int]] | None = None  # number of the folder that was listed last, and tiles in it
 
     def name(self, tile: int, suffix: str = SUFFIX) -> str:
-        """Return the name of a tile, or the name of the claim of a tile for the suffix of claims."""
+        """Return the name of a tile. The suffix of claims gives the name of the claim on a tile."""
         folder = f"{tile // TILES_PER_FOLDER:05d}/" * (self.tiling.count > TILES_PER_FOLDER)
         return f"{folder}{tile:08d}{suffix}"
 

@@ -2,7 +2,7 @@
 
 Each object has a CRC-32C, which any reader compares. The attribute HASH is written last, so that an unfinished store is never taken
 for an atlas. The first part of HASH is a hash of the root metadata, which is compared when a store is opened. The second part is a
-hash of the names and contents of all other objects. `verify` compares it, because a reader takes lost objects for fill values.
+hash of all other objects, which `verify` compares, because a reader takes lost objects for fill values and misplaced ones for data.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class PlaceStore(WrapperStore[Any]):
         return prototype.buffer.from_bytes(content)
 
     def check_stamp(self) -> None:
-        """Raise BadInput if the store was replaced. To be called after a read, since a new store writes metadata before objects."""
+        """Raise BadInput if the store was replaced. Call this after a read, as a new store writes metadata before objects."""
         if self.stamp != self.place.stamp(METADATA):
             raise BadInput(f"{self.place}: was replaced or removed after it was opened; open it again")
 
@@ -283,7 +283,7 @@ class Zarr(Format):
             if claimed > MIN_CLAIM and isinstance(place, Folder):
                 stored = 0
                 for stored in accumulate(file.stat().st_size for file in place.path.rglob("*")):
-                    if stored * MAX_RATIO >= claimed:  # No further files of a large store need to be counted.
+                    if stored * MAX_RATIO >= claimed:  # The files that were counted so far suffice.
                         break
                 check_claim(claimed, stored)
             own = _Store.open_group(store, mode="r", consolidated=is_consolidated)

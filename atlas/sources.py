@@ -15,7 +15,7 @@ NUMERIC_SOURCES = (
 )  # fmt: skip
 EVERY_MODULE = ("**/*.py",)
 
-# Time of the last change in ns, and hash, of each file in a folder by name.
+# The time of the last change, in ns, and the hash of each file in a folder, by the name of the file.
 Files = dict[str, tuple[int, str]]
 
 

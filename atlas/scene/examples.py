@@ -13,7 +13,7 @@ from ..errors import BadInput, allowed_text
 
 
 def example(name: str, **changes: Any) -> dict[str, Any]:
-    """An example scene as a dictionary, to change and to give to `run`.
+    """Return an example scene as a dictionary, which can be changed and given to `run`.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ MAX_POINTS_PER_TILE = 65536
 MAX_CHECKED_BODIES, MAX_CHECKED_STARTS = 50_000, 10_000
 # On a grid of at most this many points, each `Reason` is counted before a run, which takes about 0.1 s.
 MAX_COUNTED = 2**19
-# The formulas of a family are tried at at most this many points for an error message.
+# For an error message, the formulas of a family are tried at no more than this many points.
 MAX_CHECKED_FORMULAS = 100
 # A warning is given if the ratio of the rate tolerance to the natural rate is above this number.
 COARSE = 1e-2
@@ -333,7 +333,7 @@ _NOTHING_TURNS = {
 
 
 def not_computed(scene: Scene, sample: Grid) -> list[str]:
-    """Return a sentence for each reason why points are not computed. Above MAX_COUNTED points, fractions of the sample are given."""
+    """Return a sentence for each reason why points are not computed. Above MAX_COUNTED points, the sample gives fractions."""
     if scene.size <= MAX_COUNTED:
         counts = np.zeros(len(Reason), np.int64)
         length = max_points_per_tile()

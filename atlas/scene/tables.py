@@ -43,9 +43,9 @@ def table(source: Any, parameters: Collection[str], keep: Collection[str] = ()) 
     """Return columns by name from a .csv or .nc file, a Dataset, a mapping, a list of mappings, a DataFrame or a row.
 
     Columns of a Dataset are the data variables and the coordinates in `parameters` or `keep`, as DataArrays with all other
-    coordinates. A single dimension is renamed "point", without the index, unless `parameters` or `keep` has the name. The index of a
-    DataFrame becomes a column, which keeps a name in `parameters` or `keep` and is called "point" otherwise. An index that numbers
-    the rows is dropped.
+    coordinates. A single dimension is renamed "point", without the index, unless `parameters` or `keep` has the name. The index of
+    a DataFrame becomes a column, which keeps a name in `parameters` or `keep` and is called "point" otherwise. An index that
+    numbers the rows is dropped.
     """
     import xarray as xr
 

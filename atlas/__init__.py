@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .store.joined import concat as concat
     from .systems import register as register
 
-# Public name -> its module, which is imported when the name is first used: reading a scene loads no compiler.
+# The module that defines each public name is imported when the name is first used, so that reading a scene loads no compiler.
 _MODULES = {
     "load_scene": "scene.read",
     "example": "scene.examples",
@@ -53,7 +53,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES or name in _extension.parts("functions"):
         from importlib import import_module
 
-        import_module(".registration", __name__)  # a command may load equations of the user
+        import_module(".registration", __name__)  # equations of the user may use ds.atlas
         if name not in _MODULES:
             return _extension.load("functions", name)
         value = getattr(import_module(f".{_MODULES[name]}", __name__), name)
@@ -64,5 +64,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """The public names of the core, then those of extensions."""
+    """Return the public names of the core, followed by the public names of the extensions."""
     return [*_MODULES, "__version__", *(name for name in _extension.parts("functions") if "." not in name)]

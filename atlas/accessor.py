@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 class Atlas(Questions):
     """Questions to a dataset made by `atlas.run`, `atlas.open_atlas`, `atlas.label_points` or `atlas.trajectory`.
 
-    Every method raises BadInput for unknown names and values, and if the dataset cannot answer: it lacks axes, flags or
-    variables that the method needs, more than two axes are left, the family of its scene has no motion, or its coordinates differ
-    from the values in its scene, from which motions and theory are computed.
+    Every method raises BadInput for an unknown name or value, and for a dataset that cannot answer the question. Such a dataset
+    may lack axes, flags or variables, may have more than two axes to draw, or may belong to a family without a motion. Its
+    coordinates may also differ from the values in the scene, from which motions and theory are computed.
     """
 
     def __init__(self, ds: xr.Dataset) -> None:
@@ -43,7 +43,7 @@ class Atlas(Questions):
         self._ds = subject_of(ds)
 
     def __repr__(self) -> str:
-        """One line for each method: its name and the first line of its documentation."""
+        """Return one line for each method, with its name and the first line of its docstring."""
         own = {name: method for name, method in vars(Atlas).items() if not name.startswith("_")}
         methods = own | {name: load("questions", name) for name in parts("questions")}
         rows = [(f"ds.atlas.{name}()", method.__doc__.partition("\n")[0]) for name, method in methods.items()]
@@ -53,14 +53,14 @@ class Atlas(Questions):
     def map(self, variable: str | None = None, **options: Any) -> Figure:
         """Figure of one variable over two axes, or of single points over two of their parameters.
 
-        A flag has the same colour in every figure. Positive numbers, except angles, that span more than two decades get a
-        logarithmic colour scale, numbers of both signs a scale centred on zero, integers one colour for each value. White cells have no
-        value. Over a single axis the figure is a curve, with a level for each flag.
+        A flag has the same colour in every figure. Positive numbers that span more than two decades have a logarithmic colour
+        scale, unless they are angles. Numbers of both signs have a scale centred on zero, and integers have one colour for each
+        value. Cells without a value are white. Over a single axis the figure is a curve, with a level for each flag.
 
         Parameters
         ----------
         variable : str, optional
-            Default: `map` in [outputs] of the scene, else label; without labels, the first flag variable that is not constant.
+            The default is `map` in [outputs] of the scene, else label, else the first flag variable that is not constant.
         **options
 
         Returns
@@ -78,7 +78,7 @@ class Atlas(Questions):
         Parameters
         ----------
         degrees : bool, optional
-            Return angles in degrees, for tables; methods that compute anything from such a dataset refuse it.
+            Return angles in degrees, for tables. Methods that compute anything refuse such a dataset.
         **flags : str, int or sequence of str or int
             Flag variable -> one or several names or numbers, such as label="drifting", label=3,
             agreement=["theory_only", "differ"]. A point is selected if it matches for every variable.
@@ -165,9 +165,9 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            `probability`, and `lower` and `upper`, the limits of Wilson's 95 % interval for each cell, over the other axes and a
-            dimension named like the variable, whose coordinate is the names of the flags; `.sel(label="drifting").atlas.map()`
-            draws the map of a flag. All draws count; a draw without a motion counts as not_computed.
+            `probability`, and the limits `lower` and `upper` of Wilson's 95 % interval for each cell. The dimensions are the
+            other axes and one named like the variable, whose coordinate is the names of the flags. For example,
+            `.sel(label="drifting").atlas.map()` draws the map of a flag. A draw without a motion counts as not_computed.
         """
         from .analysis.trust import probability
 
@@ -191,8 +191,9 @@ class Atlas(Questions):
             Name or number of a flag: the lines enclose the region where the variable has this flag. Default: the lines of
             theory.
         variable : str, optional
-            The flag variable; default label. Lines of theory hold in the frame of the variable: label_inertial gives lines in
-            inertial space. For a frequency resonances are added; if an extension has lines for the variable, only these are given.
+            The flag variable; default label. Lines of theory hold in the frame of the variable, such as inertial space for
+            label_inertial. For a frequency, resonances are added. If an extension has lines for the variable, only the lines of
+            the extension are returned.
         x, y : str, optional
             Axes, as in `map`.
         select : mapping of str to float, optional
@@ -203,12 +204,12 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            Over the dimension "vertex", line by line: the values of the axes by their names; `line`, the number of the line;
-            `kind`, what changes at the line, such as "stability limit". Kinds of theory are `atlas.analysis.boundary.KINDS`, and,
-            for exact motions of a family, kinds such as "conical (exact)". A line is closed or ends at a limit of the axes.
-            Attributes are the parameters that all points share, angles in rad. Lines of a region run halfway between points
-            inside and outside, on a logarithmic axis in the logarithm; on an axis with more than
-            `atlas.analysis.select.MAX_CELLS` values only every k-th value is used.
+            The dimension "vertex" lists the vertices line by line. The variables are the values of the axes, the number `line`
+            of the line, and `kind`, which says what changes at the line, such as "stability limit". Kinds of theory are
+            `atlas.analysis.boundary.KINDS` and, for exact motions of a family, kinds such as "conical (exact)". A line is closed
+            or ends at a limit of the axes. Attributes are the parameters that all points share, with angles in rad. Lines of a
+            region run halfway between points inside and outside, as measured in the logarithm on a logarithmic axis. On an axis
+            with more than `atlas.analysis.select.MAX_CELLS` values only every k-th value is used.
         """
         from .analysis.boundary import boundary
 
@@ -253,10 +254,11 @@ class Atlas(Questions):
         Returns
         -------
         str
-            With theory: confusion table, agreement, unstable points that survive, and the clearest disagreements; label and
-            predicted are loaded whole. With another atlas: differences of the scenes; changes of flags, with a table of labels
-            in this atlas (rows) and in the other (columns); for each numeric variable the largest difference, and the largest ratio to the
-            larger error_estimate with its place. Variables are loaded one by one.
+            A comparison with theory has a confusion table, the agreement, unstable points that survive, and the clearest
+            disagreements. A comparison with another atlas has the differences of the scenes and the changes of flags, with a
+            table of labels in this atlas (rows) and in the other (columns). For each numeric variable it has the largest
+            difference, and the place and size of the largest ratio of the difference to the larger error_estimate. Variables are
+            loaded whole, one after another.
         """
         if other is None:
             from .analysis.compare import report
@@ -277,8 +279,8 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            For flags, variables such as `label_change`, with flags such as unchanged and to_drifting; for numbers, variables such
-            as `theta_max_difference`: the other atlas minus this one. `differences(other).atlas.map()` draws where labels change.
+            Flags give variables such as `label_change`, with flags such as unchanged and to_drifting. Numbers give variables such
+            as `theta_max_difference`, the other atlas minus this one. `differences(other).atlas.map()` draws where labels change.
         """
         from .analysis import differences
 
@@ -334,18 +336,18 @@ class Atlas(Questions):
         ax : matplotlib.axes.Axes, optional
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
         view : (float, float)
-            Azimuth of the viewer from the first axis of the frame towards the second, and elevation, in degrees; about a fixed
-            point, where the third axis points down, azimuth from x away from y, and elevation above the horizon.
+            Azimuth and elevation of the viewer in degrees. The azimuth is measured from the first axis of the frame towards the
+            second. About a fixed point, where the third axis points down, it is measured from x away from y.
         degrees : bool
             Show angles in degrees.
         width : {"page", "column"} or float
-            "page" is 180 mm, "column" 88 mm; or a number of mm. Below 140 mm the sphere is under the other panels.
+            "page" is 180 mm, "column" is 88 mm, and a number is in mm. Below 140 mm the sphere is under the other panels.
 
         Returns
         -------
         matplotlib.figure.Figure
-            The path is dark on the near side of the sphere and pale on the far side, with a dot at its start; up is at the
-            top. For a system with observables, the observables over time.
+            The path is dark on the near side of the sphere and pale on the far side. A dot marks the start, and up is at the
+            top. For a system with observables, the figure shows the observables over time.
         """
         from .plotting.trajectory import trajectory_figure
 
@@ -404,8 +406,8 @@ class Atlas(Questions):
     def trust(self, variable: str = "label") -> xr.Dataset:
         """Reliability of a map between its points, estimated from the map itself.
 
-        Cells of side s have corners s points apart, along axes with at least `atlas.analysis.trust.MIN_VALUES` values; each value
-        of a shorter axis is a map of its own.
+        A cell of side s has corners that are s points apart. Only axes with at least `atlas.analysis.trust.MIN_VALUES` values are
+        divided into cells; each value of a shorter axis is a separate map.
 
         Parameters
         ----------
@@ -415,18 +417,18 @@ class Atlas(Questions):
         Returns
         -------
         Dataset
-            - uncertain (stride): fraction of the cells of side 1, 2, 4, ... whose corners differ; for side 1, the fraction of the
-              map in which a border runs.
-            - exponent: least-squares slope of log(uncertain) over log(side), for sides with a fraction above 0 [1]_: 1 for smooth
-              borders, towards 0 for fractal borders, which finer grids hardly sharpen; nan with fewer than two such sides. The
+            - uncertain (stride): fraction of the cells of side 1, 2, 4, ... whose corners differ. The fraction for side 1 is the
+              part of the map in which a border runs.
+            - exponent: least-squares slope of log(uncertain) over log(side) [1]_, or nan with fewer than two sides whose fraction
+              is above 0. The slope is 1 for smooth borders and near 0 for fractal borders, which finer grids hardly sharpen. The
               dimension of the borders is the number of axes minus the exponent.
             - entropy: mean of -sum p ln p over boxes of `atlas.analysis.trust.BOX` points along each axis, where p are the
-              fractions of the flags in a box [3]_; border_entropy: the mean over boxes with several flags, where more than ln 2
-              means fractal borders.
+              fractions of the flags in a box [3]_.
+            - border_entropy: the same mean over boxes with several flags. A value above ln 2 means fractal borders.
             - missed: fraction of the cells of side 2 with equal corners that have another value at a point between the corners,
               such as an island or a thin tongue.
-            - missed_bound: upper 95 % bound of missed [2]_, with cells as independent samples. It holds for side 2; with an
-              exponent above 0 the map itself, of side 1, misses less.
+            - missed_bound: upper 95 % bound of missed [2]_, if cells are independent samples. The bound holds for side 2. The map
+              itself has side 1 and misses less if the exponent is above 0.
 
         References
         ----------
@@ -449,7 +451,7 @@ class Atlas(Questions):
         Returns
         -------
         str
-            Three lines, or three entries. The entry of the atlas has the hash of its result, or, for single points, of the kernel.
+            Three lines, or three entries. The entry of the atlas has the hash of the result or, for single points, of the kernel.
         """
         from .analysis.citation import cite
 

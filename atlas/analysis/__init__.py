@@ -1,1 +1,1 @@
-"""Questions to an atlas; numbers and tables, no figures."""
+"""Questions to an atlas that are answered by numbers, tables and text, without figures."""

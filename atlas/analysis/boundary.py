@@ -1,4 +1,4 @@
-"""Borders on a plane of an atlas as data: lines that theory (core or extensions) predicts, and borders of measured regions."""
+"""Borders on a plane of an atlas as datasets. Theory predicts some borders; others surround measured regions."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def boundary(
     select: Mapping[str, float],
     degrees: bool = False,
 ) -> xr.Dataset:
-    """Borders of theory or, if a label is given, of the region with this flag; see `Atlas.boundary`."""
+    """Return the borders of theory or, if a label is given, the border of the region with this flag; see `Atlas.boundary`."""
     system_of(ds)
     plane, dims, panel_dims = plane_of(ds, x, y, select, degrees=degrees)
     if panel_dims or (label is not None and len(dims) != 2):
@@ -106,7 +106,7 @@ def boundary(
 
 
 def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str) -> Lines:
-    """Borders of theory on a plane of an atlas by kind; BadInput if `dims` are not axes of the scene."""
+    """Return the borders of theory on a plane of an atlas, by kind. Raise BadInput if `dims` are not axes of the scene."""
     for dim in dims:
         if dim not in axes_of(scene):
             raise BadInput(f"{dim}: not an axis of the atlas' scene; its axes: {', '.join(axes_of(scene))}")
@@ -122,7 +122,7 @@ def theory_lines(scene: Scene, plane: xr.Dataset, dims: list[str], variable: str
 
 
 def borders(plane: Plane, variable: str = "label") -> Lines:
-    """Lines of KINDS on a plane, in the frame to which a variable belongs."""
+    """Return the lines of KINDS on a plane, in the frame to which `variable` belongs."""
     lines = cached_lines(lambda: theory_borders(plane), plane)
     frame = IN_SPACE if variable.endswith("_inertial") else ""
     names = {name: name + frame * kind.of_frame for name, kind in KINDS.items()}
@@ -132,10 +132,10 @@ def borders(plane: Plane, variable: str = "label") -> Lines:
 class Kind(NamedTuple):
     """A kind of border."""
 
-    # Predictions, frame, whether motions are nudged -> class of each point: 1 and 2 on the two sides of a line, 0 away from lines.
+    # The class of each point is 1 or 2 on the two sides of a line, and 0 away from lines. The bool says whether motions are nudged.
     classes: Callable[[Predictions, str, bool], np.ndarray]
     of_frame: bool = True  # whether the line depends on the frame
-    rate: str = ""  # "n" or "m", the rate that is 0 on the line
+    rate: str = ""  # the rate that is 0 on the line, "n" or "m"
 
 
 def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
@@ -144,7 +144,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Classes by the sign of a rate of regular precessions; 0 for nudged unstable motions, whose label theory does not give."""
+    """Return classes by the sign of a rate of regular precessions. Theory gives no label, and class 0, to nudged unstable motions."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
@@ -162,11 +162,11 @@ KINDS: Mapping[str, Kind] = {
 
 
 def theory_borders(plane: Plane) -> Lines:
-    """Polylines at which theory predicts a change in a plane, by their kind (of KINDS), in the units of its axes.
+    """Return polylines on a plane at which a prediction of theory changes, by kind, in the units of the axes.
 
-    Lines separate linearly stable from unstable motions, regular precession from permanent rotation, and points with a motion
-    from points without. On lines where psi' or phi' is 0, a motion that is a regular precession on both sides is a permanent
-    rotation. Kinds that depend on the frame have a second entry for inertial space, with IN_SPACE at the end of the name.
+    Lines separate linearly stable from unstable motions, regular precessions from permanent rotations, and points with a motion
+    from points without a motion. A line on which psi' or phi' is 0 lies between regular precessions, and motions on the line are
+    permanent rotations. A kind that depends on the frame has a second entry for inertial space, whose name ends with IN_SPACE.
     """
     frames, nudged = ("", IN_SPACE), bool(plane.scene.nudge)
     kinds = {
@@ -199,7 +199,7 @@ RESONANCE_SAMPLES = 200  # number of samples along each axis
 
 
 def resonances(plane: Plane) -> Lines:
-    """Lines of RESONANCES where a motion exists that is not unstable."""
+    """Return the lines of RESONANCES, as far as motions exist there and are not unstable."""
     axes, coordinates = plane.lattice(RESONANCE_SAMPLES)
     return resonance_lines(plane, axes, coordinates, not_unstable(plane, coordinates))
 
@@ -211,9 +211,10 @@ def not_unstable(plane: Plane, coordinates: Mapping[str, Array]) -> Mask:
 
 
 def resonance_lines(plane: Plane, axes: list[Array], coordinates: Mapping[str, Array], shown: Mask) -> Lines:
-    """Lines, by RESONANCES, where two frequencies have the ratio 1, 2 or 3; shown: points of the lattice where lines may be.
+    """Return lines, by the names in RESONANCES, on which two frequencies have the ratio 1, 2 or 3.
 
-    A resonance 1:1 at which stability ends is a stability limit and is left out.
+    Lines are drawn only through points of the lattice in the mask `shown`. A resonance 1:1 at which stability ends is left out,
+    because it is a stability limit.
     """
     columns = plane.derived(coordinates, FREQUENCIES)
     frequencies = [on_axes(columns[name], shown, axes) for name in FREQUENCIES]

@@ -14,9 +14,9 @@ AUTHORS = "The Precession Atlas developers"  # as in CITATION.cff
 
 
 def cite(ds: xr.Dataset, bibtex: bool) -> str:
-    """Text or BibTeX that names the program, the equations and the computation; see `Atlas.cite`."""
+    """Return text or BibTeX that names the program, the equations and the computation; see `Atlas.cite`."""
     system, attributes = system_of(ds), ds.attrs
-    scene_of(ds)  # BadInput for joined atlases
+    scene_of(ds)  # raises BadInput for joined atlases
 
     def text(name: str, default: str = "unknown") -> str:
         return attribute_text(attributes, name, default, MAX_MESSAGE)
@@ -49,6 +49,6 @@ def cite(ds: xr.Dataset, bibtex: bool) -> str:
 
 
 def _entry(key: str, **values: str) -> str:
-    """A BibTeX entry @misc; double braces keep names and capital letters unchanged."""
+    """Return a BibTeX entry @misc. Double braces keep names and capital letters unchanged."""
     lines = [f"  {name} = {{{{{escaped(value)}}}}}," for name, value in values.items() if value]
     return "\n".join([f"@misc{{{key},", *lines, "}", ""])

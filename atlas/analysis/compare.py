@@ -27,20 +27,20 @@ from .metadata import (
     with_measured_labels,
 )
 
-# Half width, as a fraction of the axis range, of the band that counts as near the analytical boundary, where growth is slow and
-# stable motions have large amplitudes.
+# A point counts as near the analytical boundary within this fraction of the axis range. Near the boundary growth is slow, and stable
+# motions have large amplitudes.
 BAND = 0.02
-# Largest growth_rate x duration at which an unstable motion may still read as steady: with a nudge of 1e-4 and a tolerance of 1e-3
+# An unstable motion may read as steady up to this product of growth_rate and duration. With a nudge of 1e-4 and a tolerance of 1e-3
 # a motion may stay within the tolerance while a disturbance grows by e^12.
 MAX_SURVIVED_GROWTH = 12.0
-# Variations of the rates; the largest is the unsteadiness of a point.
+# Variations of the rates, the largest of which is the unsteadiness of a point.
 VARIATIONS = ("theta_dot_rms", "psi_dot_std", "phi_dot_std", "normal_rate_std")
-# Variables needed to compare motions in the plane with the stability that theory gives.
+# Variables that are needed to compare motions in the plane with the stability that theory gives.
 OF_PLANE = ("stable", "growth_rate", "end_time", "family", "regularity", "lyapunov")
 
 
 def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
-    """Confusion table of labels and theory, unstable points that survive, and the `worst` disagreements, as text."""
+    """Return a comparison of labels with theory, with the `worst` clearest disagreements, as text."""
     whole_number("worst", worst, 0)
     whole = with_measured_labels(ds)
     ds = _variables_to_compare(whole)
@@ -68,7 +68,7 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
 
 
 def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
-    """Label, predicted, and variables that explain differences; BadInput unless label and predicted are flags of the same points."""
+    """Return label, predicted and variables that explain differences. BadInput unless label and predicted belong to the same points."""
     if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"
@@ -92,7 +92,7 @@ def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
 def confusion(
     corner: str, down: Flags, across: Flags, names: Sequence[str], columns: Sequence[str] | None = None
 ) -> list[str]:
-    """Lines of a table that counts points by pairs of flags; names: flags of the rows, and of the columns unless `columns` is given."""
+    """Return a table that counts points by pairs of flags. Columns have the flags in `names` too, unless `columns` is given."""
     shape = len(names), len(columns or names)
     pairs = np.ravel(down).astype(np.intp) * shape[1] + np.ravel(across)
     table = np.bincount(pairs, minlength=math.prod(shape)).reshape(shape)
@@ -102,7 +102,7 @@ def confusion(
 
 
 def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
-    """Lines that count stable points that drift and unstable points that survive, in all and away from the boundary."""
+    """Return lines that count stable points that drift and unstable points that survive, in total and away from the boundary."""
     label, stable = ds["label"].values, ds["stable"].values
     log_growth = ds["growth_rate"].values * ds["end_time"].values
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
@@ -129,7 +129,7 @@ def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
 
 
 def _plane_lines(ds: xr.Dataset) -> list[str]:
-    """Lines that compare the stability of motions in the plane, from theory, with measured regularity and Lyapunov exponent."""
+    """Return lines that compare the predicted stability of motions in the plane with measured regularity and Lyapunov exponents."""
     if not {*OF_PLANE, "atlas_system"} <= {*ds, *ds.attrs}:
         return []
     where = unsteady(system_of(ds), ds["family"].values.astype(np.int8))
@@ -148,7 +148,7 @@ def _plane_lines(ds: xr.Dataset) -> list[str]:
 
 
 def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
-    """Lines that compare labels proved for every duration with measured labels, and the first contradictions."""
+    """Return lines that compare labels proved for every duration with measured labels, and the first `worst` contradictions."""
     lines = []
     for label, proof in proofs_of_labels().items():
         predicted = label.replace("label", "predicted")
@@ -166,16 +166,17 @@ def _proof_lines(ds: xr.Dataset, worst: int) -> list[str]:
 
 
 def near_boundary(stable: Flags, axes: Collection[int]) -> np.ndarray:
-    """Whether a point has a neighbour of other linear stability within BAND of the axis range, along one of `axes`."""
+    """Whether the linear stability changes in a box about each point that reaches BAND of the axis range along each of `axes`."""
     reach = [max(1, int(np.ceil(BAND * (count - 1)))) if count > 1 else 0 for count in stable.shape]
     window = [1 + 2 * n * (axis in axes) for axis, n in enumerate(reach)]
     return grid.near_change(stable, window)
 
 
 def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
-    """Lines on the clearest disagreements: strongest drift where theory predicts none, weakest drift where theory predicts it.
+    """Return lines on the `count` clearest disagreements.
 
-    Without measured rates the first disagreements are listed.
+    Strong drift is clear where theory predicts none, and weak drift is clear where theory predicts drift. Without measured rates,
+    the first disagreements are listed.
     """
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
@@ -203,7 +204,7 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
 
 
 def place(ds: xr.Dataset, indices: Mapping[str, int]) -> str:
-    """Text for a point: the values of its axes; for an axis without numbers, its index and the parameters that vary along the axis."""
+    """Return a text for a point. An axis without numbers gives its index and the parameters that vary along the axis."""
     texts = []
     for dim, k in indices.items():
         names = [dim]

@@ -16,9 +16,9 @@ RAD, DEGREE = "rad", "degree"  # values of the attribute units
 
 
 def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
-    """Factor from the values of a variable to the values shown: 180 / pi for an angle in rad, else 1.
+    """Return the factor from the values of a variable to the values shown, which is 180 / pi for an angle in rad and else 1.
 
-    degrees: None means that the attribute display_units decides.
+    If `degrees` is None, the attribute display_units decides.
     """
     if degrees is None:
         degrees = attribute_text(attributes, "display_units") == "deg"
@@ -26,27 +26,27 @@ def factor(attributes: Mapping[Any, Any], degrees: bool | None = True) -> float:
 
 
 def in_degrees(data: Data, degrees: bool | None = True) -> Data:
-    """The data with angles in degrees; degrees: see `factor`."""
+    """Return the data with angles in degrees; see `factor` for `degrees`."""
     return _scale(
         data, {n: f for n, v in _variables(data).items() if (f := factor(v.attrs, degrees)) != 1}, DEGREE
     )
 
 
 def in_rad(data: Data) -> Data:
-    """The data with angles in rad."""
+    """Return the data with angles in rad."""
     units = {name: attribute_text(variable.attrs, "units") for name, variable in _variables(data).items()}
     return _scale(data, {name: math.radians(1.0) for name, unit in units.items() if unit == DEGREE}, RAD)
 
 
 def _variables(data: Data) -> Mapping[str, xr.DataArray]:
-    """Coordinates and variables of a dataset by name, or coordinates of an array and, under the name "", the array."""
+    """Return the coordinates and variables of a dataset by name. An array is returned under the name "", after its coordinates."""
     if isinstance(data, xr.DataArray):
         return {**{str(name): each for name, each in data.coords.items()}, "": data}
     return {str(name): data[name] for name in data.variables}
 
 
 def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
-    """Data with some variables multiplied by factors, in new units; a multi-index of these variables becomes plain coordinates."""
+    """Return data with some variables multiplied by factors, in new units. A multi-index with such a variable becomes plain coordinates."""
     levels = [str(data[name].dims[0]) for name in factors if name in data.indexes and name not in data.dims]
     data = data.reset_index(list(set(levels))) if levels else data
     variables, new = _variables(data), dict[str, xr.Variable]()
@@ -63,6 +63,6 @@ def _scale(data: Data, factors: Mapping[str, float], units: str) -> Data:
 def lines_in_degrees(
     lines: Mapping[str, list[np.ndarray]], axes: list[xr.DataArray], degrees: bool | None
 ) -> dict[str, list[np.ndarray]]:
-    """Lines over the given axes, with angles in degrees; degrees: see `factor`."""
+    """Return lines over the given axes with angles in degrees; see `factor` for `degrees`."""
     factors = [factor(axis.attrs, degrees) for axis in axes]
     return {kind: [line * factors for line in group] for kind, group in lines.items()}

@@ -1,4 +1,4 @@
-"""Two atlases on the same grid: changes of flags, and differences of numbers, compared with error estimates."""
+"""Comparison of two atlases on the same grid by changes of flags and differences of numbers."""
 
 from __future__ import annotations
 
@@ -21,14 +21,12 @@ from .compare import confusion, place
 from .degrees import factor, in_degrees
 from .metadata import flag_names, flags_of, has_flags, numeric_coordinates, scene_of, system_of
 
-OVER_BOUND = (
-    *RATES,
-    *circle.AXIS_RATES,
-)  # variables whose error is relative to the bound of the fastest frequency
+# The errors of these variables are relative to the bound of the fastest frequency.
+OVER_BOUND = (*RATES, *circle.AXIS_RATES)
 
 
 def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
-    """How the second atlas differs from the first, as text; see `Atlas.compare`."""
+    """Return a text that says how the second atlas differs from the first; see `Atlas.compare`."""
     whole_number("worst", worst, 0)
     flags, numbers = _common_variables(first, second)
     shown = in_degrees(first.coords.to_dataset(), degrees)
@@ -54,7 +52,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
                 lines.append(f"  {where}: {names[a[i]]} to {names[b[i]]}")
     for name in numbers:
         ours, theirs = first[name].variable, second[name].variable
-        # If only one atlas has a value, the difference counts as infinite; inf - inf is nan, which counts as 0.
+        # A difference is infinite if only one atlas has a value. The difference inf - inf is nan, which counts as 0.
         difference = abs(ours - theirs).where(ours.isnull() == theirs.isnull(), np.inf).fillna(0.0)
         if not difference.any():
             unchanged.append(name)
@@ -71,7 +69,7 @@ def report(first: xr.Dataset, second: xr.Dataset, worst: int = 5, degrees: bool 
 
 
 def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
-    """Changes of flags, and second minus first of numbers; see `Atlas.differences`."""
+    """Return the changes of flags, and the numbers of the second atlas minus those of the first; see `Atlas.differences`."""
     flags, numbers = _common_variables(first, second)
     result: dict[str, xr.Variable] = {}
     for name in flags:
@@ -87,7 +85,7 @@ def differences(first: xr.Dataset, second: xr.Dataset) -> xr.Dataset:
 
 
 def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str], list[str]]:
-    """Names of flags and of numbers that both atlases have; BadInput unless the atlases have one system and one grid."""
+    """Return the names of flags and of numbers that both atlases have. Raise BadInput unless both have the same system and grid."""
     if not isinstance(second, xr.Dataset):
         raise BadInput(f"other = {shown(second)}: must be the dataset of an atlas")
     systems, problems = [system_of(ds).name for ds in (first, second)], []
@@ -113,7 +111,7 @@ def _common_variables(first: xr.Dataset, second: xr.Dataset) -> tuple[list[str],
 
 
 def _estimate(first: xr.Dataset, second: xr.Dataset, name: str) -> Any:
-    """The larger of the two atlases' error estimates of a variable, in its unit; None if the estimate or a variable for its unit is missing."""
+    """Return the larger error estimate of a variable in two atlases, in the unit of the variable, or None if no estimate is known."""
     system, stem = system_of(first), name.rpartition("_")[0]
     if name not in (*main_instrument(system).statistics(system), *OVER_BOUND, *circle.ANGLES):
         return None

@@ -15,18 +15,18 @@ from .metadata import axes_of
 from .plane import Plane
 from .tracer import cached_lines, lines_at, narrow, shown_parts, values_at
 
-# For tracing curves: number of samples along each axis, and number of trisections between two samples.
+# Curves are traced on this number of samples along each axis. Vertices are trisected this often between two samples.
 TRACING_SAMPLES, TRISECTIONS = 150, 24
 # A condition that holds at more than this fraction of the samples holds in a region, where its sign is only rounding.
 REGION = 0.1
 
 
 def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
-    """Curves by family where exact steady motions cross a plane.
+    """Return the curves on a plane along which exact steady motions exist, by family.
 
-    The families are the scene's family or, if it names none, all. If the scene solves its points onto a family, the only curves
-    are the lines on which an axis is the offset from this family and is 0; otherwise the curves are the lines on which the
-    conditions of a family hold.
+    The family of the scene is traced or, if the scene names none, every family. If the scene solves its points onto a family, the
+    curves are the lines on which an axis is the offset from the family and is 0. Otherwise the conditions of a family hold on a
+    curve.
     """
     scene = plane.scene
     if scene.solve:
@@ -39,7 +39,7 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
         return {str(scene.family): lines} if lines else {}
     families = families_of(scene.system)
     chosen = families if scene.family is None else [scene.family]
-    traced = [name for name in chosen if not families[name].rate_std]  # other families fill regions
+    traced = [name for name in chosen if not families[name].rate_std]  # unsteady families fill regions
 
     def trace() -> dict[str, list[Array]]:
         return {name: _traced_curves(plane, families[name]) for name in traced}
@@ -48,10 +48,10 @@ def family_curves(plane: Plane) -> dict[str, list[np.ndarray]]:
 
 
 def _traced_curves(plane: Plane, family: Family) -> list[Array]:
-    """The lines on which one condition of a family changes its sign and the other conditions hold.
+    """Return the lines on which one condition of a family changes sign and the other conditions hold.
 
-    A condition that is the magnitude of a vector has no sign. It is replaced by the difference of a parameter from its solved
-    value; of several parameters, the one with the longest lines counts.
+    A condition that is the magnitude of a vector has no sign, and is replaced by the difference between a parameter and its
+    solved value. If several parameters can be solved for, the one with the longest lines is used.
     """
     axes, coordinates = plane.lattice(TRACING_SAMPLES)
 
@@ -86,7 +86,7 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
 def _zero_lines(
     plane: Plane, family: Family, axes: list[Array], column: Array, function: Callable[[Any], Array]
 ) -> list[Array]:
-    """Zero lines of a function of points, cut to the parts on which a family exists; column: values of the function at samples."""
+    """Return the zero lines of `function`, whose values at samples are `column`, cut to the parts on which the family exists."""
 
     def base(places: Array) -> Mapping[str, Array]:
         return plane.points(dict(zip(plane.extent, places.T, strict=True))).base
@@ -98,9 +98,8 @@ def _zero_lines(
     lines = lines_at(values, 0.0)
     if not lines or (np.abs(column) < ON_FAMILY).mean() > REGION:
         return []
-    lines = [
-        line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines
-    ]  # a line keeps its direction if the axes are exchanged
+    # A line keeps its direction if the axes are exchanged.
+    lines = [line if line[0].sum() <= line[-1].sum() else line[::-1] for line in lines]
     low, high = np.floor(np.concatenate(lines)), np.ceil(np.concatenate(lines))
     at_low = values[tuple(low.astype(int).T)] > 0
     places = values_at(narrow(is_above, at_low, low, high, TRISECTIONS), axes)

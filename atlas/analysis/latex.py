@@ -38,10 +38,10 @@ TOKEN = re.compile(
 
 
 def in_latex(text: str) -> str:
-    """A text in which formulas become LaTeX between dollars; single letters, Greek letters and functions belong to formulas."""
+    """Return a text with formulas as LaTeX between dollars. Single letters, Greek letters and functions belong to formulas."""
     text = re.sub(r"sqrt\((\w+)\)", r"√\1", re.sub(r"\b([A-Za-z]+)(\d)-dot", r"\1_dot\2", text))
     text = re.sub(r"sqrt\(([^()]+)\)", r"(\1)^½", text)
-    pieces: list[tuple[bool, str]] = []  # (whether it is part of a formula, text)
+    pieces: list[tuple[bool, str]] = []  # whether the text is part of a formula, and the text
     bars = 0
     tokens = TOKEN.findall(text)
 
@@ -78,7 +78,7 @@ def in_latex(text: str) -> str:
     runs: list[str] = []
     for is_formula, group in groupby(pieces, key=lambda piece: piece[0]):
         joined = re.sub(r" (?=[\^)\]/])|(?<=[(\[/]) ", "", " ".join(piece for _, piece in group))
-        # TeX accepts primes and a power only in one superscript.
+        # TeX accepts primes and a power only in a common superscript.
         joined = re.sub(r"('+)\^\{", lambda match: "^{" + r"\prime " * len(match[1]), joined)
         runs.append(f"${joined}$" if is_formula else joined)
     return re.sub(r" (?=[,:;)])|(?<=\() ", "", " ".join(runs))
@@ -89,7 +89,7 @@ FORMULAS = ("conditions", "printed", "true", "ours")
 
 
 def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -> str:
-    """Rows as a longtable of LaTeX; columns: name -> heading of each column shown; a cell that is a list becomes several lines."""
+    """Return rows as a LaTeX longtable. `columns` gives the headings of the columns shown. A list in a cell becomes several lines."""
     width = rf"p{{\dimexpr{1 / len(columns):.3f}\linewidth-2\tabcolsep\relax}}"
     heads = " & ".join(columns.values())
     lines = [r"% needs \usepackage{amsmath, longtable}", rf"\begin{{longtable}}{{{width * len(columns)}}}"]
@@ -107,13 +107,13 @@ def latex_table(rows: Sequence[Mapping[str, Any]], columns: Mapping[str, str]) -
 
 
 def _in_table(text: str) -> str:
-    """A text in LaTeX: formulas converted, the words between them escaped."""
+    """Return a text as LaTeX, with formulas converted and the words between formulas escaped."""
     parts = re.split(r"(\$[^$]*\$)", in_latex(text))
     return "".join(part if part[:1] == "$" else escaped(part) for part in parts)
 
 
 def escaped(text: str) -> str:
-    """A text with LaTeX's special characters escaped; braces stay in pairs, as BibTeX needs."""
+    """Return a text with the special characters of LaTeX escaped. Braces stay in pairs, because BibTeX needs pairs."""
     return re.sub(r"[\\^~<>|_&%#${}]", lambda sign: _SIGNS.get(sign[0], f"\\{sign[0]}"), text)
 
 

@@ -1,4 +1,4 @@
-"""System, scene, axes and flags of an atlas dataset, from its attributes."""
+"""System, scene, axes and flags of an atlas, as read from the attributes of its dataset."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from ..store.tiling import Tiling
 from ..systems.base import Array, Mask, System
 from ..variables import POINT, data_variables, proofs_of_labels
 
-MAX_FLAGS = 128  # largest number of flags of a variable: int8 has the numbers 0 to 127
+MAX_FLAGS = 128  # largest number of flags of a variable, because int8 has the numbers 0 to 127
 TRUE_FALSE = ["false", "true"]  # flags of a Boolean variable
-# A part of CF's attribute cell_methods that names dimensions and a method whose results are not flags.
+# Part of the CF attribute cell_methods with names of dimensions and a method, such as mean, whose results are not flags.
 _AVERAGED = re.compile(
     r"((?:[\w.+-]+[:,]\s*)+)(?:mean|sum|median|mid_range|range|standard_dev|variance|root)"
 )
 
 
-POSITIONS = "atlas_positions"  # attribute of a variable that holds positions in a list: two names, for -1 and for positions
+POSITIONS = "atlas_positions"  # attribute with the name of the value -1 and the name of positions in a list
 
 
 def system_of(ds: xr.Dataset) -> System:
-    """The system of an atlas; BadInput if the dataset is no atlas, or has texts where an atlas has numbers."""
+    """Return the system of an atlas. Raise BadInput if the dataset is no atlas, or has texts where an atlas has numbers."""
     if "atlas_system" not in ds.attrs:
         raise BadInput("not an atlas: the attribute atlas_system is missing")
     name, package = ds.attrs["atlas_system"], ds.attrs.get("atlas_system_package")
@@ -55,7 +55,7 @@ def system_of(ds: xr.Dataset) -> System:
 
 
 def number_attribute(ds: xr.Dataset, name: str) -> float:
-    """A global attribute of an atlas as a number; BadInput if the attribute is missing or no number."""
+    """Return a global attribute of an atlas as a number. Raise BadInput if the attribute is missing or is no number."""
     try:
         return float(ds.attrs[name])
     except (KeyError, TypeError, ValueError):
@@ -63,7 +63,7 @@ def number_attribute(ds: xr.Dataset, name: str) -> float:
 
 
 def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
-    """The scene of an atlas, None for points without a scene; BadInput if the scene is needed but was lost."""
+    """Return the scene of an atlas, or None for points without a scene. Raise BadInput if the scene is needed but was lost."""
     if "atlas_parts" in ds.attrs:
         from ..store.joined import part_of
 
@@ -77,7 +77,7 @@ def scene_of(ds: xr.Dataset, *, needed: bool = False) -> Scene | None:
 
 
 def without_run(ds: xr.Dataset) -> xr.DataArray | None:
-    """Whether a point has a proved label and was not integrated; None if the scene integrates proved points too."""
+    """Return which points were not integrated because proofs give their labels, or None if the scene does not use proofs."""
     proofs = [ds[proof] != 0 for label, proof in proofs_of_labels().items() if {label, proof} <= {*ds}]
     scene = scene_of(ds) if proofs else None
     if scene is None or not scene.settings.prove:
@@ -86,14 +86,14 @@ def without_run(ds: xr.Dataset) -> xr.DataArray | None:
 
 
 def with_measured_labels(ds: xr.Dataset) -> xr.Dataset:
-    """The atlas with measured labels alone: proved labels become not_computed."""
+    """Return the atlas with the label not_computed at points that were not integrated because their labels are proved."""
     if (proved := without_run(ds)) is None:
         return ds
     labels = [label for label in proofs_of_labels() if label in ds]
     return ds.assign({name: ds[name].where(~proved, Label.NOT_COMPUTED).astype(np.int8) for name in labels})
 
 
-# Coordinates count as equal if their relative difference is below COORDINATE_ROUNDING, or SPACINGS machine epsilons of their type.
+# Coordinates are equal within the relative difference COORDINATE_ROUNDING, or within SPACINGS machine epsilons of their type.
 COORDINATE_ROUNDING, SPACINGS = 1e-9, 8
 MAX_COMPARED = 400  # number of points at which coordinates are compared
 CHANGED = (
@@ -102,16 +102,17 @@ CHANGED = (
 
 
 def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
-    """The scene by which a part of an atlas can be computed again, None for points without a scene.
+    """Return the scene from which a part of an atlas can be computed again, or None for points without a scene.
 
-    BadInput unless the coordinates equal those of the scene to rounding, at evenly chosen points (corners and middles of a lazy
-    part). An axis may have some of the scene's values or, after a join of atlases that differ only in this axis, all of them and others.
+    Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared, and only
+    corners and middles of a lazy part. An axis may have only some of the scene's values. After a join of atlases that differ only
+    in this axis, it may also have all of the scene's values and others.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)
     units = {name: parameter.unit for name, parameter in system.parameters.items()}
     units |= {dim: axis.units or units.get(axis.name, "1") for dim, axis in axes.items()}
-    # xarray Variables, because making DataArrays with coordinates would take longer than the comparison.
+    # Variables are compared, because making DataArrays with coordinates would take longer than the comparison.
     numbers = {n: v for n in units if n in ds.coords and (v := ds.variables[n]).dtype.kind in "iuf"}
     for name, variable in numbers.items():
         unit = attribute_text(variable.attrs, "units")
@@ -153,20 +154,20 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
 
 def axis_values(here: np.ndarray, axis: Axis) -> Array:
-    """Values of a coordinate, replaced by values of the scene's axis where both are equal to rounding."""
+    """Return the values of a coordinate, replaced by values of the scene's axis where both are equal to rounding."""
     values = np.sort(axis.values)
     nearest = values[np.searchsorted(0.5 * (values[1:] + values[:-1]), here)]
     return np.where(_close(here, nearest), nearest, here)
 
 
 def _close(here: np.ndarray, own: Array) -> Mask:
-    """Whether values of a coordinate equal `own`, those of the scene, to rounding, or differ by less than 1e-15 near 0."""
+    """Whether values of a coordinate equal the values `own` of the scene to rounding, or differ by less than 1e-15 near 0."""
     spacing = np.finfo(here.dtype).eps if here.dtype.kind == "f" else 0.0
     return np.asarray(np.isclose(here, own, max(COORDINATE_ROUNDING, SPACINGS * float(spacing)), 1e-15))
 
 
 def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
-    """Reason why an atlas cannot be computed again by its scene; empty if it can, or has no scene."""
+    """Return the reason why an atlas cannot be computed again from its scene. The text is empty if there is no reason or no scene."""
     if not ds.attrs.keys().isdisjoint({"atlas_scene", "atlas_parts"}):
         try:
             resolved_scene(ds, ds if part is None else part)
@@ -185,19 +186,19 @@ def settings_of(ds: xr.Dataset) -> Settings:
 
 
 def rate_tolerance_of(ds: xr.Dataset) -> float | str:
-    """The rate tolerance of a dataset: a number, or arithmetic in the parameters of its points."""
+    """Return the rate tolerance of a dataset, as a number or as arithmetic in the parameters of the points."""
     if isinstance(value := ds.attrs.get("atlas_rate_tolerance"), str):
         return checks.positive_at_points("atlas_rate_tolerance", value)
     return number_attribute(ds, "atlas_rate_tolerance")
 
 
 def axes_of(scene: Scene) -> dict[str, Axis]:
-    """The axes of a scene by the name of their dimension in the atlas."""
+    """Return the axes of a scene by the names of their dimensions in the atlas."""
     return {axis.dim: axis for axis in scene.axes.values()}
 
 
 def common_values(ds: xr.Dataset, scene: Scene) -> dict[str, float | str]:
-    """Values that all points of a part of an atlas share: fixed parameters, ties as text, and axes with one value."""
+    """Return the values that all points of a part of an atlas share. Ties are given as text."""
     single = {dim: float(ds[dim]) for dim in axes_of(scene) if dim in ds.coords and ds[dim].ndim == 0}
     return {**scene.fixed, **{name: tie.text for name, tie in scene.ties.items()}, **single}
 
@@ -209,7 +210,7 @@ def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
 
 
 def neighbour_axes(ds: xr.Dataset) -> list[str]:
-    """Axes along which points have neighbours: numbers without repeated values, except lists of points and random draws."""
+    """Return the axes along which points have neighbours, with distinct numbers as values. Lists of points and random draws have none."""
     scene = scene_of(ds)
     axes, ties = ({}, {}) if scene is None else (axes_of(scene), scene.ties)
     others = {POINT, *(name for tie in ties.values() for name in getattr(tie, "drawn", ()))}
@@ -218,7 +219,7 @@ def neighbour_axes(ds: xr.Dataset) -> list[str]:
 
 
 def in_order(ds: xr.Dataset, stride: Mapping[str, int]) -> xr.Dataset:
-    """An atlas sorted along axes; stride: axis -> k keeps every k-th value, from the lowest."""
+    """Return an atlas sorted along the axes in `stride`. A stride of k keeps every k-th value, from the lowest."""
     order = {dim: np.argsort(ds[dim].values, kind="stable")[::step] for dim, step in stride.items()}
     return ds.isel({dim: i for dim, i in order.items() if not np.array_equal(i, range(ds.sizes[dim]))})
 
@@ -242,14 +243,14 @@ def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
 
 @lru_cache
 def _registry(system: System) -> Mapping[str, Variable]:
-    """Variables of the atlases of a system, empty if the system can have no atlas."""
+    """Return the variables of the atlases of a system, or nothing if the system can have no atlas."""
     with suppress(BadInput):
         return data_variables(system)
     return {}
 
 
 def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
-    """Names for -1 and for positions, if a variable holds positions in a list, from its attribute POSITIONS or `Variable.positions`."""
+    """Return the names of -1 and of positions if a variable holds positions in a list, from its attribute or its `Variable`."""
     own = (attribute_text(ds[name].attrs, POSITIONS) if name in ds else "").split()
     registered = (_registry(system).get(name) for system in systems.SYSTEMS.values())
     named = (variable.positions for variable in registered if variable and variable.positions)
@@ -257,10 +258,11 @@ def _positions(ds: xr.Dataset, name: str) -> Sequence[str] | None:
 
 
 def has_flags(array: xr.DataArray) -> bool:
-    """Whether a variable has flags: Booleans, or flag_meanings with the name of a flag variable or a long_name of its own.
+    """Whether a variable has flags.
 
-    Differences of flags inherit attributes: a variable with the long_name of a flag variable, but another name, holds numbers.
-    Floats under the name of a flag variable are averages of flags, even without attributes.
+    Booleans are flags. Other flags have flag_meanings, and either the name of a flag variable or a long_name that no flag
+    variable has. Differences of flags inherit attributes, so that a variable with the long_name of a flag variable, but another
+    name, holds numbers. Floats under the name of a flag variable are averages of flags, even without attributes.
     """
     if array.dtype.kind == "b":
         return True
@@ -273,7 +275,7 @@ def has_flags(array: xr.DataArray) -> bool:
 
 
 def flag_names(array: xr.DataArray) -> list[str]:
-    """Names of the values 0, 1, 2, ... of a flag variable, empty for other variables; BadInput for averages of flags."""
+    """Return the names of the values 0, 1, 2, ... of a flag variable, or no names for others. Raise BadInput for averages of flags."""
     if array.dtype.kind == "b":
         return TRUE_FALSE
     if not has_flags(array):
@@ -305,18 +307,18 @@ def flag_names(array: xr.DataArray) -> list[str]:
 
 
 def is_averaged(array: xr.DataArray) -> bool:
-    """Whether a flag variable holds averages or the like: its type is no integer, or its cell_methods say so."""
+    """Whether a flag variable holds averages or similar values. Either its type is no integer, or its cell_methods say so."""
     if not has_flags(array):
         return False
     texts = _AVERAGED.findall(attribute_text(array.attrs, "cell_methods"))
     names = re.findall(r"[\w.+-]+", " ".join(texts))
-    # NCO also writes a method on data that it only joined; the dimensions of such data still exist.
+    # NCO writes a method even on data that were only joined. The dimensions of such data still exist.
     gone = any(n not in {*array.dims, *array.coords} or array[n].size < 2 for n in names)
     return gone or array.dtype.kind not in "biu"
 
 
 def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """The dataset; if `variable` holds positions in a list, they become flags: one for no position, then one for each position."""
+    """Return the dataset with flags instead of positions in a list. The first flag means no position, and each position has a flag."""
     names = _positions(ds, variable)
     if names is None or variable not in ds or "flag_meanings" in ds[variable].attrs:
         return ds
@@ -328,7 +330,7 @@ def positions_as_flags(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
-    """The flag variable of this name, with positions in a list as flags; BadInput if there is no such flag variable."""
+    """Return the flag variable of this name, with positions in a list as flags. Raise BadInput if there is no such flag variable."""
     ds = positions_as_flags(ds, variable)
     flags = [str(name) for name, array in ds.data_vars.items() if has_flags(array)]
     if variable not in flags:
@@ -337,12 +339,12 @@ def flag_variable(ds: xr.Dataset, variable: str) -> xr.DataArray:
                 f"{variable}: no variable here has flag_meanings: the dataset is no atlas, or has lost its attributes"
             )
         raise BadInput(f"{variable}: not a flag variable of this atlas; {allowed_text(variable, flags)}")
-    flag_names(ds[variable])  # BadInput for averages
+    flag_names(ds[variable])  # raises BadInput for averages
     return ds[variable]
 
 
 def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> np.ndarray:
-    """Values of a flag variable; BadInput, with `words` in the message, unless all are integers from 0 to count - 1."""
+    """Return the values of a flag variable. Raise BadInput, with `words` in the message, unless all are integers from 0 to `count` - 1."""
     values = ds[name].values
     if values.dtype.kind not in "iu" or is_averaged(ds[name]) or not ((values >= 0) & (values < count)).all():
         raise BadInput(f"{name}: {words}: not the flags of an atlas, 0 to {count - 1}")
@@ -350,7 +352,7 @@ def flags_of(ds: xr.Dataset, name: str, count: int, words: str = "damaged") -> n
 
 
 def map_variable(ds: xr.Dataset) -> str:
-    """Default variable of a map: the scene's choice, else the label, else the first flag variable that is not constant."""
+    """Return the default variable of a map, which is the scene's choice, else the label, else the first flag that is not constant."""
     scene = scene_of(ds)
     if scene is not None and scene.map in ds.data_vars:
         return scene.map
@@ -368,7 +370,7 @@ def map_variable(ds: xr.Dataset) -> str:
 
 
 def flag_values(ds: xr.Dataset, variable: str, flags: str | int | Sequence[str | int]) -> list[int]:
-    """Values of one or several flags of a variable, given by names or numbers; BadInput for unknown flags."""
+    """Return the values of one or several flags of a variable, given by names or numbers. Raise BadInput for unknown flags."""
     allowed = flag_names(flag_variable(ds, variable))
     first = -1 if _positions(ds, variable) else 0
     is_list = isinstance(flags, Iterable) and not isinstance(flags, str) and getattr(flags, "ndim", 1) != 0
@@ -391,10 +393,10 @@ MAX_POINTS = 4_000_000
 def chunks(
     sizes: Mapping[Any, int], dims: Sequence[Hashable], cell_side: int = 0
 ) -> Iterator[dict[Hashable, slice]]:
-    """Slices that cut `dims` into boxes of about MAX_POINTS points, in C order.
+    """Return slices that cut `dims` into boxes of about MAX_POINTS points, in C order.
 
-    With a cell_side (in points) boxes consist of whole cells and share the points on their borders; points at the end of an
-    axis that do not fill a cell are in no box.
+    If `cell_side` is given (in points), boxes consist of whole cells and share the points on their borders. Points at the end of
+    an axis that do not fill a cell are in no box.
     """
     step = max(cell_side, 1)
     counts = [(sizes[dim] - 1) // step if cell_side else max(sizes[dim], 1) for dim in dims]

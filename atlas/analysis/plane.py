@@ -19,9 +19,9 @@ from ..systems.base import Array, Mask, derived_values
 from .metadata import axes_of, is_logarithmic
 from .select import cell_edges
 
-# Number of samples along an axis; even, so that none is in the middle of an extent, where special values such as 0 often are.
+# Number of samples along an axis. An even number has no sample in the middle of an extent, where special values such as 0 often are.
 SAMPLES = 300
-# Rates up to this, in rad per time unit, count as zero: they are rounding.
+# Rates up to this size, in rad per time unit, are rounding and count as zero.
 ZERO_RATE = 1e-9
 IN_SPACE = " in space"
 
@@ -32,13 +32,13 @@ class Predictions:
 
     exists: Mask  # whether the scene has a motion at the point
     stable: np.ndarray  # linear stability, values of Stability
-    # Frame ("" or IN_SPACE) -> label of the exact motion (values of Label), and psi' ("n") and phi' ("m") in rad per time unit
+    # By frame ("" or IN_SPACE), values of Label for the exact motion, and psi' ("n") and phi' ("m") in rad per time unit.
     frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Part of a scene's parameter space that a map shows: one or two axes; every other axis has one value."""
+    """Part of the parameter space of a scene that a map shows, over one or two axes. Every other axis has one value."""
 
     scene: Scene  # the scene of the atlas
     extent: Mapping[str, tuple[float, float]]  # dimension of the atlas -> lowest and highest value, x first
@@ -46,7 +46,7 @@ class Plane:
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
-        """The plane of the given dimensions of an atlas; BadInput if another axis has several values.
+        """Return the plane of the given dimensions of an atlas. Raise BadInput if another axis has several values.
 
         The plane reaches half a cell beyond the outermost points, except on sides where the scene has no points.
         """
@@ -66,7 +66,7 @@ class Plane:
         return plane
 
     def _extend(self, dim: str, low: float, high: float) -> Plane:
-        """The plane with wider limits along an axis; a limit is used only if the scene has points there."""
+        """Return the plane with wider limits along an axis. A limit is used only if the scene has points there."""
         parameter = self.scene.system.parameters.get(dim)
         plane = self
         for side, value in enumerate((low, high)):
@@ -99,7 +99,7 @@ class Plane:
         return values
 
     def lattice(self, count: int) -> tuple[list[Array], dict[str, Array]]:
-        """`samples` along each axis, and the coordinates of all points of the lattice by dimension, (points,)."""
+        """Return the samples along each axis, and the coordinates, (points,), of all points of the lattice by dimension."""
         axes = [self.samples(dim, count) for dim in self.extent]
         grids = np.meshgrid(*axes, indexing="ij")
         return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))
@@ -115,12 +115,12 @@ class Plane:
         shape = next(iter(coordinates.values())).shape
         values = {dim: np.full(shape, value) for dim, value in self.fixed.items()} | dict(coordinates)
         axes = axes_of(self.scene)
-        # A fixed duration, because theory needs none and a duration in turns is undefined where nothing turns.
+        # Theory needs no duration, and a duration in turns is undefined where nothing turns.
         scene = replace(self.scene, duration=Duration(1.0))
         return grid.points_at(scene, {axes[dim].name: column for dim, column in values.items()})
 
     def theory(self, coordinates: Mapping[str, Array]) -> Predictions:
-        """Predictions for exact motions in the plane; where no motion exists, only `exists` has a meaning."""
+        """Return the predictions for exact motions in the plane. Where no motion exists, only `exists` has a meaning."""
         system, points = self.scene.system, self.points(coordinates)
         with np.errstate(all="ignore"):
             predicted = predict(system, points.base, Tolerances(ZERO_RATE, ZERO_RATE), rough=True)

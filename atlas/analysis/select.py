@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_PANELS = 12
-# Largest number of values of an axis on a map, about as many as a printer can show; from a longer axis every k-th value is taken.
+# Largest number of values of an axis on a map, about as many as a printer can show. Of a longer axis, every k-th value is shown.
 MAX_CELLS = 2000
 
 
@@ -66,7 +66,7 @@ def select(
             indices = dict(zip(dims, np.nonzero(mask), strict=True))
             pointwise = {dim: xr.DataArray(index, dims="point") for dim, index in indices.items()}
             selected.append(in_degrees(chunk.isel(pointwise).load(), degrees))
-    if not selected:  # read one point and drop it: old versions of xarray fail to read zero points
+    if not selected:  # old versions of xarray fail to read zero points
         nothing = dict.fromkeys(dims, xr.DataArray(np.zeros(0, int), dims="point"))
         return in_degrees(ds.isel(dict.fromkeys(dims, slice(0, 1))).load().isel(nothing), degrees)
     if len(selected) == 1:
@@ -91,7 +91,7 @@ def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
 
 
 def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """The part of an atlas nearest to values of axes, or of parameters of points, in rad; see `Atlas.nearest`."""
+    """Return the part of an atlas nearest to values, in rad, of axes or of parameters of points; see `Atlas.nearest`."""
     if "point" not in ds.dims or not values:
         return nearest_on_axes(ds, values, degrees)
     check_not_empty(ds)
@@ -99,7 +99,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
     allowed = numeric_coordinates(ds, "point")
     for name, value in values.items():
         if name not in allowed:
-            scene_of(ds, needed=True)  # BadInput for joined atlases
+            scene_of(ds, needed=True)  # raises BadInput for joined atlases
             raise BadInput(f"{name}: does not vary over these points; {allowed_text(name, allowed)}")
         column, value = ds[name].values * factor(ds[name].attrs, degrees), _number(name, value)
         finite = column[np.isfinite(column)]
@@ -113,7 +113,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
 
 
 def _number(name: str, value: object) -> float:
-    """The value of an axis or parameter as a float; BadInput unless it is a finite number."""
+    """Return the value of an axis or parameter as a float. Raise BadInput unless it is a finite number."""
     check_written(name, value)
     array = np.asarray(value)
     if array.ndim or array.dtype.kind not in "iuf" or not np.isfinite(array):
@@ -122,11 +122,11 @@ def _number(name: str, value: object) -> float:
 
 
 def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) -> xr.Dataset:
-    """The part of an atlas nearest to values of axes; BadInput for other names and for values outside the cells of maps."""
+    """Return the part of an atlas nearest to values of axes. Raise BadInput for other names and for values outside the cells of maps."""
     check_not_empty(ds)
     axes = [str(dim) for dim in ds.dims if is_numeric_axis(ds, dim)]
     scene = scene_of(ds) if values else None
-    # NCO writes cell_methods even on data that it only joined; without the dimension such data would look like averages.
+    # NCO writes cell_methods even on data that were only joined. Without the dimension, such data would look like averages.
     sound = {n for n, a in ds.data_vars.items() if "cell_methods" in a.attrs and not is_averaged(a)}
     for name, value in values.items():
         if name not in axes:
@@ -161,7 +161,7 @@ def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
 
 
 def check_axes(allowed: Sequence[str], what: str, **chosen: str | None) -> None:
-    """Raise BadInput unless the chosen axes of a map are distinct and allowed; what: describes an allowed axis."""
+    """Raise BadInput unless the chosen axes of a map are distinct and allowed. The message describes an allowed axis as `what`."""
     roles: dict[str, str] = {}
     for role, name in chosen.items():
         if name is not None and name not in allowed:
@@ -188,9 +188,9 @@ def plane_of(
     *,
     degrees: bool = False,
 ) -> tuple[xr.Dataset, list[str], list[str]]:
-    """The sorted plane that a map shows (in rad, not loaded), its axes (x first), and the axes of panels; see `Atlas.map`.
+    """Return the plane that a map shows, the axes of the map and the axes of panels; see `Atlas.map`.
 
-    degrees: whether angles in `select` are in degrees.
+    The plane is sorted, in rad and not loaded. The first axis is x. Angles in `select` are in degrees if `degrees` is true.
     """
     check_not_empty(ds)
     plane = nearest_on_axes(ds, select, degrees).squeeze()
@@ -198,7 +198,7 @@ def plane_of(
     check_axes(axes, "an axis with several values here", x=x, y=y, row=row, col=col)
     unnumbered = [str(dim) for dim in plane.dims if dim not in axes]
     if not axes or unnumbered:
-        scene_of(ds)  # BadInput for joined atlases
+        scene_of(ds)  # raises BadInput for joined atlases
         raise BadInput(
             f"{unnumbered[0]}: has no numbers as coordinate; choose one by isel, or draw names by col={unnumbered[0]!r}"
             if axes
@@ -226,7 +226,7 @@ def plane_of(
 def nearest_trajectory(
     ds: xr.Dataset, coordinates: Mapping[str, float], samples: int, degrees: bool = False
 ) -> xr.Dataset:
-    """Motion, in rad, of the point of an atlas nearest to given values, integrated as in the atlas."""
+    """Return the motion, in rad, of the point nearest to given values, integrated as in the atlas."""
     from ..label.plan import Plan
     from ..label.trajectory import trajectory_of_point, trajectory_of_scene
 
@@ -248,7 +248,7 @@ def nearest_trajectory(
             raise BadInput(f"{name}: this parameter of the point is not in the dataset")
     start = {name: float(point[name]) for name in system.parameters if name in point.coords}
     given = {name: value for name, value in start.items() if not math.isnan(value)}
-    # The kernel of `label_points` depends on the parameters that were given: those that vary or differ from their defaults.
+    # The kernel of `label_points` depends on the parameters that were given, which vary or differ from their defaults.
     varied = [name for name in given if ds[name].ndim or given[name] != system.parameters[name].default]
     plan = Plan.of_points(system, settings_of(ds), None, varied)
     return trajectory_of_point(plan, given, Duration(float(point["end_time"])), samples)

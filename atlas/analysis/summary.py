@@ -16,7 +16,7 @@ from ..systems.base import families_of, on_family
 from .metadata import chunks, flag_names, number_attribute, scene_of, system_of, without_run
 
 MAX_NEAREST = 10_000  # largest number of drifting points that are compared with families
-# Key of `Tally.largest` -> what it means if this error estimate is above 1.
+# What an error estimate above 1 means, by its key in `Tally.largest`.
 _UNKNOWN = {
     "unstable": "an instability has amplified errors until the final state is unknown",
     "others": "the final state or a statistic, such as psi' of an axis that passes through the vertical, is unknown",
@@ -75,7 +75,7 @@ def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True)
 
 
 def _nearest_family(ds: xr.Dataset) -> list[str]:
-    """For a list of points: a line that names the family of steady motions nearest to the drifting points, if there are any."""
+    """Return a line that names the family of steady motions nearest to the drifting points of a list, if there are any."""
     if "label" not in ds or ds["label"].dims != ("point",) or "atlas_system" not in ds.attrs:
         return []
     system = system_of(ds)
@@ -91,13 +91,13 @@ def _nearest_family(ds: xr.Dataset) -> list[str]:
 
 
 def _error_lines(tally: Tally) -> list[str]:
-    """Lines with median and largest expected error, for steady and for drifting points, and the largest integral_drift."""
+    """Return lines with the median and largest error_estimate of each group of points, and with the largest integral_drift."""
     lines, parts = [], []
     for name in (name for name in GROUPS if name in tally.largest):
         largest = tally.largest[name]
         cumulative = np.cumsum([tally.counts[name].get(str(index), 0) for index in range(BINS)])
         median_bin = int(np.searchsorted(cumulative, (cumulative[-1] + 1) // 2))
-        # The histogram gives the median to a quarter of a decade.
+        # The histogram resolves the median to a quarter of a decade.
         median = min(10.0 ** (median_bin / BINS_PER_DECADE + LOWEST_DECADE), largest)
         parts.append(f"at {name} points {median:.0e} (median) to {largest:.2g} (largest)")
     if parts:

@@ -1,4 +1,4 @@
-"""Lines between classes of points on a plane, traced on samples that are refined where the class changes, and kept in the cache."""
+"""Lines between classes of points on a plane, traced on samples that are refined where the class changes."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from ..kernel import compiling
 from ..systems.base import Array, Flags, Mask
 from .plane import SAMPLES, Plane
 
-Lines = dict[str, list[np.ndarray]]  # kind -> lines, each (vertices, axes)
+Lines = dict[str, list[np.ndarray]]  # lines, (vertices, axes), by kind
 
 LINES_FOLDER, KEPT_PLANES = "lines", 200  # folder in the cache, and number of planes kept there
-WORTH_KEEPING = 0.1  # seconds of tracing above which lines are kept
-TRACING_ANEW = "tracing lines of theory anew"  # for messages, if the cache is not used
+WORTH_KEEPING = 0.1  # lines are kept if tracing takes more seconds than this
+TRACING_ANEW = "tracing lines of theory anew"  # what is done if the cache is not used, for messages
 
 
 def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lines:
-    """Lines of a plane from the cache, or traced and stored there: tracing takes seconds, and planes are shown repeatedly."""
+    """Return the lines of a plane from the cache, or trace and store lines. Tracing takes seconds, and planes are shown repeatedly."""
     extensions = extension.extensions().values()
     theory = [each.code for each in extensions if each.families or each.variables or each.lines]
     code = sources.code(), sources.code(sources.of_folder(Path(__file__).parent)), theory
@@ -61,36 +61,35 @@ def cached_lines(trace: Callable[[], Lines], plane: Plane, *what: object) -> Lin
     return lines
 
 
-# Number of samples along each axis before refinement: even, for the reason given at SAMPLES.
+# Number of samples along each axis before refinement, even for the reason given at SAMPLES.
 COARSE_SAMPLES = 150
-# Cells that a line crosses are divided into DIVISION x DIVISION, LEVELS times. With an odd DIVISION the middle of an extent, where
-# special values such as 0 often are, stays between two samples.
+# Each cell that a line crosses is divided LEVELS times into DIVISION x DIVISION cells. An odd DIVISION keeps the middle of an
+# extent, where special values such as 0 often are, between two samples.
 DIVISION, LEVELS = 3, 2
 # If the first samples take more seconds than this, tracing takes more than two seconds and is announced.
 ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
-# Number of trisections of a vertex on two axes (to about 1e-5 of each) and on one axis (finer).
+# Number of trisections by which a vertex is found on two axes (to about 1e-5 of each axis) and on one axis.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# Number of vertices in each first stretch of a line; largest distance, in cells, of a straight stretch from its chord.
+# A line is first cut into stretches of about STRETCH vertices. A stretch is straight within FLATNESS cells from its chord.
 STRETCH, FLATNESS = 16, 0.05
 
-# Classes of points: 1 and 2 on the two sides of a line, 0 where there is no line.
+# The class of a point is 1 or 2 on the two sides of a line, and 0 where there is no line.
 Classes = Mapping[str, Flags]
-Codes = NDArray[np.int64]  # the classes of all kinds at a point as one number
+Codes = NDArray[np.int64]  # one number for the classes of all kinds at a point
 
 
 def class_borders(
     plane: Plane, classes: Callable[[Array], Classes], zeros: Mapping[str, Callable[[Array], Array]]
 ) -> Lines:
-    """Polylines by kind between points of class 1 and 2, in the units of the axes.
+    """Return polylines by kind between points of class 1 and points of class 2, in the units of the axes.
 
-    `classes` is a function of positions (points, axes), which are fractions of the extent of each axis. If a quantity changes its
-    sign on the lines of a kind, `zeros` has the magnitude of this quantity as a function of positions: parts of lines on which it
-    has a pole instead of a zero are removed.
+    `classes` is a function of positions (points, axes), which are fractions of the extent of each axis. If a quantity changes
+    sign on the lines of a kind, `zeros` has the magnitude of the quantity as a function of positions. Parts of lines on which the
+    quantity has a pole instead of a zero are removed.
 
-    On two axes, COARSE_SAMPLES samples along each are refined in cells that a line crosses, and in neighbouring cells as far as the
-    line continues. A region wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is thus followed to its ends if it
-    contains one sample. Vertices are then trisected.
+    On two axes, cells that a line crosses are refined, and neighbouring cells as far as the line continues. A region wider than 1
+    / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is thus followed to its ends if it contains one sample.
     """
     if len(plane.extent) == 1:
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
@@ -117,10 +116,10 @@ def class_borders(
 def narrowed_lines(
     values: Array, level: float, is_above: Callable[[Array], Mask], trisections: int
 ) -> tuple[list[Array], list[tuple[Array, Array]]]:
-    """Lines that separate samples above a level from the others, and the two samples beside each vertex, as indices (vertices, axes).
+    """Return lines that separate samples above a level from other samples, and the two samples beside each vertex.
 
-    Vertices are found by trisection. A stretch that is not straight within FLATNESS is halved; only the ends of stretches are
-    vertices.
+    Both are given as indices (vertices, axes). Vertices are found by trisection. A stretch that is not straight within FLATNESS
+    is halved, and only the ends of stretches are vertices.
     """
     lines = lines_at(values, level)
     if not lines:
@@ -129,7 +128,7 @@ def narrowed_lines(
     low, high = np.floor(halfway + 0.25), np.ceil(halfway - 0.25)
     at_low = values[tuple(low.astype(int).T)] > level
     vertices = np.full(halfway.shape, np.nan)
-    # At least two stretches, because both ends of a closed line are the same vertex.
+    # A line has at least two stretches, because both ends of a closed line are the same vertex.
     knots = [np.unique(np.linspace(i, j - 1, 3 + (j - i) // STRETCH, dtype=int)) for i, j in pairwise(starts)]
     first, last = (np.concatenate([line[part] for line in knots]) for part in (np.s_[:-1], np.s_[1:]))
     new = np.concatenate(knots)
@@ -154,7 +153,7 @@ def narrowed_lines(
 
 
 def narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Array, count: int) -> Array:
-    """Positions (vertices, axes) between low and high where `is_above` first differs from its value at low, by trisection."""
+    """Find where `is_above` first differs from `at_low` between `low` and `high`, (vertices, axes), by `count` trisections."""
     for _ in range(count):
         third = (high - low) / 3
         inner = np.concatenate([low + third, low + 2 * third])
@@ -165,7 +164,7 @@ def narrow(is_above: Callable[[Array], Mask], at_low: Mask, low: Array, high: Ar
 
 
 def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
-    """Classes on a fine grid over two axes, (samples, samples), evaluated only where they change."""
+    """Return the classes on a fine grid over two axes, (samples, samples), evaluated only where classes change."""
     steps = np.linspace(0, 1, COARSE_SAMPLES)
     positions = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
     began = time.process_time()
@@ -186,9 +185,10 @@ def _refined_samples(classes: Callable[[Array], Classes]) -> Classes:
 
 
 def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) -> tuple[Codes, Mask]:
-    """Samples of cells divided into DIVISION x DIVISION, and whether each sample was evaluated, or else copied from the nearest one.
+    """Return the samples after the division of cells into DIVISION x DIVISION, and which of the samples were evaluated.
 
-    All samples are evaluated in cells with a change, and in neighbouring cells as far as a line continues.
+    All samples are evaluated in cells with a change, and in neighbouring cells as far as a line continues. Any other sample is a
+    copy of the nearest evaluated sample.
     """
     count, along = DIVISION * (len(samples) - 1) + 1, np.arange(DIVISION + 1)
     nearest = np.rint(np.arange(count) / DIVISION).astype(int)
@@ -196,7 +196,7 @@ def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) ->
     known.reshape(count, count)[::DIVISION, ::DIVISION] = evaluated
 
     def places(cells: Mask) -> NDArray[np.int64]:
-        """Flat indices of the samples of cells, (cells, DIVISION + 1, DIVISION + 1)."""
+        """Return the flat indices of the samples of cells, (cells, DIVISION + 1, DIVISION + 1)."""
         i, j = DIVISION * np.argwhere(cells).T[:, :, np.newaxis, np.newaxis]
         return (i + along[:, np.newaxis]) * count + j + along
 
@@ -217,7 +217,7 @@ def _divide(codes: Callable[[Array], Codes], samples: Codes, evaluated: Mask) ->
 def without_poles(
     size: Callable[[Array], Array], edges: list[tuple[Array, Array]], lines: list[Array]
 ) -> list[Array]:
-    """The parts of lines on which a quantity passes through zero, not through a pole; size: its magnitude at positions."""
+    """Return the parts of lines on which a quantity passes through zero, not through a pole. `size` is the magnitude at positions."""
     return [
         part
         for (low, high), line in zip(edges, lines, strict=True)
@@ -232,7 +232,7 @@ def shown_parts(line: Array, shown: Mask) -> list[Array]:
 
 
 def within(line: Array, low: Array, high: Array) -> list[Array]:
-    """The parts of a line inside a box; they end on its sides."""
+    """Return the parts of a line inside a box, which end on the sides of the box."""
     for axis, side in product(range(line.shape[1]), (low, high)):
         beyond = line[:, axis] - side[axis]
         i = np.flatnonzero(beyond[:-1] * beyond[1:] < 0)
@@ -254,37 +254,37 @@ def values_at(positions: Array, axes: list[Array]) -> Array:
 
 
 def on_axes(column: Array, shown: Mask, axes: list[Array]) -> Array:
-    """Values at the points of a lattice, reshaped to its axes; nan at points that are not shown."""
+    """Return values at the points of a lattice in the shape of its axes, with nan at points that are not shown."""
     return np.where(shown, column, np.nan).reshape([axis.size for axis in axes])
 
 
 def lines_at(values: Array, level: float) -> list[Array]:
-    """Lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes); nan interrupts the lines."""
+    """Return lines through the midpoints of neighbours on opposite sides of a level, as indices (vertices, axes). Lines stop at nan."""
     above = np.where(np.isfinite(values), np.where(values > level, 1.0, 0.0), np.nan)
     if not ((above == 0).any() and (above == 1).any()):
         return []
     if values.ndim == 1:
         return [np.array([[index + 0.5]]) for index in np.flatnonzero(np.abs(np.diff(above)) == 1)]
-    # Drop closed lines of up to six vertices: they enclose one or two points, as in regions narrower than the cells.
+    # A closed line of up to six vertices encloses one or two points, as in regions narrower than the cells, and is dropped.
     return [line for line in contours(above, 0.5) if len(line) > 7 or (line[0] != line[-1]).any()]
 
 
 def contours(values: Array, level: float) -> list[Array]:
-    """Contour lines of values on two axes, as fractional indices (vertices, 2); cells with nan have none."""
+    """Return contour lines of values on two axes, as fractional indices (vertices, 2). Cells with nan have no lines."""
     generator = contourpy.contour_generator(
         z=np.ma.masked_invalid(values.T), corner_mask=False, line_type="Separate"
     )
     return cast("list[Array]", generator.lines(level))
 
 
-# Largest relative error of the linear extrapolation that recognises a crossing.
+# A crossing is recognised by a linear extrapolation whose relative error is below this.
 _CURVATURE = 0.5
 
 
 def crossings(difference: Array) -> list[Array]:
-    """Segments on which two frequencies cross: the difference (larger minus smaller) has a kink at 0.
+    """Return segments on which two frequencies cross, so that the larger minus the smaller one has a kink at 0.
 
-    At a kink the difference extrapolated from one side is the negative of its value on the other side.
+    At a kink, the difference extrapolated from one side is the negative of the difference on the other side.
     """
     along_x = _crossed_edges(difference)
     along_y = _crossed_edges(difference.T).T
@@ -302,7 +302,7 @@ def crossings(difference: Array) -> list[Array]:
 
 
 def _crossed_edges(difference: Array) -> Array:
-    """Fraction of the way from sample i to i + 1 of the first axis at which the difference vanishes; nan if it does not."""
+    """Return at what fraction of the way from sample i to i + 1 of the first axis the difference vanishes; nan if it does not."""
     fraction = np.full((difference.shape[0] - 1, difference.shape[1]), np.nan)
     before, low, high, after = difference[:-3], difference[1:-2], difference[2:-1], difference[3:]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -23,9 +23,9 @@ from .metadata import (
     without_run,
 )
 
-# Fewest values of an axis that is divided into cells; each value of a shorter axis is a map of its own.
+# Least number of values of an axis that is divided into cells. Each value of a shorter axis is a separate map.
 MIN_VALUES = 5
-BOX = 4  # number of points along each side of a box whose entropy is taken
+BOX = 4  # number of points along each side of a box for which the entropy is computed
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
@@ -82,7 +82,7 @@ def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
 
 
 def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: int) -> np.ndarray:
-    """Whether the points of each cell, at `offsets` from every `step`-th point, differ."""
+    """Whether the points of each cell differ. A cell has points at `offsets` from every `step`-th point, along each axis."""
     low = high = values
     for axis in range(values.ndim - n_axes, values.ndim):
         first = np.arange((values.shape[axis] - 1) // step) * step
@@ -144,9 +144,9 @@ def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.
 
 
 def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
-    """Lower and upper 95 % limit of a probability that is estimated by `events` in `draws` independent trials.
+    """Return the lower and upper 95 % limit of a probability from `events` in `draws` independent trials, or nan without trials.
 
-    E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212; nan without trials.
+    E. B. Wilson, Journal of the American Statistical Association 22 (1927) 209-212.
     """
     from scipy.special import ndtri  # slow to import, and rarely needed
 
@@ -159,7 +159,7 @@ def wilson_interval(events: Array, draws: int) -> tuple[Array, Array]:
 
 
 def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
-    """The given name; BadInput unless it is an axis of a flag variable."""
+    """Return the given name. Raise BadInput unless it is an axis of a flag variable."""
     if name not in (dims := [str(dim) for dim in flag_variable(ds, variable).dims]):
         raise BadInput(
             f"{option} = {shown(name)}: not an axis of this atlas; allowed: {', '.join(dims) or 'none'}"
@@ -168,7 +168,7 @@ def _axis(ds: xr.Dataset, variable: str, option: str, name: str) -> str:
 
 
 def flag_counts(ds: xr.Dataset, variable: str, along: Sequence[str]) -> xr.DataArray:
-    """Number of points with each flag; dimensions: the axes `along`, in the order of the atlas, then one named like the variable."""
+    """Return the number of points with each flag. Dimensions are `along`, in the order of the atlas, then one named like the variable."""
     array = flag_variable(ds, variable)
     names, dims = flag_names(array), [str(dim) for dim in array.dims]
     dims_along = [dim for dim in dims if dim in along]

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-MAX_MESSAGE = 1000  # characters of a message
-MAX_TEXT = 200  # characters of a value in a message
+MAX_MESSAGE = 1000  # largest number of characters of a message
+MAX_TEXT = 200  # largest number of characters of a value in a message
 
 
 class BadInput(ValueError):
@@ -24,7 +24,7 @@ class BadInput(ValueError):
 
 
 def printable(text: str, limit: int | None = None) -> str:
-    """Text in one line of at most `limit` characters, with escapes such as `\\x1b` for what is not printable."""
+    """Return text in one line of at most `limit` characters. Escapes such as `\x1b` stand for characters that are not printable."""
     if limit is not None:
         text = _shorten(text, limit)
     if not text.isprintable():
@@ -33,7 +33,7 @@ def printable(text: str, limit: int | None = None) -> str:
 
 
 def _shorten(text: str, limit: int) -> str:
-    """The beginning and the end of a text that is too long."""
+    """Return the beginning and the end of a text that is too long."""
     if len(text) <= limit:
         return text
     tail = (limit - 5) // 3
@@ -42,7 +42,7 @@ def _shorten(text: str, limit: int) -> str:
 
 def say(*lines: str, file: TextIO | None = None) -> None:
     """Print each argument as one line; commands print by this function alone."""
-    # Flush at once: a process that exits ignores signals, and flushing then could wait for a reader for ever.
+    # Flush at once. A process that exits ignores signals, and if it flushed then it could wait for a reader for ever.
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -52,16 +52,16 @@ def say(*lines: str, file: TextIO | None = None) -> None:
 def attribute_text(
     attributes: Mapping[str, object], name: str, default: str = "", limit: int = MAX_TEXT
 ) -> str:
-    """An attribute of a dataset or a variable as one `printable` line: the only way to read texts of attributes."""
+    """Return an attribute of a dataset or a variable as one `printable` line. Texts of attributes are read in no other way."""
     value = attributes.get(name, default)
     return printable(value, limit) if isinstance(value, str) else shown(value)
 
 
 class _Printable(logging.Filter):
-    """Makes messages of the log printable lines: they quote names of files and texts of libraries."""
+    """Filter that makes messages of the log printable lines, because messages quote names of files and texts of libraries."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Replace the message of a record; no record is left out."""
+        """Make the message of a record printable. No record is left out."""
         record.msg, record.args = printable(record.getMessage(), MAX_MESSAGE), ()
         return True
 
@@ -70,18 +70,18 @@ logging.getLogger("atlas").addFilter(_Printable())
 
 
 def shown(value: object) -> str:
-    """Repr of any value, however long or nested, in at most MAX_TEXT characters, for messages."""
+    """Return the repr of any value, however long or nested, in at most MAX_TEXT characters, for messages."""
     text = _SHORT.repr(value)
     return printable(" ".join(text.split()) if "\n" in text else text, MAX_TEXT)
 
 
 def allowed_text(value: object, names: Collection[str]) -> str:
-    """End of a message: "did you mean 'tolerance'? allowed: tolerance, step"; no question if no name is similar."""
+    """Return the end of a message, "did you mean 'tolerance'? allowed: tolerance, step". No question is asked without a similar name."""
     return f"{similar_text(value, names)}allowed: {', '.join(names) or 'none'}"
 
 
 def similar_text(value: object, names: Collection[str]) -> str:
-    """The question "did you mean 'tolerance'? " with a blank after it, or nothing if no name is similar."""
+    """Return the question "did you mean 'tolerance'? " with a blank after it, or an empty text if no name is similar."""
     if isinstance(value, str) and len(value) <= MAX_TEXT:
         by_lower_case = {name.lower(): name for name in names}
         for similar in difflib.get_close_matches(value.lower(), by_lower_case, 1):
@@ -90,7 +90,7 @@ def similar_text(value: object, names: Collection[str]) -> str:
 
 
 def failure_text(error: Exception) -> str:
-    """Text of a system error; if the folder of a file is missing, the text names the folder."""
+    """Return the text of a system error. If the folder of a file is missing, the text names the folder."""
     folder = Path(str(getattr(error, "filename", None) or ".")).parent
     if isinstance(error, FileNotFoundError) and not folder.is_dir():
         return f"{folder}: this folder is not there any more: it was removed, renamed or unmounted"
@@ -112,7 +112,7 @@ def messages_for_shell() -> Iterator[None]:
 
 
 def option(name: str, value: object) -> str:
-    """An option as the user writes it: in Python "select={'k3': 0.2}", in the shell "--select k3=0.2"."""
+    """Return an option as the user writes it, "select={'k3': 0.2}" in Python and "--select k3=0.2" in the shell."""
     if not _in_shell:
         if isinstance(value, Mapping):
             value = "{" + ", ".join(f"{key!r}: {each}" for key, each in value.items()) + "}"
@@ -126,7 +126,7 @@ def option(name: str, value: object) -> str:
 
 
 def deprecated(what: str, instead: str, version: str) -> None:
-    """Warn the caller of the package or of a command: what a version removes, and what to use instead."""
+    """Warn the caller of the package or of a command that `version` removes `what`, and name what to use instead."""
     message = f"{what} is deprecated, and version {version} removes it: use {instead}"
     if _in_shell:
         logging.getLogger("atlas").warning(message)
@@ -141,13 +141,13 @@ class _Short(reprlib.Repr):
     """Short reprs that need little time for long and deeply nested values."""
 
     def repr_instance(self, x: object, level: int) -> str:
-        """A NumPy scalar as a plain number."""
+        """Return the repr of a NumPy scalar as that of a plain number."""
         if getattr(x, "shape", None) == () and hasattr(x, "item"):
             return repr(x.item())
         return super().repr_instance(x, level)
 
     def repr_int(self, x: int, level: int) -> str:
-        """Digits of an integer, or, for a long one, which Python may refuse to print, about how many digits it has."""
+        """Return the digits of an integer. Python may refuse to print a long integer, for which the number of digits is returned."""
         return (
             repr(x)
             if x.bit_length() < 600
@@ -166,7 +166,7 @@ def one_line(error: Exception) -> str:
 
 
 def text_table(rows: Sequence[Sequence[str]], *, right: bool = False) -> str:
-    """Rows of cells as lines with aligned columns; right: whether all columns but the first are aligned on the right."""
+    """Return rows of cells as lines with aligned columns. If `right` is true, all columns but the first are aligned on the right."""
     signs = ["<", *(">" if right else "<" for _ in rows[0][1:])]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     form = "  ".join(f"{{:{sign}{width}}}" for sign, width in zip(signs, widths, strict=True))

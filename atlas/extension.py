@@ -1,4 +1,4 @@
-"""Extensions: what a package adds to the core, named by the entry points `atlas.extensions` of installed packages."""
+"""Extensions, which add parts to the core. The entry points `atlas.extensions` of installed packages name them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from . import sources
 from .errors import BadInput, allowed_text, one_line
 
 GROUP = "atlas.extensions"
-# "module:name", of a module in the package of the record.
+# "module:name" of an object in the package of the record
 Reference = str
 
 
@@ -101,7 +101,7 @@ class Extension:
         return sources.code(own | {name: (0, extensions()[name].code) for name in self.needs})
 
     def load(self, reference: Reference) -> Any:
-        """The object that a reference names; BadInput with one line if its module cannot be imported."""
+        """Return the object that a reference names. Raise BadInput with one line if the module cannot be imported."""
         module, _, name = reference.partition(":")
         try:
             sources.of_folder(self.folder)
@@ -117,13 +117,13 @@ class Extension:
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )
-# Kinds of parts that have the name of a system; several extensions may have a part for the same system, see `of_each`.
+# Kinds of parts whose names are names of systems. Several extensions may have a part for the same system, see `of_each`.
 OF_SYSTEMS = ("stress_cases", "published", "published_numbers")
 
 
 @cache
 def _found() -> tuple[dict[str, Extension], dict[str, str]]:
-    """The extensions by name, in alphabetical order, and the reason for each that cannot be loaded."""
+    """Return the extensions by name, in alphabetical order, and the reason for each extension that cannot be loaded."""
     extensions, broken = {}, {}
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
         try:
@@ -137,7 +137,7 @@ def _found() -> tuple[dict[str, Extension], dict[str, str]]:
 
 
 def extensions() -> Mapping[str, Extension]:
-    """The extensions of all installed packages by name, in alphabetical order, except those that need a missing extension."""
+    """Return the extensions of all installed packages by name. An extension that needs a missing extension is left out."""
     available, broken = dict(_found()[0]), _found()[1]
     while lacking := [(e, name) for e in available.values() for name in e.needs if name not in available]:
         for each, name in lacking:
@@ -147,18 +147,18 @@ def extensions() -> Mapping[str, Extension]:
 
 
 def not_loaded() -> str:
-    """End of a message about an unknown name: the extensions that might have it and cannot be loaded."""
+    """Return the end of a message about an unknown name, which lists the extensions that cannot be loaded."""
     return "".join(f"; the extension {name} cannot be loaded ({why})" for name, why in _found()[1].items())
 
 
 def available_text(value: object, names: Collection[str]) -> str:
-    """End of a message about an unknown name: the names, as `allowed_text`, and the extensions that cannot be loaded."""
+    """Return the end of a message about an unknown name, which lists the names and the extensions that cannot be loaded."""
     return f"{allowed_text(value, names)}{not_loaded()}"
 
 
 @cache
 def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
-    """Every part of a kind (one of PARTS) by name; BadInput if two extensions give a name, except in OF_SYSTEMS, where the last one counts."""
+    """Return every part of a kind (one of PARTS) by name. Raise BadInput if two extensions have the same name, except in OF_SYSTEMS."""
     by_name: dict[str, tuple[Extension, Reference]] = {}
     for extension in extensions().values():
         for name, reference in getattr(extension, kind).items():
@@ -171,7 +171,7 @@ def parts(kind: str) -> Mapping[str, tuple[Extension, Reference]]:
 
 
 def load(kind: str, name: str) -> Any:
-    """A part by its kind and name; None if no extension has it."""
+    """Return a part by its kind and name, or None if no extension has the part."""
     if name not in parts(kind):
         return None
     extension, reference = parts(kind)[name]
@@ -179,15 +179,15 @@ def load(kind: str, name: str) -> Any:
 
 
 def of_each(kind: str, system: str) -> list[Any]:
-    """The parts of a kind for a system, from all extensions; BadInput if one cannot be loaded."""
+    """Return the parts of a kind for a system, from all extensions. Raise BadInput if one of the parts cannot be loaded."""
     given = [(each, getattr(each, kind)) for each in extensions().values()]
     return [each.load(of_system[system]) for each, of_system in given if system in of_system]
 
 
 def every(kind: str, among: Callable[[str], bool] = bool) -> list[Any]:
-    """The different objects of a kind (one of PARTS), in the order of extensions; parts that cannot be loaded are left out.
+    """Return the different objects of a kind (one of PARTS), in the order of extensions.
 
-    among: whether a part is wanted, from its name; other parts are not imported.
+    Only parts whose names satisfy `among` are imported. Parts that cannot be loaded are left out.
     """
     objects = []
     for extension, reference in dict.fromkeys(part for name, part in parts(kind).items() if among(name)):
@@ -197,7 +197,7 @@ def every(kind: str, among: Callable[[str], bool] = bool) -> list[Any]:
 
 
 def used(variables: Iterable[str], families: Iterable[str]) -> list[Extension]:
-    """The extensions that give any of the variables or families, in alphabetical order."""
+    """Return the extensions that give any of the variables or families, in alphabetical order."""
     given = [parts(kind).get(name) for kind in ("variables", "instruments") for name in variables]
     given += [parts("families").get(name) for name in families]
     names = {part[0].name for part in given if part}

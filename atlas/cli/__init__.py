@@ -1,4 +1,4 @@
-"""The `atlas` command: parses options, calls the package, prints. It contains no physics."""
+"""The `atlas` command, which parses options, calls the package and prints. This package contains no physics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["BAD_INPUT", "DONE", "FAILED", "command", "main", "parser"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; exit code 0 done, 1 failed, 2 bad input, 75 out of time, 129 hung up, 130 interrupted, 143 terminated."""
+    """Run a command. Exit codes are 0 done, 1 failed, 2 bad input, 75 out of time, 129 hung up, 130 interrupted, 143 terminated."""
     explain_kept(None)
     try:
         with messages_for_shell(), signals_as_interrupt():
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def command() -> NoReturn:
     """Run the command of this process, or complete it for the shell."""
     if "_ARGCOMPLETE" in os.environ:
-        import argcomplete  # it is installed where the shell asks for completions
+        import argcomplete  # is installed if the shell asks for completions
 
         argcomplete.autocomplete(parser())
     start_deadline()
@@ -79,7 +79,7 @@ def command() -> NoReturn:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line with its help; building it imports no compiler."""
+    """Return the parser of the command line. Building the parser imports no compiler."""
     name = Path(sys.argv[0]).name
     top = Parser(
         prog=name if name == SECOND_NAME else "atlas",

@@ -1,4 +1,4 @@
-"""Commands that compute points or motions, and that read atlases: points, trajectory, compare, map."""
+"""The commands points, trajectory, compare and map."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
     from ..analysis.summary import summary
 
     duration: float | str = options.duration
-    with suppress(ValueError):  # a text such as 20 orbits stays a text
+    with suppress(ValueError):  # a text such as "20 orbits" stays a text
         duration = float(options.duration)
     same = ("transient", "step", "tolerance", "method", "rate_tolerance", "threads", "keep")
     arguments = {name: getattr(options, name) for name in same}
@@ -98,7 +98,7 @@ def label_points_of_file(options: argparse.Namespace) -> None:
 
 
 def _write_csv(ds: Dataset, path: Path) -> None:
-    """Write the coordinates, then the variables of labelled points as a CSV file, whole or not at all."""
+    """Write coordinates and variables of labelled points to a CSV file. The file is complete or is not written at all."""
     import numpy as np
     import pandas as pd
 
@@ -136,14 +136,14 @@ def draw_trajectory(options: argparse.Namespace) -> None:
 
 
 def file_of_scene(options: argparse.Namespace, what: str) -> Path:
-    """Path for a dataset computed from a scene, or for its figure; BadInput if it must not be written."""
+    """Return the path for a dataset computed from a scene, or for its figure. Raise BadInput if the path must not be written."""
 
     name = options.out or f"{default_name(options.scene)}_{what}.png"
     return writable(name, (".nc", *FIGURES), force=options.force, inputs=input_files(options.scene))
 
 
 def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **options: Any) -> None:
-    """Write a dataset to a .nc file, or the figure that a method of `ds.atlas` draws of it; figure: name of the method."""
+    """Write a dataset to a .nc file, or draw the dataset by the method of `ds.atlas` with the name `figure`."""
     from .. import registration  # noqa: F401  (registers ds.atlas with xarray)
 
     if out.suffix.lower() == ".nc":
@@ -157,7 +157,7 @@ def write_or_draw(ds: Dataset, out: Path, figure: str, *arguments: str, **option
 
 
 def _motion(name: str, coordinates: dict[str, float], samples: int) -> Dataset:
-    """The motion at values of the axes of a scene, or of the scene of an atlas; for an atlas without a scene, that of the nearest point."""
+    """Return the motion at values of the axes of a scene or atlas. For an atlas without a scene, return the motion of the nearest point."""
     from ..analysis.metadata import resolved_scene
     from ..analysis.select import nearest_trajectory
     from ..label.trajectory import trajectory_of_scene
@@ -200,7 +200,7 @@ def print_comparison(options: argparse.Namespace) -> None:
 
 
 def map_option(option: Field[Any]) -> Argument:
-    """The option of the command `map` for a field of `MapOptions`: a switch for a Boolean, NAME=VALUE for a mapping."""
+    """Return the option of the command `map` for a field of `MapOptions`. A Boolean gives a switch, and a mapping gives NAME=VALUE."""
     name, settings = f"--{option.name}", dict[str, Any]({"default": option.default} | option.metadata)
     if option.default is True:
         return argument(f"--no-{option.name}", dest=option.name, action="store_false", help=settings["help"])

@@ -25,20 +25,20 @@ STANDARD_INPUT = "-"
 DONE, FAILED, BAD_INPUT = 0, 1, 2  # exit codes
 FILES = (*FIGURES, FILE, ".csv")
 
-Text: TypeAlias = str | Callable[[], str]  # text of a help, or a function if extensions add to it
+Text: TypeAlias = str | Callable[[], str]  # a help text, or a function if extensions add to the text
 Handler = Callable[[argparse.Namespace], int | None]  # returns an exit code, or None for DONE
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with errors in one line, and with options that may be repeated or take several values."""
+    """Parser that reports errors in one line, and has options that may be repeated or take several values."""
 
     def __init__(self, *arguments: Any, **settings: Any):
         super().__init__(*arguments, **settings)
         self._several: dict[str, Callable[[str], bool]] = {}
 
     def add_argument(self, *names: str, belongs: Callable[[str], bool] | None = None, **settings: Any) -> Any:
-        """As argparse, but an option with `belongs` takes all following words for which `belongs` is true: --at a=1 b=2."""
+        """Add an argument as argparse does. An option with `belongs` takes all following words for which `belongs` is true."""
         if belongs is not None:
             settings["action"] = "append"
             self._several |= dict.fromkeys(names, belongs)
@@ -49,7 +49,7 @@ class Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
-        """Words of the command line, where the name of an option with `belongs` is repeated before each of its values."""
+        """Return words in which the name of an option with `belongs` is repeated before each value of the option."""
         repeated: list[str] = []
         option, first = None, False
         for i, word in enumerate(words):
@@ -69,7 +69,7 @@ class Parser(argparse.ArgumentParser):
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
-            # Only commands may be missing because an extension cannot be loaded.
+            # Only a command can be missing because an extension cannot be loaded.
             is_command = isinstance(action, argparse._SubParsersAction)
             allowed = (available_text if is_command else allowed_text)(value, list(action.choices))
             raise argparse.ArgumentError(action, f"{shown(value)}: {allowed}")
@@ -84,16 +84,16 @@ Argument: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 
 
 def argument(*names: str, **settings: Any) -> Argument:
-    """Names and settings of an argument for `Parser.add_argument`, where `help` is a Text and `lowest` is the least allowed number."""
+    """Return the names and settings of an argument for `Parser.add_argument`. `help` is a Text, `lowest` the least allowed number."""
     return names, settings
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command; the docstring of its handler is its description."""
+    """Command of the shell, which is described by the docstring of its handler."""
 
     name: str
-    arguments: tuple[Argument | list[Argument], ...]  # a list holds arguments that exclude each other
+    arguments: tuple[Argument | list[Argument], ...]  # the arguments in a list exclude each other
     handler: Handler
 
     def add(self, commands: Commands) -> None:
@@ -110,7 +110,7 @@ class Command:
                 group.add_argument(*names, help=about() if callable(about) else about, **usual)
 
     def run(self, options: argparse.Namespace) -> int:
-        """Run the handler and return its exit code; BadInput for an empty text or a number that is too small."""
+        """Run the handler and return the exit code. Raise BadInput for an empty text or a number that is too small."""
         for each in self.arguments:
             for (*_, name), settings in each if isinstance(each, list) else [each]:
                 value = getattr(options, settings.get("dest", name.lstrip("-").replace("-", "_")))
@@ -122,14 +122,14 @@ class Command:
 
 
 def command(name: str, *arguments: Argument | list[Argument]) -> Callable[[Handler], Command]:
-    """Decorator that makes a function the handler of a command."""
+    """Return a decorator that makes a function the handler of a command."""
     return partial(Command, name, arguments)
 
 
 def out_options(
     metavar: str, text: Text, *, replaces: str = "an existing file", **settings: Any
 ) -> tuple[Argument, Argument]:
-    """The option for the output file, and the option that allows replacing a file."""
+    """Return the option for the output file and the option that allows replacing a file."""
     return (
         argument("-o", "--out", metavar=metavar, help=text, **settings),
         argument("--force", action="store_true", help=f"replace {replaces}"),
@@ -139,13 +139,13 @@ def out_options(
 def option_with_default(
     name: str, metavar: str, default: float | str, text: str, **settings: Any
 ) -> Argument:
-    """An option whose help shows its default."""
+    """Return an option whose help shows the default."""
     text = f"{text} (default: {default})"
     return argument(name, type=type(default), default=default, metavar=metavar, help=text, **settings)
 
 
 def assignment_option(name: str, metavar: str, text: str) -> Argument:
-    """An option for NAME=VALUE, any number of times."""
+    """Return an option that takes any number of assignments NAME=VALUE."""
     return argument(name, belongs=lambda word: "=" in word, default=[], metavar=metavar, help=text)
 
 
@@ -159,19 +159,19 @@ VERBOSE = argument("--verbose", action="store_true", help="print errors, checks 
 
 
 def read_scene(name: str) -> Scene:
-    """The scene of a file, or of standard input."""
+    """Return the scene in a file or in standard input."""
     from ..scene.read import load_scene, parse_scene
 
     return parse_scene(read_text(None), folder=Path()) if name == STANDARD_INPUT else load_scene(name)
 
 
 def default_name(scene: str) -> str:
-    """Name of the outputs of a scene, without suffix: k3_0.5 of k3_0.5.toml."""
+    """Return the name of the outputs of a scene without suffix, such as k3_0.5 for k3_0.5.toml."""
     return "scene" if scene == STANDARD_INPUT else without_suffix(scene, ".toml", *suffixes()).name
 
 
 def input_files(scene: str) -> list[Path]:
-    """The input files of a scene: the scene file, and its file of points."""
+    """Return the input files of a scene, which are the scene file and its file of points."""
     from ..scene.points import file_of
 
     return [] if scene == STANDARD_INPUT else [Path(scene), *file_of(Path(scene))]
@@ -196,7 +196,7 @@ def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
 
 
 def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
-    """NAME=VALUE options as texts by name; form: the allowed form in an error message."""
+    """Return NAME=VALUE options as texts by name. An error message gives `form` as the allowed form."""
     values: dict[str, str] = {}
     for text in texts:
         name, equals, value = text.partition("=")

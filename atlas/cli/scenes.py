@@ -1,4 +1,4 @@
-"""Commands about scenes and their runs: run, extend, status, join, check, cache, schema, new."""
+"""The commands run, extend, status, join, check, cache, schema and new."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def extend_atlases(options: argparse.Namespace) -> None:
 
 @signals_as_stop()
 def _run(options: argparse.Namespace, out: str, reuse: Sequence[str]) -> None:
-    """Run the scene of the options into an atlas."""
+    """Run the scene that the options name, and write its atlas."""
     shard = None
     if options.shard is not None:
         match = re.fullmatch("([0-9]{1,9})/([0-9]{1,9})", options.shard)
@@ -303,6 +303,6 @@ def copy_example(options: argparse.Namespace) -> None:
 
 
 def figure_options(scene: str) -> str:
-    """Options of `atlas map` in the comment "Figure: --option" of an example, with a leading blank."""
+    """Return the options of `atlas map` in the comment "Figure: --option" of an example, with a leading blank."""
     match = re.search(r"^# Figure:((?: --[\w-]+)+)", scene, re.MULTILINE)
     return match[1] if match else ""

@@ -2,8 +2,8 @@
 
 from ...extension import Extension
 
-# Longest run for which errors of the paper's solution are computed, as duration times fastest frequency in rad: some seconds of
-# integration for a chunk of points.
+# Longest run for which errors of the paper's solution are computed. The length of a run is its duration times the fastest frequency,
+# in rad. The integration of a chunk of points takes some seconds.
 MAX_RADIANS = 1000.0
 
 EXTENSION = Extension(

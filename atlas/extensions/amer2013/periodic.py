@@ -1,13 +1,13 @@
 """Exact periodic solutions of (1) at any eps, by shooting, and their Floquet multipliers.
 
 A solution of (1) whose gamma returns after about one turn is fixed by r1 = g1'' = 1 and the phase gamma2' = 0 at tau = 0, as in
-(22). The unknowns are eps p1, eps q1, the angle of g1 + i g1' and the period. Four of the six multipliers are 1, by the
+(22). The unknowns are eps p1, eps q1, the angle of g1 + i g1' and the period. Four of the six multipliers are 1, because of the
 direction of the motion and the three integrals (2). The others are rho and 1/rho, and their sum is the trace of the monodromy
 matrix minus 4. The solution is stable where rho is on the unit circle.
 
-Without a field the solution is known: p1 + i q1 rests at mu / Omega and gamma turns about the axis of rotation, so that the
-period is 2 pi / |w|. `follow` raises the field from 0 to its value at constant l / (A r0), which is the same as raising eps from
-0; a solution is found if this path does not end before the field has its value.
+Without a field the solution is known. The point p1 + i q1 rests at mu / Omega, and gamma turns about the axis of rotation with
+the period 2 pi / |w|, where w is the angular velocity in units of r0. `follow` raises the field from 0 to its value at constant l
+/ (A r0), which is the same as raising eps from 0. A solution is found if the path does not end before the full field.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from ...kernel.tableaux import RK8
 from ...systems.base import Array, Flags, Mask, Points
 from .fast_spin import CHUNK, FastSpin, fast_spin, rhs, to_quasilinear
 
-STEPS = 24  # steps of rk8 in a period, along the path of solutions
-FINE = 48  # steps in a period at the end of the path: errors are of the size of rounding
-# Largest correction of each unknown; a larger one may lead to another solution.
+STEPS = 24  # number of steps of rk8 in a period, along the path of solutions
+FINE = 48  # number of steps in a period at the end of the path, where errors are of the size of rounding
+# Largest allowed correction of each unknown. A larger correction may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # shortest step of the path, as a fraction of the field; if it fails, the path has a fold
-DEFECT = 1e-5  # largest defect before the last correction of a periodic solution
-MARGIN = 1e-7  # distance of |trace| from 2 below which rounding decides on stability
+LEAST_STEP = 0.005  # shortest step of the path, as a fraction of the field; it fails at a fold
+DEFECT = 1e-5  # a step of the path fails if the defect before the last correction is larger
+MARGIN = 1e-7  # distance of |trace| from 2 within which rounding decides on stability
 
 
 class Periodic(NamedTuple):
-    """Periodic solutions of some points; nan where none is reached."""
+    """Periodic solutions of some points, with nan where no solution is reached."""
 
     start: Array  # y at tau = 0, (6, points)
     period: Array  # in tau, (points,)
@@ -49,9 +49,9 @@ class Periodic(NamedTuple):
 
 
 def flow(spin: FastSpin, y: Array, directions: Array, period: Array, steps: int) -> tuple[Array, Array]:
-    """State after a period, (6, points), and its derivatives along k directions of the start, (6, k, points).
+    """Return the state after a period, (6, points), and its derivatives along k directions of the start, (6, k, points).
 
-    The right side of (1) is quadratic, so that its derivative along v is exactly [f(y + v) - f(y - v)] / 2.
+    The right side f of (1) is quadratic, so that its derivative along v is exactly [f(y + v) - f(y - v)] / 2.
     """
     k = directions.shape[1]
 
@@ -75,7 +75,7 @@ def _sum(weights: tuple[float, ...], slopes: list[Array]) -> Array | float:
 
 
 def state(spin: FastSpin, x: Array) -> Array:
-    """y at tau = 0 from the unknowns eps p1, eps q1, angle of g1 + i g1' and period, (4, points)."""
+    """Return y at tau = 0 from the unknowns x, (4, points), which are eps p1, eps q1, the angle of g1 + i g1' and the period."""
     one = np.ones_like(x[0])
     return np.array(
         [x[0] / spin.eps, x[1] / spin.eps, one, spin.M3 * np.cos(x[2]), spin.M3 * np.sin(x[2]), one]
@@ -83,7 +83,7 @@ def state(spin: FastSpin, x: Array) -> Array:
 
 
 def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> tuple[Array, Array]:
-    """Unknowns after corrections by Newton's method, and the defect before the last correction; a correction about squares the defect."""
+    """Correct the unknowns by Newton's method. Also return the defect before the last correction, which about squares the defect."""
     unit = np.array([1.0, 1, 0, 0, 0, 0])[:, None] * spin.eps + np.array([0.0, 0, 1, 1, 1, 1])[:, None]
     for _ in range(corrections):
         y, zero = state(spin, x), np.zeros_like(x[0])
@@ -100,19 +100,19 @@ def correct(spin: FastSpin, x: Array, corrections: int, steps: int = STEPS) -> t
         last = np.concatenate([0.5 * (ahead - behind), zero[None]])  # to_quasilinear is quadratic, too
         matrix = np.moveaxis(np.concatenate([columns, last[None]]), -1, 0)
         finite = np.isfinite(matrix).all((1, 2)) & np.isfinite(defect).all(0)
-        # Three of the seven equations follow from the others, by the integrals.
+        # Three of the seven equations follow from the others, because of the integrals.
         inverse = np.linalg.pinv(np.where(finite[:, None, None], matrix, 0.0))
         x = x - np.where(finite, np.einsum("nij,jn->in", inverse, np.where(finite, defect, 0.0)), np.nan)
     return x, np.abs(defect).max(0)
 
 
 def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Array, Mask]:
-    """Unknowns of the periodic solutions, (4, points), and which of them are reached; the attributes of spin have the shape (points,)."""
+    """Return the unknowns of periodic solutions, (4, points), and whether each is reached. Attributes of `spin` are arrays (points,)."""
     free = spin.eps * spin.forced
     angle = np.arcsin(np.clip(free.imag / spin.M3, -1, 1))
     x = np.array([free.real, free.imag, angle, 2 * np.pi / np.sqrt(1 + np.abs(free) ** 2)])
     slope, share, step = np.zeros_like(x), np.zeros_like(angle), np.ones_like(angle)
-    step[~(np.abs(free.imag) < spin.M3)] = 0.0  # no solution: |g1'| = |eps q1| at tau = 0 exceeds M3
+    step[~(np.abs(free.imag) < spin.M3)] = 0.0  # no solution exists if |g1'| = |eps q1| at tau = 0 exceeds M3
     while (active := np.flatnonzero((share < 1) & (step >= LEAST_STEP))).size:
         pause()
         target = np.minimum(share + step, 1)[active]
@@ -131,7 +131,7 @@ def follow(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> tuple[Ar
 
 
 def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
-    """The periodic solutions with these unknowns, and their traces."""
+    """Return the periodic solutions with the unknowns `x`, and their traces."""
     y, size = state(spin, x), x.shape[1]
     along = np.eye(6)[:, :, None] * np.array([spin.eps**-1, spin.eps**-1, *4 * (np.ones(size),)])[:, None]
     changed = flow(spin, y, along, x[3], FINE)[1]
@@ -140,7 +140,7 @@ def of_unknowns(spin: FastSpin, x: Array) -> Periodic:
 
 
 def solutions(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> Periodic:
-    """Periodic solutions by `follow`; the attributes of spin have the shape (points,)."""
+    """Find periodic solutions by `follow`. The attributes of `spin` have the shape (points,)."""
     with np.errstate(all="ignore"):
         x, reached = follow(spin, pause)
         x, _ = correct(spin, np.where(reached, x, np.nan), 2, FINE)
@@ -148,7 +148,7 @@ def solutions(spin: FastSpin, pause: Callable[[], None] = lambda: None) -> Perio
 
 
 def of_points(points: Points, pause: Callable[[], None]) -> tuple[Flags, Array, Array]:
-    """Values of PeriodicSolution, periods in time units and traces, (points,)."""
+    """Return values of PeriodicSolution, periods in time units and traces, each of shape (points,)."""
     columns = []
     for first in range(0, points["A"].size, CHUNK):
         spin = fast_spin({name: values[first : first + CHUNK] for name, values in points.items()})

@@ -1,8 +1,8 @@
 """The fast-spin formulas of Amer, Abo Essa, Ibrahim & Amer exactly as the paper prints them.
 
-For comparison only, because most of them are wrong; PUBLISHED lists the errors, with their measured sizes where
-possible. The formulas are in the table [printed] of equations.toml, the steps between (6) and (27) in `reduction`.
-Each function has the signature and the units of its namesake in `fast_spin`. X and formulas that contain X need A1 != 0.
+The formulas serve for comparison only, because most of them are wrong. PUBLISHED lists the errors, with measured sizes where
+possible. The table [printed] of equations.toml has the formulas, and `reduction` has the steps between (6) and (27). Each
+function has the signature and the units of its namesake in `fast_spin`. X and formulas that contain X need A1 != 0.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ COEFFICIENTS = ("chi", "chi1", "nu", "X", "chi2", "nu2")
 
 
 def frequency_squared(spin: FastSpin) -> Array:
-    """omega'^2 = A1^2 - 2 A1 l3 / (A r0), after (8); may be negative."""
+    """Return omega'^2 = A1^2 - 2 A1 l3 / (A r0), as printed after (8). The value may be negative."""
     return spin.A1**2 - 2 * spin.A1 * spin.l3 / (spin.A * spin.r0)
 
 
 def numbers(spin: FastSpin) -> Values:
-    """The numbers of a body by their names in [printed]."""
+    """Return the numbers of a body by their names in the table [printed]."""
     names = ("A", "C", "weight", "N", "l1", "l2", "l3", "r0", "gamma0", "A1", "a", "z", "scale", "eps", "M3")
     return reduction.numbers(spin, *names) | {"squared": frequency_squared(spin)}
 
 
 def formulas(values: Values, *names: str) -> Array:
-    """Values of formulas of [printed], shape (names, ...)."""
+    """Return the values of formulas in the table [printed], shape (names, ...)."""
     return np.array(np.broadcast_arrays(*(evaluate(name, values, CONTENT["printed"]) for name in names)))
 
 
-@lru_cache(maxsize=8)  # every step of an integration needs the coefficients
+@lru_cache(maxsize=8)  # coefficients are needed at every step of an integration
 def coefficients(spin: FastSpin) -> Values:
-    """The numbers of a body with chi, chi1 and nu of (10), X, chi2 and nu2 of (11); BadInput where they divide by zero."""
+    """Return the numbers of a body with chi, chi1, nu of (10) and X, chi2, nu2 of (11). Raise BadInput where a formula divides by zero."""
     values = numbers(spin)
     if np.any(spin.A1 == 0):
         raise BadInput("A1 = 0 (A = C): X of (11) divides by A1")
@@ -53,18 +53,18 @@ def coefficients(spin: FastSpin) -> Values:
 
 
 def rhs(spin: FastSpin, y: Array) -> Array:
-    """dy/dtau, (1) with (4) and (5); A = B, so C1 = 0."""
+    """Return dy/dtau from (1) with (4) and (5). A = B, so that C1 = 0."""
     values = numbers(spin) | state(y)
     return formulas(values, *(f"d_{name}" for name in VARIABLES))
 
 
 def integrals(spin: FastSpin, y: Array) -> Array:
-    """The constants of the motion according to (2) with (3): energy, area and |gamma|^2, shape (3, ...)."""
+    """Return the constants of the motion from (2) with (3). They are energy, area and |gamma|^2, shape (3, ...)."""
     return formulas(numbers(spin) | state(y), "energy", "area", "length")
 
 
 def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
-    """d/dtau of x = (p2, p2', gamma2, gamma2'), (15) with F1 and Phi1 of (16); x0 is x at tau = 0."""
+    """Return d/dtau of x = (p2, p2', gamma2, gamma2') from (15), with F1 and Phi1 of (16). The vector x0 is x at tau = 0."""
     (p, v, g, u), (p0, v0, g0, u0), values = x, x0, coefficients(spin)
     A, C, A1, a, r0, eps, X, chi2 = (values[name] for name in ("A", "C", "A1", "a", "r0", "eps", "X", "chi2"))
     l1, l2, y1, y2 = (values[name] for name in ("l1", "l2", "y1", "y2"))
@@ -79,22 +79,22 @@ def quasilinear(spin: FastSpin, x: Array, x0: Array) -> Array:
 
 
 def first_order(spin: FastSpin, tau: Array) -> Array:
-    """The periodic solution (33); tau broadcasts with the fields of spin; returns y of shape (6, ...)."""
+    """Return y, (6, ...), of the periodic solution (33). `tau` broadcasts with the fields of `spin`."""
     return formulas(coefficients(spin) | {"tau": tau}, *VARIABLES)
 
 
 def to_quasilinear(spin: FastSpin, y: Array) -> Array:
-    """(p2, gamma2) of y, by (10); shape (2, ...)."""
+    """Return (p2, gamma2) for y from (10), shape (2, ...)."""
     return formulas(coefficients(spin) | state(y), "p2", "gamma2")
 
 
 def period_correction(spin: FastSpin, turns: int = 1) -> Array:
-    """alpha(eps) of (33), where beta3 is 0, as it is to the lowest order."""
+    """Return alpha(eps) of (33), where beta3 is set to 0, its value to the lowest order."""
     return turns * formulas(coefficients(spin), "alpha")[0]
 
 
 def angles(spin: FastSpin, t: Array) -> Array:
-    """theta, psi and phi after (34) with h = 0, shape (3, ...)."""
+    """Return theta, psi and phi from the formulas after (34) with h = 0, shape (3, ...)."""
     values = coefficients(spin)
     now, start = (formulas(values | {"t": time}, "theta", "psi", "phi") for time in (t, np.zeros_like(t)))
     theta, psi, phi = now - start
@@ -102,14 +102,14 @@ def angles(spin: FastSpin, t: Array) -> Array:
 
 
 def check(points: Points, duration: Array) -> None:
-    """Raise BadInput for points without the printed solution, and for runs longer than MAX_RADIANS."""
+    """Raise BadInput for points at which the printed solution does not exist, and for runs longer than MAX_RADIANS."""
     with np.errstate(all="ignore"):
         coefficients(fast_spin.fast_spin(points))
     fast_spin.check(points, duration)
 
 
 def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
-    """alpha for one turn, from the mean rate of the phase of g1 + i g1' over whole turns of the full equations."""
+    """Return alpha for one turn, from the mean rate of the phase of g1 + i g1' over whole turns of the full equations."""
     tau = np.linspace(0, 2 * np.pi * turns, 40 * turns + 1)
     y = fast_spin.integrate(spin, fast_spin.first_order(spin, np.array(0.0)), tau)
     rate = fast_spin.rhs(spin, y)
@@ -129,7 +129,7 @@ def _of_body(
     true: Any,
     draw: Callable[[np.random.Generator], FastSpin] = random_spin,
 ) -> EntryMeasure:
-    """Entry measure: the largest magnitude of measure(body, random generator, reading), for a body from `draw`."""
+    """Return an entry measure, the largest magnitude of measure(body, random generator, reading) for a body from `draw`."""
     readings = {"printed": printed, "true": true}
     return lambda entry, reading, rng: float(np.abs(measure(draw(rng), rng, readings[reading])).max())
 
@@ -155,7 +155,7 @@ def _direction_cosine(spin: FastSpin, rng: np.random.Generator, sign: int) -> Ar
 def _coupling_residual(
     spin: FastSpin, rng: np.random.Generator, pair: Callable[[FastSpin], tuple[Array, Array]]
 ) -> Array:
-    """Error of chi1 and nu: w = eps chi1 G must turn with G, at the rate -1, and G = eps nu w with w, at the rate Omega."""
+    """Return the error of chi1 and nu. With w = eps chi1 G both must turn at the rate -1, with G = eps nu w at the rate Omega."""
     chi1, nu = pair(spin)
     forced = true_rate(spin, np.array([spin.eps * chi1, 0, 1, 1, 0, 1]))[1] / spin.eps
     carried = true_rate(spin, np.array([1, 0, 1, spin.eps * nu, 0, 1]))[4] / spin.eps
@@ -163,7 +163,7 @@ def _coupling_residual(
 
 
 def _reduced_error(index: int, spin: FastSpin, rng: np.random.Generator, right_side: Formula) -> Array:
-    """p2'' (index 1) or gamma2'' (3) of the full motion minus its value from the reduced equation, divided by the forced term."""
+    """Return the error of the reduced equation for p2'' (index 1) or gamma2'' (index 3), divided by the forced term."""
     y = fast_spin.first_order(spin, rng.uniform(0, 6, 1))[:, 0]
     exact = fast_spin.p2_gamma2(spin, true_acceleration(spin, y))[index // 2]
     term = (spin.Omega if index == 1 else spin.eps * spin.nu) * spin.mu.real
@@ -176,7 +176,7 @@ def _solution_error(index: int, spin: FastSpin, rng: np.random.Generator, soluti
 
 @cache
 def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
-    """Largest errors of the solution for tau from 0 to 2 pi, relative to the forced part of its first-order term."""
+    """Return the largest errors of the solution for tau from 0 to 2 pi, relative to the forced part of its first-order term."""
     tau = np.linspace(0, 2 * np.pi, 41)
     y = fast_spin.integrate(spin, solution(spin, np.array(0.0)), tau)
     forced = np.abs(spin.forced)
@@ -185,14 +185,14 @@ def _solution_errors(spin: FastSpin, solution: Formula) -> Array:
 
 
 def _angle_error(index: int, spin: FastSpin, rng: np.random.Generator, formula: Formula) -> Array:
-    """Largest error of theta, psi or phi in two turns, relative to the oscillation of first order in eps."""
+    """Return the largest error of theta, psi or phi in two turns, relative to the oscillation of first order in eps."""
     t, *exact = _exact_angles(spin)
     return np.abs(formula(spin, t)[index] - exact[index]).max() / (spin.eps * np.abs(spin.forced))
 
 
 @cache
 def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
-    """Times in two turns, and theta, psi and phi at these times, from the full equations."""
+    """Return times in two turns, and theta, psi and phi of the full equations at these times."""
     from scipy.integrate import cumulative_simpson  # slow to import, and scenes do not need it
 
     tau = np.linspace(0, 4 * np.pi, 401)
@@ -216,7 +216,7 @@ def _change_by_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[F
 
 
 def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[FastSpin], Any]) -> Array:
-    """h'' + f^2 h - 1 at a random time; h is the integral of sin(w (tau - t1)) / f over t1 from 0 to tau."""
+    """Return h'' + f^2 h - 1 at a random time tau, where h is the integral of sin(w (tau - t1)) / f over t1 from 0 to tau."""
     (f, w), tau = frequencies(spin), rng.uniform(0.5, 5.0)
     return (w * np.cos(w * tau) + f**2 * (1 - np.cos(w * tau)) / w) / f - 1
 
@@ -224,7 +224,7 @@ def _kernel_24(spin: FastSpin, rng: np.random.Generator, frequencies: Callable[[
 _ONE, _NONE = np.array([1.0, 0, 1, 0, 0, 1]), np.array([0.0, 0, 1, 0, 0, 1])
 _FAST = partial(random_spin, r0=50.0)
 _FASTEST = partial(random_spin, r0=1e5)
-# Measures by the number of an equation or by a key of its entry.
+# The measures have the number of an equation or a key of its entry as names.
 MEASURES: dict[str, EntryMeasure] = {
     "(1), second equation": _of_body(partial(_rate_error, 1), rhs, fast_spin.rhs),
     "(1) but for the second equation, (5)": _of_body(

@@ -1,9 +1,10 @@
 """Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
-Each row tests one equation. Here k, the frequency, chi, chi1, nu and X have their true values (X = 1 / Omega, chi = 0) in both
-readings, and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected; S11 to S22 are (13),
-corrected, without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the two
-readings, or to the exact value where the readings are equal; the true reading of an expansion in eps has a residual of order eps.
+Each row tests one equation in two readings. In both readings k, the frequency, chi, chi1, nu and X have their true values (X = 1
+/ Omega, chi = 0), and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected. S11 to S22
+are from the corrected (13) without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the
+difference of the two readings, or to the exact value where the readings are equal. The true reading of an expansion in eps has a
+residual of order eps.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ CONTENT, ENTRIES = load(__package__)
 
 
 def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT["definitions"]) -> Any:
-    """Value of an expression in names of equations.toml; names without a value get one from their definitions first."""
+    """Return the value of an expression in names of equations.toml. A name without a value is evaluated from its definition."""
     parsed = expression("equations.toml", text)
     for name in parsed.names - values.keys():
         values[name] = evaluate(definitions[name], values, definitions)
@@ -42,17 +43,17 @@ def evaluate(text: str, values: Values, definitions: Mapping[str, str] = CONTENT
 
 
 def left_side(entry: Entry, reading: str, values: Values) -> Any:
-    """Sum of the terms of an equation in one reading."""
+    """Return the sum of the terms of an equation in one reading."""
     return side(entry, reading, ENTRIES, lambda term: evaluate(term, values))
 
 
 def numbers(spin: FastSpin, *names: str) -> Values:
-    """The named numbers of a body, and the components y1, y2, y3 of its rotor."""
+    """Return the named numbers of a body, and the components y1, y2, y3 of its rotor."""
     return {name: getattr(spin, name) for name in names} | dict(zip(("y1", "y2", "y3"), spin.y, strict=True))
 
 
 def names(spin: FastSpin) -> Values:
-    """The numbers of a body by the names of equations.toml, in their true forms."""
+    """Return the numbers of a body in their true forms, by the names of equations.toml."""
     X, momentum = 1 / spin.Omega, spin.A * spin.r0
     fields = (
         "A", "C", "A1", "a", "k", "z", "r0", "eps", "l1", "l2", "l3", "Omega", "M3", "G0", "chi1", "nu", "gamma0",
@@ -64,15 +65,15 @@ def names(spin: FastSpin) -> Values:
 
 
 def state(y: Array, prefix: str = "") -> Values:
-    """The variables of (1), or with a prefix their rates, by name."""
+    """Return the components of y by the names of the variables of (1), with `prefix` before each name."""
     return {prefix + name: value for name, value in zip(VARIABLES, y, strict=True)}
 
 
-# The corrected (3), and states that satisfy (2) with this (3).
+# The following functions give the corrected (3), and states that satisfy (2) with the corrected (3).
 
 
 def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
-    """S1 and S2 of (3), corrected, at a state y of the motion from y0."""
+    """Return S1 and S2 of the corrected (3) at a state y of the motion from y0."""
     (p0, q0, _, g10, g20, _), (p, q, _, g1, g2, g3) = y0, y
     a, k = spin.a, spin.k
     y1, y2, y3 = spin.y
@@ -83,23 +84,23 @@ def S1_S2(spin: FastSpin, y0: Array, y: Array) -> tuple[Array, Array]:
 
 
 def on_integrals(spin: FastSpin, y0: Array, y: Array) -> Array:
-    """The state y with r1 and g1'' replaced by their values from (2) and the start y0."""
+    """Return the state y with r1 and g1'' replaced by their values from (2) and the start y0."""
     S1, S2 = S1_S2(spin, y0, y)
     r = np.sqrt(1 + spin.eps**2 * S1)
     return np.array([*y[:2], r, *y[3:5], (1 + spin.eps * S2) / r])
 
 
 def random_states(rng: np.random.Generator, spin: FastSpin) -> tuple[Array, Array]:
-    """A random start with r1 = g1'' = 1, and a random state of equal energy and area, which satisfies (2) with (3)."""
+    """Return a random start with r1 = g1'' = 1, and a random state of equal energy and area, which satisfies (2) with (3)."""
     y0, y = rng.normal(size=(2, 6))
     y0[[2, 5]] = y[[2, 5]] = 1.0
-    for _ in range(60):  # a contraction by a factor of order eps
+    for _ in range(60):  # each step is a contraction by a factor of order eps
         y = on_integrals(spin, y0, y)
     return y0, y
 
 
 def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
-    """y from (p2, p2', gamma2, gamma2'), with r1 and g1'' from the integrals (2) of a start, or both 1 without a start."""
+    """Return y from (p2, p2', gamma2, gamma2'). r1 and g1'' follow from the integrals (2) of `start`, and are 1 without a start."""
     p, v, g, u = x
     eps, q, g2, r, g3 = spin.eps, 0.0, 0.0, 1.0, 1.0
     for _ in range(60):
@@ -114,7 +115,7 @@ def of_variables(spin: FastSpin, x: Array, start: Array | None = None) -> Array:
 
 
 def variables(x0: Array, x: Array) -> Values:
-    """p = p2, v = p2', g = gamma2, u = gamma2' at x, p0 to u0 at x0; Dname: value of name at x0 minus its value at x."""
+    """Return p2, p2', gamma2, gamma2' under the names p, v, g, u at x and p0, v0, g0, u0 at x0. Dname is name at x0 minus name at x."""
 
     def products(x: Array) -> Values:
         values = dict(zip("pvgu", x, strict=True))
@@ -127,11 +128,12 @@ def variables(x0: Array, x: Array) -> Values:
     )
 
 
-# Functions (random generator, entry) -> values by name for the expressions of an entry; AT has them by the key `at` of the entry.
+# The following functions of a random generator and an entry return values for the expressions of the entry. AT has each function
+# under the key `at` of its entries.
 
 
 def _states(rng: np.random.Generator, entry: Entry) -> Values:
-    """Two random states of one motion, the second with its S1 and S2."""
+    """Return two random states of one motion, the second with S1 and S2."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     y0, y = random_states(rng, spin)
     x0, x = (fast_spin.to_quasilinear(spin, each) for each in (y0, y))
@@ -140,7 +142,7 @@ def _states(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _motion(rng: np.random.Generator, entry: Entry) -> Values:
-    """A random state with its rates and accelerations; S1 and S2, which replace r1 and g1'' in (2), are random too."""
+    """Return a random state with rates and accelerations. S1 and S2, from which (2) gives r1 and g1'', are random too."""
     spin = random_spin(rng, r0=entry.get("r0", 1e4))
     p, q, g1, g2, S1, S2 = rng.normal(size=6)
     r = np.sqrt(1 + spin.eps**2 * S1)
@@ -150,7 +152,7 @@ def _motion(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
-    """The solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
+    """Return the solution (25), with the true frequency, over all phases of its two frequencies, t1 = Omega tau and tau."""
     spin = random_spin(rng, **{"r0": entry["r0"]} if "r0" in entry else {})
     E, eta = rng.uniform(0.5, 1.5, 2) * (entry.get("amplitude", 1.0), 1)
     phases = 2 * np.pi * np.arange(12) / 12
@@ -166,23 +168,22 @@ def _generating_solution(rng: np.random.Generator, entry: Entry) -> Values:
 
 
 def _series(rng: np.random.Generator, entry: Entry) -> Values:
-    """Two random states and the exact p2'' and gamma2'' at eight values of eps, for fixed k and rotor: they give errors as series in eps."""
+    """Return two random states, and the exact p2'' and gamma2'' at eight values of eps and fixed k and rotor, for series in eps."""
     eps = 0.002 * np.array([-4.0, -3, -2, -1, 1, 2, 3, 4])
     C, gamma0, (l1, l2, l3) = rng.uniform(1.2, 1.8), rng.uniform(0.3, 0.7), rng.uniform(0.5, 1, 3)
     spin = FastSpin(1.0, C, C / gamma0, rng.uniform(1, 2), l1, l2, l3, 1 / eps, gamma0).of_shape(eps.shape)
     x0, x = rng.normal(size=(2, 4, 1)) * np.ones(eps.size)
     y = of_variables(spin, x, of_variables(spin, x0))
     rate = fast_spin.rhs(spin, y)
-    acceleration = 0.5 * (
-        fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate)
-    )  # exact: (1) is quadratic
+    # This difference is exact, because (1) is quadratic.
+    acceleration = 0.5 * (fast_spin.rhs(spin, y + rate) - fast_spin.rhs(spin, y - rate))
     exact = zip(("dd_p", "dd_g"), fast_spin.p2_gamma2(spin, acceleration), strict=True)
     return names(spin) | variables(x0, x) | dict(exact)
 
 
 @cache
 def _periodic(body: str, rotor: float) -> Values:
-    """The exact periodic solution of a body of section VI at tau = 0, and its variables p2 to gamma2'."""
+    """Return the exact periodic solution of a body of section VI at tau = 0, with the variables p2 to gamma2'."""
     spin = paper_body(body, rotor).of_shape((1,))
     start = periodic.solutions(spin).start
     x = dict(zip("pvgu", fast_spin.to_quasilinear(spin, start), strict=True))
@@ -200,7 +201,7 @@ AT: dict[str, Callable[[np.random.Generator, Entry], Values]] = {
 
 
 def residual(entry: Entry, reading: str, rng: np.random.Generator) -> float:
-    """Largest error of a reading, relative to the difference of the two readings or to the exact value."""
+    """Return the largest error of a reading, relative to the difference of the two readings or to the exact value."""
     values = AT[entry["at"]](rng, entry)
     results = [evaluate(entry["exact"], values)]
     results += [left_side(entry, each, values) for each in ("printed", "true")]

@@ -27,13 +27,13 @@ Attitude: TypeAlias = "ArrayLike | Rotation"
 STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
-LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # axes: velocity, minus normal, nadir
-# Frame of a satellite -> rotation that turns components in it at the start into components along radius, velocity and normal.
+LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # along velocity, minus normal and nadir
+# Rotation from each frame of a satellite, as it is at the start, to the frame of radius, velocity and normal.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
-# Relative differences that are tolerated: of mirrored elements of a tensor, of equal moments, of equal components of axes.
+# Tolerated relative differences of mirrored elements of a tensor, of equal moments and of equal components of axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
 ROUNDING = 1e-14  # relative rounding error of an angular velocity
-NO_ROTATION = 1e-6  # largest difference of products of the rows of a rotation matrix from 0 and 1
+NO_ROTATION = 1e-6  # products of the rows of a rotation matrix may differ from 0 and 1 by this
 
 
 @typed
@@ -45,18 +45,18 @@ def principal(tensor: ArrayLike, order: str = "nearest") -> tuple[dict[str, Any]
     tensor : array_like, shape (3, 3) or (points, 3, 3)
         Tensor about the centre of mass, or the fixed point of a top, in given axes of the body. The elements off the diagonal are minus
         the integrals of x y, y z and z x over the mass. If your products of inertia are these integrals themselves, change their
-        signs: a wrong sign cannot be detected.
+        signs, because a wrong sign cannot be detected.
     order : str, optional
-        "nearest": the smallest rotation takes the given axes to the principal axes of A, B and C, also if moments are equal.
-        "ascending": A <= B <= C.
+        With "nearest", the smallest rotation takes the given axes to the principal axes of A, B and C, even if moments are
+        equal. With "ascending", A <= B <= C.
 
     Returns
     -------
     moments : dict
         A, B and C, numbers or arrays (points,), for `label_points`. Moments that agree to rounding are made equal.
     axes : numpy.ndarray, shape (3, 3) or (points, 3, 3)
-        The rows are the principal axes along the given axes, right-handed: ``axes @ v`` turns the components of a vector, such
-        as a rotor or a dipole, along the given axes into components along the principal axes.
+        The rows are right-handed principal axes as components along the given axes. ``axes @ v`` turns the components of a
+        vector along the given axes, such as a rotor or a dipole, into components along the principal axes.
     """
     choice("order", order, ("nearest", "ascending"))
     array = _array("tensor", tensor, (3, 3))
@@ -86,7 +86,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
     """Moments (points, 3) and axes as rows (points, 3, 3), in the order and with the signs that make the rotation smallest."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
-    # So that the solver's signs do not matter, the largest component (the first of equal ones) is made positive.
+    # The largest component (the first of equal ones) is made positive, so that the signs of the solver do not matter.
     main = (np.abs(rows) >= np.abs(rows).max(2, keepdims=True) - TIE).argmax(2)
     rows = rows * np.sign(np.take_along_axis(rows, main[..., None], 2))
     orders = np.array([*permutations(range(3))] if nearest else [range(3)])
@@ -101,7 +101,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # symmetric bodies: the smallest rotation that reaches the axis of symmetry
+    if k.size:  # symmetric bodies have the smallest rotation that reaches the axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -146,8 +146,8 @@ def start(
     rates_in : str, optional
         Axes of the components of `rates`: "body" or "frame".
     relative_to : str, optional
-        "orbit" (default of satellites): rates relative to the turning orbital frame, whatever `frame` is; or "inertial", the only
-        choice about a fixed point.
+        With "orbit", the default of satellites, rates are relative to the turning orbital frame, whatever `frame` is.
+        "inertial" is the only choice about a fixed point.
     units : str, optional
         "rad/s" (rad per time unit), "deg/s" or "rpm".
     Omega : float or array_like (points,), optional
@@ -163,7 +163,8 @@ def start(
     Notes
     -----
     If sin(theta0) <= 1e-10, the third axis counts as vertical and only psi0 + phi0 (psi0 - phi0 at theta0 = pi) has a meaning.
-    Then n is 0, m is the rate about the axis, and phi0 is 0 or, if the axis leaves the vertical, such that theta_dot0 is its rate.
+    Then n is 0, and m is the rate about the axis. If the axis leaves the vertical, phi0 is such that theta_dot0 is the rate of the
+    axis; otherwise phi0 is 0.
     """
     description = systems.get(system)
     frame, to_own = _frame(description, frame)
@@ -187,17 +188,17 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """Values of STARTS; attitude: of the principal axes in the system's frame; rates: components along these axes; turning: rate of the frame."""
+    """Return the values of STARTS. `attitude` is that of the principal axes, `rates` are along these axes, `turning` is the frame's rate."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
-    total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi, psi - phi
+    total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi and psi - phi
     phi, sine, cosine = (total - difference) / 2, np.sin(theta), np.cos(theta)
     vertical = sine <= FAMILY_TOLERANCE
     theta, sine = np.where(vertical, np.where(cosine > 0, 0.0, pi), theta), np.where(vertical, 0.0, sine)
     p, q, r = np.moveaxis(rates, -1, 0)
     rounding = ROUNDING * np.sqrt(p**2 + q**2 + r**2 + turning**2)
     p, q = p - turning * sine * np.sin(phi), q - turning * sine * np.cos(phi)
-    # phi with which theta' alone is the rate of the axis (n = 0)
+    # With this phi, theta' is the whole rate of the axis, and n is 0.
     leaving = np.where(np.hypot(p, q) > rounding, np.arctan2(-q, p), 0.0)
     phi = np.where(vertical, leaving, phi)
     psi = np.where(cosine > 0, total - phi, difference + phi)
@@ -223,8 +224,8 @@ def attitude(
         As in `atlas.start`; "inertial" is the frame of the orbital axes at time 0.
     euler : str, optional
         Three axes of rotation, in SciPy's letters. In the frame "lvlh", "ZYX" gives yaw, pitch and roll of a body whose axes
-        are forward, right and down: rotations about its third, then its second, then its first axis; "xyz" gives the same
-        angles, roll first.
+        are forward, right and down, which are rotations about the third, then the second, then the first axis of the body.
+        "xyz" gives the same angles, with roll first.
     axes : array_like, optional
         As in `atlas.start`. Use ``[[0, 0, -1], [1, 0, 0], [0, -1, 0]]`` if A, B and C are about up, forward and left, the
         axes of a body at theta = psi = phi = 0; otherwise the angles in "lvlh" are not yaw, pitch and roll.
@@ -234,9 +235,9 @@ def attitude(
     Returns
     -------
     Dataset
-        `quaternion` (time, component), scalar last, the rotation from components along body axes to components in the
-        frame; `rates` (time, axis) along body axes, for a satellite relative to the orbital frame; with `euler` also
-        `angles` (time, angle), where the third is 0 if the first and the third rotation have the same axis.
+        `quaternion` (time, component), scalar last, is the rotation from components along body axes to components in the
+        frame. `rates` (time, axis) are along body axes, and relative to the orbital frame for a satellite. With `euler` there
+        are also `angles` (time, angle). The third angle is 0 if the first and the third rotation have the same axis.
     """
     system, motion = system_of(ds), in_rad(ds)
     (frame, to_own), body = _frame(system, frame), _rotation("axes", np.eye(3) if axes is None else axes)
@@ -281,7 +282,7 @@ def attitude(
 
 
 def _frame(system: System, frame: str | None) -> tuple[str, Rotation]:
-    """Name of a frame, by default the system's own, and the rotation of components from it to the system's own frame."""
+    """Return the name of a frame, by default the system's own, and the rotation from the frame to the system's own frame."""
     needed = [*STARTS, *["Omega"] * (system.frame == ORBITAL)]
     if not system.frame or not system.parameters.keys() >= {*needed}:
         raise BadInput(f"attitude: the system {system.name} has no start by {', '.join(needed)}")
@@ -291,7 +292,7 @@ def _frame(system: System, frame: str | None) -> tuple[str, Rotation]:
 
 
 def _rotation(key: str, value: Attitude) -> Rotation:
-    """One rotation, or one for each point, from a SciPy rotation, matrices or quaternions."""
+    """Return one rotation, or one for each point, from a SciPy rotation, matrices or quaternions."""
     array = _array(key, value.as_matrix() if isinstance(value, Rotation) else value, (3, 3), (4,))
     if array.shape[-2:] != (3, 3):
         size = np.abs(array).max(-1, keepdims=True)
@@ -308,7 +309,7 @@ def _rotation(key: str, value: Attitude) -> Rotation:
 
 
 def _array(key: str, value: object, *shapes: tuple[int, ...]) -> Array:
-    """Finite numbers as floats, of one of the shapes or, for several points, of (points, *shape)."""
+    """Return finite numbers as floats, in one of the shapes or, for several points, in the shape (points, *shape)."""
     check_written(key, value)
     try:
         array = np.asarray(value)

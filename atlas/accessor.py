@@ -337,7 +337,7 @@ class Atlas(Questions):
             Axes for the sphere alone; default a figure with all panels, as `atlas trajectory` draws it.
         view : (float, float)
             Azimuth and elevation of the viewer in degrees. The azimuth is measured from the first axis of the frame towards the
-            second. About a fixed point, where the third axis points down, it is measured from x away from y.
+            second. About a fixed point, where the third axis points down, the azimuth is measured from x away from y.
         degrees : bool
             Show angles in degrees.
         width : {"page", "column"} or float

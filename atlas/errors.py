@@ -42,7 +42,7 @@ def _shorten(text: str, limit: int) -> str:
 
 def say(*lines: str, file: TextIO | None = None) -> None:
     """Print each argument as one line; commands print by this function alone."""
-    # Flush at once. A process that exits ignores signals, and if it flushed then it could wait for a reader for ever.
+    # Flush at once, because a process that exits ignores signals and could then wait for a reader for ever.
     stream = file or sys.stdout
     text = "\n".join(map(printable, lines))
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -141,13 +141,13 @@ class _Short(reprlib.Repr):
     """Short reprs that need little time for long and deeply nested values."""
 
     def repr_instance(self, x: object, level: int) -> str:
-        """Return the repr of a NumPy scalar as that of a plain number."""
+        """Show a NumPy scalar as a plain number."""
         if getattr(x, "shape", None) == () and hasattr(x, "item"):
             return repr(x.item())
         return super().repr_instance(x, level)
 
     def repr_int(self, x: int, level: int) -> str:
-        """Return the digits of an integer. Python may refuse to print a long integer, for which the number of digits is returned."""
+        """Show an integer by its digits. Python may refuse to print a long integer, which is shown by the number of its digits."""
         return (
             repr(x)
             if x.bit_length() < 600

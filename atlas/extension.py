@@ -96,7 +96,7 @@ class Extension:
 
     @property
     def code(self) -> str:
-        """Hash of the modules, and of needed extensions, as they were when a part was first loaded."""
+        """Hash of the modules of this extension and of needed extensions, taken when a part was first loaded."""
         own = sources.of_folder(self.folder)
         return sources.code(own | {name: (0, extensions()[name].code) for name in self.needs})
 

@@ -144,7 +144,7 @@ def _labels(theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
 
 
 def _signs(rate: str, theory: Predictions, frame: str, nudged: bool) -> np.ndarray:
-    """Return classes by the sign of a rate of regular precessions. Theory gives no label, and class 0, to nudged unstable motions."""
+    """Return classes by the sign of a rate. The class is 0 without regular precession, and for unstable motions with a nudge."""
     regular = (_labels(theory, frame, nudged) == 1) & ~(nudged & (theory.stable == Stability.UNSTABLE))
     return np.where(regular, np.where(theory.frames[frame][1][rate] < 0, 1, 2), 0)
 
@@ -193,7 +193,6 @@ def theory_borders(plane: Plane) -> Lines:
 
 RESONANCE_RATIOS = (1, 2, 3)
 RESONANCES = tuple(f"resonance {ratio}:1" for ratio in RESONANCE_RATIOS)
-# Variables of the core whose maps show resonance lines.
 RESONANCE_VARIABLES = (*FREQUENCIES, "stability_kind")
 RESONANCE_SAMPLES = 200  # number of samples along each axis
 

@@ -68,7 +68,7 @@ def report(ds: xr.Dataset, worst: int = 5, degrees: bool | None = None) -> str:
 
 
 def _variables_to_compare(ds: xr.Dataset) -> xr.Dataset:
-    """Return label, predicted and variables that explain differences. BadInput unless label and predicted belong to the same points."""
+    """Return label, predicted and variables that explain differences. Raise BadInput if label and predicted are of different points."""
     if "atlas_system" in ds.attrs and not families_of(system_of(ds)):
         raise BadInput(
             f"theory predicts nothing of the system {system_of(ds).name}: it has no families to compare with"

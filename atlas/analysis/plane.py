@@ -19,7 +19,7 @@ from ..systems.base import Array, Mask, derived_values
 from .metadata import axes_of, is_logarithmic
 from .select import cell_edges
 
-# Number of samples along an axis. An even number has no sample in the middle of an extent, where special values such as 0 often are.
+# Even number of samples along an axis. No sample is then in the middle of an extent, where special values such as 0 often are.
 SAMPLES = 300
 # Rates up to this size, in rad per time unit, are rounding and count as zero.
 ZERO_RATE = 1e-9
@@ -32,7 +32,7 @@ class Predictions:
 
     exists: Mask  # whether the scene has a motion at the point
     stable: np.ndarray  # linear stability, values of Stability
-    # By frame ("" or IN_SPACE), values of Label for the exact motion, and psi' ("n") and phi' ("m") in rad per time unit.
+    # For each frame ("" or IN_SPACE), values of Label for exact motions, and psi' ("n") and phi' ("m") in rad per time unit.
     frames: Mapping[str, tuple[np.ndarray, Mapping[str, Array]]]
 
 

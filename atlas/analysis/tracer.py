@@ -71,7 +71,7 @@ ANNOUNCED = 0.3
 TRACING = "tracing the lines of theory, which later maps of this plane use again: some seconds"
 # Number of trisections by which a vertex is found on two axes (to about 1e-5 of each axis) and on one axis.
 TRISECTIONS, LINE_TRISECTIONS = 3, 11
-# A line is first cut into stretches of about STRETCH vertices. A stretch is straight within FLATNESS cells from its chord.
+# A line is first cut into stretches of about STRETCH vertices. A stretch within FLATNESS cells of its chord is straight.
 STRETCH, FLATNESS = 16, 0.05
 
 # The class of a point is 1 or 2 on the two sides of a line, and 0 where there is no line.

@@ -313,7 +313,7 @@ def true_acceleration(spin: FastSpin, y: Array) -> Array:
 # The following functions compare the solution (33), printed or true, with the full equations at points of an atlas.
 
 SAMPLES = 201  # number of instants of a run at which errors are computed
-# Number of points that are integrated together. They share the overhead of a step, and few of them need little memory.
+# Number of points that are integrated together. More points share the overhead of a step, but need more memory.
 CHUNK = 512
 # Largest number of evaluations of the equations for a chunk. A run of MAX_RADIANS needs less than half of this number.
 MAX_EVALUATIONS = 200_000
@@ -331,7 +331,7 @@ def errors(
 ) -> tuple[Array, Array]:
     """Return the largest errors in a run of `solution`, a function of body and tau that returns y.
 
-    Errors are of gamma (in rad if small) and of p + i q relative to its maximum. They are nan where the run is longer than
+    The errors are those of gamma (in rad if small) and of p + i q relative to its maximum. They are nan where the run is longer than
     MAX_RADIANS, or a chunk cannot be integrated. The full equations are integrated from the initial value of the solution, with
     r0 and gamma0'' of the point, so that errors are due to the formula. DOP853 takes about 0.1 ms per point and turn. The points
     of a chunk share their steps, so that the digits of an error near 1e-12 depend on the other points.

@@ -27,7 +27,7 @@ STEPS = 24  # number of steps of rk8 in a period, along the path of solutions
 FINE = 48  # number of steps in a period at the end of the path, where errors are of the size of rounding
 # Largest allowed correction of each unknown. A larger correction may lead to another solution.
 LARGEST_CORRECTION = np.array([[0.2], [0.2], [0.2], [1.0]])
-LEAST_STEP = 0.005  # shortest step of the path, as a fraction of the field; it fails at a fold
+LEAST_STEP = 0.005  # shortest step as a fraction of the field; a path that needs a shorter step has a fold
 DEFECT = 1e-5  # a step of the path fails if the defect before the last correction is larger
 MARGIN = 1e-7  # distance of |trace| from 2 within which rounding decides on stability
 

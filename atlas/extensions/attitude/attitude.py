@@ -28,7 +28,7 @@ STARTS = ("theta0", "psi0", "phi0", "theta_dot0", "n", "m")
 UNITS = {"rad/s": 1.0, "deg/s": pi / 180, "rpm": pi / 30}
 ORBITAL = "orbital"
 LVLH = Rotation.from_matrix([[0, 0, -1], [1, 0, 0], [0, -1, 0]])  # along velocity, minus normal and nadir
-# Rotation from each frame of a satellite, as it is at the start, to the frame of radius, velocity and normal.
+# Rotation from each frame of a satellite, as the frame is at the start, to the frame of radius, velocity and normal.
 FRAMES = {ORBITAL: Rotation.identity(), "lvlh": LVLH, "inertial": Rotation.identity()}
 # Tolerated relative differences of mirrored elements of a tensor, of equal moments and of equal components of axes.
 ASYMMETRY, EQUAL, TIE = 1e-9, 1e-12, 1e-9
@@ -101,7 +101,7 @@ def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
 
     equal = np.diff(moments) <= EQUAL * np.abs(moments[:, 2:])
     k = np.flatnonzero(equal[:, 0] != equal[:, 1])
-    if k.size:  # symmetric bodies have the smallest rotation that reaches the axis of symmetry
+    if k.size:  # take the smallest rotation to the axis of symmetry
         single = np.where(equal[k, 0], 2, 0)
         axis = main[k, single] if nearest else single
         given, symmetry = np.eye(3)[axis], rows[k, single]
@@ -188,7 +188,7 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """Return the values of STARTS. `attitude` is that of the principal axes, `rates` are along these axes, `turning` is the frame's rate."""
+    """Return the values of STARTS. `attitude` is that of the principal axes, `rates` are along them, `turning` is the frame's rate."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
     total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi and psi - phi

@@ -1,4 +1,4 @@
-"""Where motions end: damped gyrostats by the wells of their potential, others by statistics that agree."""
+"""Ends of motions. Damped gyrostats end in the wells of their potential; ends of other motions are groups with equal statistics."""
 
 from ...extension import Extension
 

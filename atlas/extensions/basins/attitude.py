@@ -18,10 +18,10 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Texts of legends by the names of flags; an equilibrium has a text if all points that end in it have the same attitude.
+    """Return the texts of legends by the names of flags.
 
-    The first axis is named where the third does not tell two equilibria apart. The text of points without an end gives the
-    fraction of undecided points among all points.
+    An equilibrium has a text if all points that end there have the same attitude. The first axis is named too if the third axis does
+    not tell two equilibria apart. The text of points without an end gives the fraction of undecided points among all points.
     """
     undecided = float((ds["settled_by"] == SettledBy.UNDECIDED).mean()) if "settled_by" in ds else 0.0
     without = {"not_settled": f"not settled ({100 * undecided:.2g} % undecided)"} if undecided else {}
@@ -30,7 +30,7 @@ def texts(ds: xr.Dataset) -> Mapping[str, str]:
         return without
     angles = {name: ds.get(f"end_{name}", 0.0 * ds[END]) for name in ANGLES}
     directed: dict[int, list[str]] = {}
-    # About a fixed point the frame has one direction.
+    # About a fixed point the frame has only one direction.
     frame_axes = system_of(ds).frame_axes if len(names) == len(ANGLES) else ("", "", "down")
     for i in np.unique(ds[END].values[ds[END].values >= 0]):
         own = [angle.where(ds[END] == i) for angle in angles.values()]

@@ -1,4 +1,4 @@
-"""Where damped motions end: the equilibrium, how it is known, and the time of settling; see `wells`."""
+"""Equilibria in which damped motions end, how the ends are known, and times of settling; see `wells`."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ...systems.base import Array, Flags, Mask, Points, System
 from ...systems.gyrostat import Gyrostat
 from ...systems.gyrostat.body import length
 
-MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, divided by the energy's error
+MARGIN = 10.0  # least distance of the energy from the rim of a well in a proof, over the error of the energy
 ENERGY_ROUNDING = 1e-14  # relative error of the energy
-# Largest error (rad, and in units of rates) of a motion before it settles; a larger one may cross the border of a basin.
+# Largest error of a motion before it settles, in rad and in units of rates. A larger error may cross the border of a basin.
 LARGEST_ERROR = 0.01
-LEVELS = 6  # number of minima, from the lowest one, for which a time of settling is measured
+LEVELS = 6  # number of minima, counted from the lowest, for which a time of settling is measured
 END, NO_END, TIME = "end_equilibrium", -1, "settling_time"
-LEVEL = "ends:level"  # measurement: the energy below which the body is settled at its equilibrium
-START = "ends:start"  # measurement: the energy at the start, with its margin
-LEAST = "ends:least"  # measurement: the lowest potential of an equilibrium that is no minimum
+LEVEL = "ends:level"  # measurement of the energy below which the body is settled at its equilibrium
+START = "ends:start"  # measurement of the energy at the start plus a margin
+LEAST = "ends:least"  # measurement of the lowest potential of an equilibrium that is no minimum
 _ORDER = (
     "in the order of the potential, then of alpha and gamma, or of theta0 about a fixed point; -1 where the motion is not settled or undecided;"
     " positions of different bodies cannot be compared"
@@ -46,7 +46,7 @@ _ROWS = (
 
 @dataclass(frozen=True)
 class Ends(Instrument):
-    """The equilibrium in which a damped gyrostat ends, from its last state and the energy."""
+    """The equilibrium in which a damped gyrostat ends, as it follows from the last state and the energy."""
 
     needs_whole_run = True
 
@@ -63,7 +63,7 @@ class Ends(Instrument):
         )
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """Variables of gyrostats with damping; about a fixed point without the precession angle, which has no meaning there."""
+        """Return the variables of gyrostats with damping. About a fixed point the precession angle has no meaning and is left out."""
         if not isinstance(system, Gyrostat) or "damping" not in system.parameters:
             return ()
         missing = "end_psi0" if len(system.equations.FRAME_VECTORS) == 1 else ""
@@ -101,15 +101,15 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Points with an end, unless the end is certain because the energy at the start is below that of all equilibria but minima."""
+        """Return which points have an end, unless it is proved and the start has less energy than every equilibrium that is no minimum."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided
 
     def undecided(self, run: Run) -> Mask:
-        """Points with a proved end that an error at the start, as large as the tolerance, may change.
+        """Return which points have a proved end that may change by an error at the start as large as the tolerance.
 
-        A proved end is certain if the motion starts below the rim of its well, which it then never leaves.
+        A proved end is certain if the motion starts below the rim of its well, because the motion then never leaves the well.
         """
         from .wells import wells_of
 
@@ -150,7 +150,7 @@ class Settling(Instrument):
         return self.every_variable(system) if ENDS.variables(system) else ()
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """Energies below which a body is settled at its minima, ascending, then nan, (LEVELS, points)."""
+        """Return the energies below which a body is settled at its minima, (LEVELS, points), in ascending order and then nan."""
         from .wells import wells_of
 
         wells, row = wells_of(system, points)

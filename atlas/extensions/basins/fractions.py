@@ -22,18 +22,19 @@ def basin_fractions(
     Parameters
     ----------
     ds : Dataset
-        The atlas; `ds.atlas.basin_fractions` passes its own.
+        The atlas. `ds.atlas.basin_fractions` passes its dataset.
     over : str or sequence of str, optional
-        The axes of starts; default all. Points of a list lie along "point".
+        The axes of starts, by default all axes. Points of a list lie along "point".
     variable : str
         "end_equilibrium", or "end" of the result of `ends`.
 
     Returns
     -------
     Dataset
-        `fraction` and its limits `lower` and `upper`, see `probability`, over the other axes and the variable: -1 (no end),
-        then the positions in `atlas.equilibria`, or along `which` of `ends`. For equilibria also `undecided`, the fraction of
-        starts whose end an error as large as the tolerance could change, nan in atlases without this check.
+        `fraction` and its limits `lower` and `upper`, see `probability`, over the other axes and the variable. Along the
+        variable, -1 means no end, and other values are positions in `atlas.equilibria` or along `which` of `ends`. For
+        equilibria, `undecided` is the fraction of starts whose end could change by an error as large as the tolerance, or nan in
+        atlases without this check.
 
     Raises
     ------

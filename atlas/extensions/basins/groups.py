@@ -1,4 +1,4 @@
-"""Ends of the motions of any system: groups whose statistics agree after a transient."""
+"""Ends of the motions of any system, as groups of motions whose statistics agree after a transient."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...scene.checks import positive, texts
 from ...store.dataset import TRANSIENT, log_warnings
 from ...systems.base import Array
 
-CELLS = 4  # cells per tolerance in each feature; one motion of each cell is compared, because a cell may hold many
+CELLS = 4  # number of cells per tolerance in each feature; only one motion of each cell is compared
 
 
 def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mapping[str, float]) -> xr.Dataset:
@@ -25,7 +25,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     Parameters
     ----------
     ds : Dataset
-        An atlas with a transient; `ds.atlas.ends` passes its own.
+        An atlas with a transient. `ds.atlas.ends` passes its dataset.
     features : str or sequence of str
         Measured variables that tell the ends apart. Extremes do not depend on the phase of a cycle, means do.
     tolerance : float or mapping of str to float
@@ -34,10 +34,11 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     Returns
     -------
     Dataset
-        `end`, int16, over the dimensions of the atlas: the position along `which`, or -1 where the status is not ok or no other
-        motion has the same end. Motions that differ by at most the tolerance, to within a quarter of it, have the same end, directly
-        or through a chain of motions. Along `which`, in the order of the first feature: count, the number of motions; the
-        median of each feature; spread, the largest difference / tolerance, above 1 for chains, which a warning names.
+        `end`, int16, over the dimensions of the atlas, is the position along `which`. It is -1 where the status is not ok or no
+        other motion has the same end. Motions that differ by at most the tolerance, to within a quarter of it, have the same end,
+        also through a chain of motions. The ends along `which`, in the order of the first feature, have the number
+        `count` of motions, the median of each feature, and `spread`, the largest difference over the tolerance. A warning names
+        chains, whose spread is above 1.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
 
 
 def groups(values: Array) -> NDArray[np.int64]:
-    """Number of the group of each row: rows whose columns all differ by at most 1 are in one group."""
+    """Return the number of the group of each row. Rows that differ by at most 1 in every column, to 1 / CELLS, are in one group."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree

@@ -1,9 +1,9 @@
-"""Where a damped gyrostat ends: its equilibria, and the wells of the amended potential W in which the energy holds it.
+"""Equilibria of a damped gyrostat, and the wells of the amended potential W in which the energy holds the gyrostat.
 
-With a torque of -D u, u the angular velocity relative to the frame, the energy J = u.I u / 2 + W falls at the rate D u.u, so
-that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every motion in it
-ends there (LaSalle). As the level rises, the first other equilibrium that joins the component is one from which descent of W
-reaches the minimum: the rim of the well is the lowest potential of all equilibria from which descent reaches it.
+The torque is -D u, where u is the angular velocity relative to the frame. The energy J = u.I u / 2 + W then falls at the rate
+D u.u, so that the body stays in its component of {W <= J}. If a minimum is the only equilibrium of the component, every motion in
+the component ends there (LaSalle). As J rises, the first other equilibrium to join the component is one from which descent of W
+reaches the minimum. The rim of the well is therefore the lowest potential of all equilibria with this property.
 """
 
 from __future__ import annotations
@@ -23,48 +23,48 @@ from ..equilibria.algebra import ANGLES, attitudes, frames_of, rotated
 from ..equilibria.bodies import bodies_of
 
 Places = NDArray[np.int64]
-# Largest distance of a settled body from its equilibrium: in rad, and as a fraction of the frame's rate, or, if this is 0, of the natural rate.
+# Largest distance of a settled body from its equilibrium, in rad and in units of `Wells.rate`.
 SETTLED = 1e-3
-_FLAT = 1e-6  # ratio of a Hessian's eigenvalue that counts as 0 to the largest one at the body's equilibria
+_FLAT = 1e-6  # an eigenvalue of a Hessian counts as 0 below this fraction of the largest one at the body's equilibria
 _DISPLACED = 1e-2  # angle from an equilibrium at which a descent begins, rad
-_SADDLE = 1e-6  # angle from a saddle or maximum within which a descent ends there, rad
-# Number of steps of a descent between two searches for the nearest equilibrium, and largest number in all.
+_SADDLE = 1e-6  # a descent ends within this angle from a saddle or maximum, rad
+# Number of steps of a descent between two searches for the nearest equilibrium, and largest number of steps.
 _STEPS, _MAX_STEPS = 16, 4096
 _BLOCK = 4096  # number of attitudes that are compared together
 
 
 @dataclass(frozen=True)
 class Wells:
-    """The equilibria of some bodies, in the places of `System.equilibria_of_bodies`; arrays (bodies, places), nan in unused places."""
+    """Equilibria of bodies, in the places of `System.equilibria_of_bodies`. Arrays are (bodies, places), with nan in unused places."""
 
     body: Body
-    rate: Array  # unit of rates, (bodies,)
-    single: bool  # whether the frame has one direction, gamma, about which attitudes may turn
-    frames: Array  # alpha, beta, gamma in body axes, 0 if the frame lacks one, (bodies, places, 3, 3)
-    axis: Array  # body axis about which a circle of equilibria turns, else nan, (bodies, places, 3)
+    rate: Array  # unit of rates, the frame's rate or else the natural rate, (bodies,)
+    single: bool  # whether gamma is the only direction of the frame, and attitudes may turn about gamma
+    frames: Array  # rows alpha, beta and gamma in body axes, (bodies, places, 3, 3); 0 if the frame lacks a direction
+    axis: Array  # body axis about which a circle of equilibria turns, or nan, (bodies, places, 3)
     angles: dict[str, Array]  # nan where the members of a circle differ
     potential: Array
     index: Array  # Morse index
     minimum: Mask
-    downhill: Array  # axis of the turn by which W falls most, (bodies, places, 3)
-    settled: Array  # for a minimum, the energy below which attitude and rates stay within SETTLED
-    listed: Mask  # whether all equilibria are known and their indices certain, (bodies,)
-    rim: Array  # energies of the rims of the wells, nan until computed
+    downhill: Array  # axis about which W falls most, (bodies, places, 3)
+    settled: Array  # energy below which attitude and rates stay within SETTLED of a minimum
+    listed: Mask  # whether all equilibria are known with certain indices, (bodies,)
+    rim: Array  # energies of the rims of wells, nan until they are computed
 
     @property
     def least(self) -> Array:
-        """The lowest potential of an equilibrium that is no minimum, (bodies,)."""
+        """Lowest potential of an equilibrium that is no minimum, (bodies,)."""
         return np.asarray(np.nanmin(np.where(self.minimum, np.inf, self.potential), axis=1, initial=np.inf))
 
     def nearest(self, frames: Array, row: Places) -> tuple[Places, Array]:
-        """Places of the equilibria nearest to attitudes (points, 3, 3) of the bodies `row`, and the angles to them, rad."""
+        """Return the places of the equilibria nearest to attitudes (points, 3, 3) of the bodies `row`, and the angles to them in rad."""
         place, angle = np.empty(len(row), np.int64), np.empty(len(row))
         directions = 1 if self.single else 3
         for first in range(0, len(row), _BLOCK):
             part = slice(first, first + _BLOCK)
             own, known, axis = frames[part], self.frames[row[part]], self.axis[row[part]]
             trace = np.nan_to_num(np.einsum("nij,npij->np", own, known), nan=-np.inf)
-            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # the nearest member of a circle counts
+            n, p = np.nonzero(~np.isnan(axis[..., 0]))  # of a circle, the nearest member counts
             s, first_vectors, second_vectors = axis[n, p][:, None], own[n], known[n, p]
             along = ((first_vectors * s).sum(-1) * (second_vectors * s).sum(-1)).sum(-1)
             across = (np.cross(first_vectors, second_vectors) * s).sum((-2, -1))
@@ -74,14 +74,14 @@ class Wells:
         return place, angle
 
     def energy(self, frames: Array, rates: Array, row: Places) -> Array:
-        """The energy J of attitudes and angular velocities relative to the frame."""
+        """Return the energy J for attitudes and angular velocities relative to the frame."""
         body = self.body.subset(row)
         return body.potential(frames[:, 0], frames[:, 2]) + 0.5 * (body.inertia * rates**2).sum(-1)
 
     def descend(self, frames: Array, row: Places) -> Places:
-        """Places of the equilibria, as a rule minima, that descent of W from attitudes reaches; -1 where it reaches none.
+        """Return the places of the equilibria, usually minima, that descent of W from attitudes reaches, or -1 if none is reached.
 
-        Steps are -gradient / L, L a bound of the second derivatives of W, so that W falls along each of them.
+        Each step is -gradient / L, where L is a bound of the second derivatives of W, so that W falls.
         """
         frames, place, active = frames.copy(), np.full(len(row), -1), np.arange(len(row))
         for _ in range(_MAX_STEPS // _STEPS):
@@ -101,8 +101,8 @@ class Wells:
     def find_rims(self, bodies: Places) -> None:
         """Compute the rims of the wells of some bodies.
 
-        An equilibrium from which descent reaches no other one counts for every rim. An equilibrium from which it reaches a saddle
-        counts for no rim, because the saddle is lower and in the same component.
+        If descent from an equilibrium reaches no other one, the equilibrium counts for every rim. If descent reaches a saddle,
+        the equilibrium counts for no rim, because the saddle is lower and in the same component.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -116,9 +116,9 @@ class Wells:
         self.rim[bodies] = rim
 
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
-        """Place of the minimum in which every motion with at most the given energy must end, or -1.
+        """Return the place of the minimum in which every motion with at most the given energy must end, or -1.
 
-        place: of the nearest equilibrium; settled: whether the attitude is within SETTLED of that equilibrium.
+        `place` is the place of the nearest equilibrium, and `settled` says whether the attitude is within SETTLED of it.
         """
         least = self.least[row]
         decided = self.listed[row] & np.isfinite(energy)
@@ -133,14 +133,14 @@ class Wells:
 
 
 def wells_of(system: Any, points: Points) -> tuple[Wells, Places]:
-    """Wells of the distinct bodies of some points of a Gyrostat, and the body of each point; the last result is cached."""
+    """Return the wells of the distinct bodies of some points, and the number of the body of each point. The last result is cached."""
     bodies, row = bodies_of(system, {**points, "damping": np.zeros_like(points["damping"])})
     return _wells(system, tuple(bodies), np.stack([*bodies.values()]).tobytes()), row
 
 
 @lru_cache(maxsize=1)
 def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
-    """The wells of bodies with these parameters, (parameters, bodies)."""
+    """Return the wells of bodies whose parameters, (parameters, bodies), are given by names and bytes."""
     points = dict(zip(names, np.frombuffer(numbers).reshape(len(names), -1), strict=True))
     solutions = system.equilibria_of_bodies(points, stability=False)
     body, gamma, index, circle = system.body(points), *(solutions[n] for n in ("gamma", "index", "circle"))
@@ -151,7 +151,7 @@ def _wells(system: Gyrostat, names: tuple[str, ...], numbers: bytes) -> Wells:
     potential = each.potential(alpha, gamma)
     values, directions = np.linalg.eigh(np.nan_to_num(each.hessian(alpha, gamma)))
     flat = np.abs(values) <= _FLAT * np.abs(values).max((1, 2), keepdims=True)
-    # W is constant along turns about gamma in a frame of one direction, and along circles of equilibria.
+    # W is constant along turns about gamma if the frame has one direction, and along circles of equilibria.
     regular = flat.sum(-1) == circle.astype(int) + single
     minimum = (index == 0) & regular
     rate = np.where(body.turn == 0, body.natural_rate(np.zeros_like(body.rotor)), np.abs(body.turn))

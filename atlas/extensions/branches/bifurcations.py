@@ -1,15 +1,16 @@
-"""Relative equilibria against a parameter: all of them at each value, joined to branches that meet at bifurcations.
+"""Branches of relative equilibria against a parameter, which meet at bifurcations.
 
-Branches are not followed one by one: `equilibria_of_bodies` lists all solutions at each value, and solutions of neighbouring
-values are matched where both tangents predict the other solution far better than any other solution. An interval in which a solution has
-no match, or changes its index, is divided until each of its bifurcations follows from Newton's method on
+Branches are not followed one by one. `equilibria_of_bodies` lists all solutions at each value. Two solutions of neighbouring values
+match if the tangent of each predicts the other far better than any third solution. An interval in which a solution has no match, or
+changes its index, is divided until Newton's method finds each bifurcation in the interval. The equations are
 
-    gradient of W = 0,    kappa = 0,    kappa the eigenvalue of the Hessian that is nearest to 0.
+    gradient of W = 0,    kappa = 0,
 
-An interval is also divided where two complex solutions at an end may become real: there Newton's method starts from their real part.
+where kappa is the eigenvalue of the Hessian that is nearest to 0. An interval is also divided if two complex solutions at an end
+may become real inside. Newton's method then starts from the real part of these solutions.
 
-Directions in which every solution may be turned (about the vertical where nothing acts along alpha, about an axis of symmetry of
-the body) are removed: the projector onto them is added to the Hessian, and distances are of coordinates that no such turn changes.
+Every solution may be turned about the vertical if nothing acts along alpha, and about an axis of symmetry of the body. These cyclic
+directions are removed. The projector onto them is added to the Hessian, and distances are measured in invariant coordinates.
 """
 
 from __future__ import annotations
@@ -29,33 +30,33 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Two solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the error of every rival.
+# Solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times that of every rival.
 _CLOSE, _DISTINCT = 0.3, 0.25
-_MAX_TURN = 0.5  # largest turn by a prediction and by a step of Newton's method, rad
-_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval; step from one fraction to the next
-_DIFFERENCE = 1e-5  # step of central differences, in rad or in ranges of the parameters
+_MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
+_ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval, and step between their fractions
+_DIFFERENCE = 1e-5  # step of central differences, in rad or in units of the ranges of the parameters
 _ITERATIONS, _DAMPING = 15, 1e-7
-_EXACT = 1e-13  # step at which Newton's method stops
-_CONVERGED = 1e-9  # largest last step at which a value has converged, in units of the range
-_SETTLED = 1e-6  # the same with the rotation; near a pitchfork each step only halves the error
+_EXACT = 1e-13  # Newton's method stops when a step is shorter than this
+_CONVERGED = 1e-9  # a value has converged if its last step is shorter than this, in units of the range
+_SETTLED = 1e-6  # largest last step of rotation and values; near a pitchfork each step only halves the error
 _BLOCK = 512  # number of intervals whose solutions are matched at once
-_SAME = 1e-3  # largest distance of coincident points
-# Largest relative eigenvalue of a degenerate solution; least relative derivative along the null vector at a fold.
+_SAME = 1e-3  # points that are nearer to each other are the same
+# A solution is degenerate below this relative eigenvalue. A fold has a greater relative derivative along the null vector.
 _DEGENERATE = _TRANSVERSAL = 1e-6
 
 
 class Singular(NamedTuple):
-    """Results of Newton's method: points at which the Hessian of a solution has an eigenvalue 0."""
+    """Points at which the Hessian of a solution has an eigenvalue 0, as found by Newton's method."""
 
     values: Array  # (N, parameters)
     frames: Array
-    null: Array  # eigenvector, (N, 3)
+    null: Array  # eigenvector of the eigenvalue 0, (N, 3)
     slopes: Array  # derivatives of gradient and eigenvalue by rotation and parameters, (N, 4, 3 + parameters)
-    step: Array  # last step, (N, 3 + parameters)
+    step: Array  # last step of Newton's method, (N, 3 + parameters)
 
     @property
     def error(self) -> Array:
-        """Error of the values in units of their ranges; infinite where Newton's method does not converge."""
+        """Error of the values in units of their ranges, infinite where Newton's method does not converge."""
         return np.where(length(self.step) < _SETTLED, np.abs(self.step[:, 3:]).max(-1), np.inf)
 
     @property
@@ -72,14 +73,14 @@ class BodyFamily(NamedTuple):
     """Bodies that depend on parameters."""
 
     system: Gyrostat
-    points: Callable[[Array], Points]  # values (bodies, parameters) -> every parameter of these bodies
+    points: Callable[[Array], Points]  # parameters of bodies as a function of values (bodies, parameters)
     limits: Array  # lowest and highest values of the parameters, (2, parameters)
     upright: bool  # whether every solution may be turned about the vertical
-    axis: int  # axis of the body about which every solution may be turned; -1: none
+    axis: int  # axis of the body about which every solution may be turned, or -1
 
     @classmethod
     def of(cls, system: Gyrostat, points: Callable[[Array], Points], values: Array) -> BodyFamily:
-        """The family on the range of some values, (bodies, parameters), with the symmetries that most bodies have."""
+        """Return the family on the range of some values, (bodies, parameters), with the symmetries that most of the bodies have."""
         body = body_at_rest(system, points(values))
         symmetric = [i for i in range(3) if 2 * body.symmetric_about(i).sum() > len(values)]
         upright = 2 * body.acts_across().sum() < len(values)
@@ -88,18 +89,18 @@ class BodyFamily(NamedTuple):
 
     @property
     def span(self) -> Array:
-        """Ranges of the parameters, used as their units."""
+        """Ranges of the parameters, which are used as their units."""
         return np.asarray(self.limits[1] - self.limits[0])
 
     def place(self, frames: Array) -> Array:
-        """Coordinates that are invariant under the symmetries, (..., components)."""
+        """Return coordinates that do not change under the symmetries, (..., components)."""
         alpha, gamma, axis = frames[..., 0, :], frames[..., 2, :], frames[..., self.axis]
         if self.axis < 0:
             return gamma if self.upright else np.concatenate([alpha, gamma], -1)
         return np.stack([np.hypot(axis[..., 0], axis[..., 1]), axis[..., 2]], -1) if self.upright else axis
 
     def linear(self, values: Array, frames: Array) -> tuple[Array, Array, Array]:
-        """Gradient of W, Hessian plus the projector onto the cyclic directions, both divided by their size, and the projector."""
+        """Return the scaled gradient of W, the scaled Hessian plus the projector onto the cyclic directions, and the projector."""
         body = body_at_rest(self.system, self.points(values))
         unit = body.steepness()
         unit = np.where(unit > 0, unit, 1.0)[:, None]
@@ -114,9 +115,9 @@ class BodyFamily(NamedTuple):
         return gradient / unit, hessian + projector, projector
 
     def singular(self, values: Array, frames: Array) -> Singular:
-        """Points at which the eigenvalue that is nearest to 0 at the start vanishes.
+        """Find points at which the eigenvalue that is nearest to 0 at the start vanishes.
 
-        Steps are damped least squares, because at a pitchfork the matrix is singular: derivatives along the null vector vanish.
+        Steps solve damped least squares. The matrix is singular at a pitchfork, where derivatives along the null vector vanish.
         """
         count, size = len(values), 3 + values.shape[1]
         steps = _DIFFERENCE * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
@@ -147,12 +148,12 @@ class BodyFamily(NamedTuple):
 class Nodes(NamedTuple):
     """All solutions at some values of the parameter."""
 
-    values: Array  # (nodes,)
+    values: Array  # values of the parameter, (nodes,)
     frames: Array  # rows alpha, beta, gamma in body axes, nan in unused places, (nodes, places, 3, 3)
     morse: NDArray[Any]  # Morse index, -1 in unused places and for complex solutions, (nodes, places)
-    turn: Array  # rotation per unit of the parameter along the branch, (nodes, places, 3)
-    distance: Array  # change of the parameter until solutions may merge, to first order, (nodes, places)
-    usable: Mask  # all solutions listed, none degenerate, sum of (-1)^index right, (nodes,)
+    turn: Array  # rotation along the branch per unit of the parameter, (nodes, places, 3)
+    distance: Array  # change of the parameter to first order until solutions may merge, (nodes, places)
+    usable: Mask  # whether all solutions are listed and regular, and the sum of (-1)^index is right, (nodes,)
 
 
 Solution = tuple[int, int]  # node and place
@@ -165,14 +166,14 @@ class Bifurcation(NamedTuple):
     frame: Array
     direction: Array  # rotation vector in body axes along which the solutions separate
     kind: BifurcationKind
-    error: float  # error of the value: last step of Newton's method, or half of an interval
+    error: float  # error of the value, which is the last step of Newton's method or half of an interval
     solutions: list[Solution]  # one solution of each branch that meets here
 
 
 def solutions_at(
     family: BodyFamily, values: Array, stability: bool = False
 ) -> tuple[Nodes, dict[str, NDArray[Any]]]:
-    """All solutions at some values, (nodes,), and the variables of `equilibria_of_bodies`; stability: whether these include STABILITY."""
+    """Return all solutions at `values`, (nodes,), and the variables of `equilibria_of_bodies`, with STABILITY if `stability` is true."""
     points = family.points(values[:, None])
     listed = family.system.equilibria_of_bodies(points, stability=stability, ordered=True)
     gamma, used = listed["gamma"], listed["index"] >= 0
@@ -189,7 +190,7 @@ def solutions_at(
     slopes, rates = (np.einsum("nji,nj->ni", vectors, each) for each in (gradient, changes))
     turns = -np.einsum("nij,nj->ni", vectors, rates * eigenvalues / (eigenvalues**2 + _DAMPING**2))
     shifted = np.linalg.eigvalsh(family.linear(own + step, rotated(some, turns * step))[1])
-    # Minus the change of the parameter after which an eigenvalue of a solution vanishes, or two complex solutions become one.
+    # The negative of a root is the change of the parameter after which an eigenvalue vanishes, or two complex solutions become one.
     with np.errstate(all="ignore"):
         roots = np.where(is_used[:, None], eigenvalues * step / (shifted - eigenvalues), slopes / rates)
     turn[known], nearest = turns, np.abs(eigenvalues).argmin(1)[:, None]
@@ -201,7 +202,7 @@ def solutions_at(
     allowed = [Completeness.COMPLETE] + [Completeness.NOT_ISOLATED] * (family.axis >= 0)
     usable = np.isin(listed["completeness"], allowed)
     usable[node[is_used & (np.abs(eigenvalues).min(1) < _DEGENERATE)]] = False
-    # With both symmetries the sum tests nothing: circles of solutions contribute 0, and each isolated pole 1.
+    # With both symmetries the sum tests nothing, because circles of solutions contribute 0 and each isolated pole contributes 1.
     if not (family.upright and family.axis >= 0):
         characteristic = 2 if family.upright or family.axis >= 0 else 0
         usable &= np.where(used, (-1.0) ** index, 0.0).sum(1) == characteristic
@@ -210,7 +211,7 @@ def solutions_at(
 
 
 def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Places) -> Array:
-    """Distances of solutions at nodes `start`, continued along their tangents, from solutions at `end`, (N, places, places)."""
+    """Return the distances of solutions at nodes `start`, continued along tangents, from solutions at `end`, (N, places, places)."""
     turn = nodes.turn[start] * (nodes.values[end] - nodes.values[start])[:, None, None]
     turn = turn / np.maximum(1.0, length(turn) / _MAX_TURN)[..., None]
     predicted = family.place(rotated(nodes.frames[start], turn))
@@ -220,7 +221,7 @@ def prediction_errors(family: BodyFamily, nodes: Nodes, start: Places, end: Plac
 
 
 def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places) -> Places:
-    """For each solution at the lower end of an interval, the place at the upper end of the solution that continues it, -1: none."""
+    """Return for each solution at the lower end of an interval the place of its continuation at the upper end, or -1."""
     followers = []
     for first in range(0, low.size, _BLOCK):
         a, b = low[first : first + _BLOCK], high[first : first + _BLOCK]
@@ -230,7 +231,7 @@ def match_solutions(family: BodyFamily, nodes: Nodes, low: Places, high: Places)
 
 
 def unambiguous_matches(errors: Array) -> Places:
-    """Column of the least error in each row, (N, rows); -1 where this error is not small, or not clearly the least of its row and column."""
+    """Return the column of the least error in each row, (N, rows), or -1 if the error is not small, or not far below its rivals."""
     choice, least = errors.argmin(2), errors.min(2)
     in_row, in_column = (np.partition(errors, 1, axis).take(1, axis) for axis in (2, 1))
     rival = np.minimum(in_row, np.take_along_axis(in_column, choice, 1))
@@ -245,9 +246,9 @@ def bifurcations_between(
     singular: Singular,
     limits: Array,
 ) -> tuple[list[Bifurcation], bool]:
-    """The bifurcations between two nodes, and whether they explain every branch that ends or changes its index between the nodes.
+    """Return the bifurcations between two nodes, and whether they explain every branch that ends or changes its index there.
 
-    singular: results of Newton's method from `starts`, solutions at the nodes; kinds: masks of starts whose branch ends, and whose index changes.
+    `singular` is the result of Newton's method from `starts`. The masks `kinds` mark starts whose branch ends or whose index changes.
     """
     points: list[Bifurcation] = []
     values, places, (ends, changes) = singular.values[:, 0], family.place(singular.frames), kinds
@@ -274,7 +275,7 @@ def bifurcations_between(
         elif meeting:
             is_explained &= merging < len(meeting) and merging <= 2
             point = point._replace(kind=BifurcationKind.PITCHFORK if merging else point.kind)
-        else:  # no branch ends or changes its index here: the value must be that of another point
+        else:  # no branch ends or changes its index here, so that the value must be that of another point
             met = [points[j].value for j in set(nearest[real]) if points[j].kind != BifurcationKind.FOLD]
             is_explained &= any(abs(value - point.value) < _SETTLED * family.span[0] for value in met)
         if meeting:
@@ -286,14 +287,14 @@ class Branches(NamedTuple):
     """All branches over some values."""
 
     listed: dict[str, NDArray[Any]]  # variables of `equilibria_of_bodies` at each value
-    branch: Places  # number of the branch of each solution, -1: none, (values, places)
+    branch: Places  # number of the branch of each solution or -1, (values, places)
     points: list[Bifurcation]  # bifurcations in the order of their values
-    meeting: list[list[int]]  # branches that meet at each point
-    total: int  # number of all branches, also of branches that exist only between two values
+    meeting: list[list[int]]  # numbers of the branches that meet at each point
+    total: int  # number of all branches, including branches that exist only between two values
 
 
 def follow(family: BodyFamily, values: Array, part: Places, stability: bool = False) -> Branches:
-    """Branches of all solutions over increasing values, (values,); no branch continues between values with different `part`."""
+    """Return the branches of all solutions over increasing values, (values,). Branches end between values of different `part`."""
     nodes, listed = solutions_at(family, values, stability)
     usable = np.flatnonzero(nodes.usable)
     pending = np.stack([usable[:-1], usable[1:]], 1)
@@ -338,7 +339,7 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
             nodes = Nodes(*(np.concatenate(pair) for pair in zip(nodes, added, strict=True)))
             halves = np.concatenate([np.stack([pending[:, 0], new], 1), np.stack([new, pending[:, 1]], 1)])
             pending = np.concatenate([pending[~added.usable], halves[np.tile(added.usable, 2)]])
-    # Given values that are bifurcations cannot be nodes: their solutions are predicted from the nodes on both sides.
+    # A given value that is a bifurcation cannot be a node. Its solutions are predicted from the nodes on both sides.
     every, degenerate = np.concatenate(intervals), np.flatnonzero(~nodes.usable[: values.size])
     low, high = nodes.values[every].T
     which, i = np.nonzero((low < values[degenerate, None]) & (values[degenerate, None] < high))
@@ -351,13 +352,13 @@ def follow(family: BodyFamily, values: Array, part: Places, stability: bool = Fa
 
 
 def links_of(pairs: Places, follower: Places) -> Places:
-    """Node and place of each solution and of its follower, (links, 2, 2); pairs: nodes, (pairs, 2)."""
+    """Return node and place of each solution and of its follower, (links, 2, 2). `pairs` are pairs of nodes, (pairs, 2)."""
     pair, place = np.nonzero(follower >= 0)
     return np.stack([pairs[pair], np.stack([place, follower[pair, place]], 1)], -1)
 
 
 def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
-    """Number of the branch of each solution, -1: none, in the order of the lowest values; links: (links, 2, node and place)."""
+    """Return the number of the branch of each solution, or -1, and the number of branches, in the order of their lowest values."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Borders of relative equilibria over two parameters as curves: a dataset of their vertices and special points."""
+"""Borders of relative equilibria over two parameters, as datasets of the vertices and special points of curves."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from .continuation import Curve, Segments, lengths, with_zeros, without_repeats
 from .singular import BorderKind, Degenerate, Potential
 from .starts import Cell, all_curves, cells_of, sides
 
-_MEETS_AT_0 = 1e-6  # largest squared exponent at an end of a limit of stability that counts as 0
-# Largest rates of the parameters at a cusp; at bodies with circles of equilibria folds go straight on, at greater rates.
+_MEETS_AT_0 = 1e-6  # squared exponents at an end of a limit of stability count as 0 below this
+# Largest rates of the parameters at a cusp. The rates are larger where folds go straight on, at bodies with circles of equilibria.
 _TURNS = 1e-6
 
 
 class SpecialKind(Flag):
-    """Kinds of special points of borders; 0 does not occur."""
+    """Kinds of special points of borders. The value 0 does not occur."""
 
     NONE = 0, "no special point"
     CUSP = 1, "two folds, or two limits of stability, meet and end: the parameters turn back"
@@ -75,19 +75,19 @@ _OWN = Variable.table(
 
 
 class Borders(NamedTuple):
-    """All borders on a plane of parameters; positions on the plane are fractions of its sides."""
+    """All borders on a plane of parameters. Positions on the plane are fractions of its sides."""
 
     plane: Plane
     potential: Potential
     lines: list[Curve]
-    morse_index: NDArray[np.int64]  # the lower Morse index, from each vertex of all curves to the next one
-    changes: Array  # numbers of all and of stable solutions, left of the curve minus right, (2, vertices)
-    axis: Array  # positions, along each side, of the grid on which equilibria are counted
+    morse_index: NDArray[np.int64]  # lower Morse index between each vertex and the next one
+    changes: Array  # solutions on the left of the curve minus on the right, (2, vertices); the second row counts stable solutions
+    axis: Array  # positions along each side of the grid on which equilibria are counted
     cells: NDArray[np.int8]
 
     @classmethod
     def of(cls, plane: Plane, stability: bool = False) -> Borders:
-        """The borders of the bodies on a plane; stability: also limits of stability. BadInput if the plane has no borders."""
+        """Return the borders of the bodies on a plane, and limits of stability if `stability` is true. Raise BadInput if there are none."""
         system = plane.scene.system
         if not isinstance(system, Gyrostat):
             raise BadInput(f"borders: of the {system.name} no relative equilibria are known")
@@ -108,7 +108,7 @@ class Borders(NamedTuple):
         lines, axis, cells = all_curves(system, potential, points, stability)
 
         def shown(at: Degenerate) -> Mask:
-            """Which points have a possible body and, at limits of stability, imaginary exponents alone."""
+            """Whether points have a possible body and, at limits of stability, imaginary exponents alone."""
             return np.asarray(possible_body(system, points(at.parts[4])) & (at.largest_square() < 0))
 
         lines = without_repeats(_possible(lines, shown)) if lines else []
@@ -130,7 +130,7 @@ class Borders(NamedTuple):
         return np.stack(list(self.plane.coordinates(positions).values()), -1)
 
     def slopes(self, positions: Array, rates: Array) -> Array:
-        """Rates of the parameters from rates of the positions, (N, 2)."""
+        """Return the rates of the parameters, (N, 2), that belong to rates of the positions."""
         values = self.values(positions)
         for i, (dim, (low, high)) in enumerate(self.plane.extent.items()):
             is_log = is_logarithmic(self.plane.scene, dim, (low, high))
@@ -138,7 +138,7 @@ class Borders(NamedTuple):
         return values
 
     def polylines(self, divisions: int, chosen: Mask) -> list[Array]:
-        """Polylines of the borders from chosen vertices to the next ones, in the units of the axes; divisions: straight parts of a cubic."""
+        """Return polylines from chosen vertices of the borders to the next ones, in axis units. A cubic has `divisions` straight parts."""
         lines, ends = [], np.cumsum([len(line.tangents) for line in self.lines], dtype=int)
         for line, own in zip(self.lines, np.split(chosen, ends), strict=False):
             parts = Segments.of([line])
@@ -151,7 +151,7 @@ class Borders(NamedTuple):
 
 
 def _possible(lines: Sequence[Curve], possible: Callable[[Degenerate], Mask]) -> list[Curve]:
-    """The parts of curves on which bodies are possible; curves are cut at the limits of possible bodies."""
+    """Return the parts of curves on which bodies are possible, cut at the limits of possible bodies."""
     inside = [possible(line.points) for line in lines]
     changes = [np.r_[each[1:] != each[:-1], False] for each in inside]
     parts = Segments.of(lines, changes)
@@ -188,23 +188,24 @@ def borders(
         Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
         rate of rotation.
     ranges : mapping of str to sequence of float
-        Two parameters, or other names that `ties` refer to -> lowest and highest value.
+        Lowest and highest value of two parameters, or of two other names that `ties` refer to.
     ties : mapping of str to str, optional
         Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
     stability : bool, optional
-        Also follow limits of linear stability: two pairs of imaginary exponents meet and leave the axis or, for permanent rotations
-        and bodies with an axis of symmetry, one pair vanishes. Takes up to ten times as long.
+        Also follow limits of linear stability, which takes up to ten times as long. At a limit two pairs of imaginary exponents
+        meet and leave the axis. For permanent rotations and bodies with an axis of symmetry, one pair vanishes.
 
     Returns
     -------
     Dataset
-        Over the dimension "vertex", curve by curve: both parameters by their names; curve; kind (flags); arc, the length of the
-        curve in attitude (rad), parameters (in units of their ranges) and, on limits of stability, the squared double exponent (in
-        units of a squared rate); ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
-        index_below and index_above, the Morse indices on both sides (0: minimum); count_change, stable_change, residual and
-        condition. Indices and changes hold from the vertex to the next one. Over the dimension "special": parameters and angles
-        of cusps and meetings as ``special_<name>``, special_curve and special_kind (flags). cells (flags), over a coarse grid
-        with the middles ``cell_<parameter>``, states where the curves explain the numbers of equilibria.
+        The dimension "vertex" lists the vertices curve by curve. Variables are both parameters; curve; kind (flags); arc, the
+        length of the curve; ``tangent_<parameter>``, derivatives by arc; theta0, psi0, phi0, alpha and gamma of the solution;
+        index_below and index_above, the Morse indices on both sides (0 for a minimum); count_change, stable_change, residual and
+        condition. Indices and changes hold from the vertex to the next one. Lengths are measured in attitude (rad), parameters
+        (in units of their ranges) and, on limits of stability, the squared double exponent (in units of a squared rate). The
+        dimension "special" has parameters and angles of cusps and meetings as ``special_<name>``, special_curve and special_kind
+        (flags). cells (flags), over a coarse grid with the middles ``cell_<parameter>``, states where the curves explain the
+        numbers of equilibria.
 
     Raises
     ------
@@ -214,10 +215,10 @@ def borders(
 
     Notes
     -----
-    Between two vertices a curve is the cubic through both whose derivatives there are the tangents times the difference of arc.
-    Equilibria with alpha and -alpha, if nothing acts along alpha, share one curve; other symmetries repeat curves. A closed curve
-    of a satellite may be missed inside a cell that counts as explained. Where curves are nearer to one another than 1e-6 of the
-    ranges, or 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
+    Between two vertices a curve is the cubic whose derivatives at both vertices are the tangents times the difference of arc. If
+    nothing acts along alpha, equilibria with alpha and -alpha share one curve; other symmetries repeat curves. A closed curve of a
+    satellite may be missed inside a cell that counts as explained. If curves are within 1e-6 of the ranges, or
+    within 1e-5 beside bodies whose equilibria are not isolated, their order and the changes between them are not certain.
     """
     if len(ranges) != 2:
         raise BadInput(
@@ -230,7 +231,7 @@ def borders(
 
 
 def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
-    """The borders of the bodies of a scene over its two axes, as `borders`."""
+    """Return the borders of the bodies of a scene over its two axes, in the form that `borders` returns."""
     if len(scene.axes) != 2:
         raise BadInput(f"borders: needs two axes, found {', '.join(scene.axes)}")
     extent = {axis.dim: (float(axis.values.min()), float(axis.values.max())) for axis in scene.axes.values()}
@@ -238,7 +239,7 @@ def borders_of_scene(scene: Scene, stability: bool = False) -> xr.Dataset:
 
 
 def borders_of_plane(plane: Plane, stability: bool = False) -> xr.Dataset:
-    """The borders on a plane of the axes of a scene, as `borders`."""
+    """Return the borders on a plane of the axes of a scene, in the form that `borders` returns."""
     curves = Borders.of(plane, stability)
     parts = ("vertex", _vertices(curves)), ("special", _special(curves))
     columns = {
@@ -283,7 +284,7 @@ def borders_of_atlas(
 
 
 def table(ds: xr.Dataset) -> pd.DataFrame:
-    """The vertices of borders as a table, with the components of vectors in columns of their own."""
+    """Return the vertices of borders as a table, which has a column for each component of a vector."""
     columns = {}
     for name, array in ds.data_vars.items():
         if array.dims == ("vertex",):
@@ -319,7 +320,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
     for column in (0, 1):
 
         def test(points: Degenerate, column: int = column) -> Array:
-            """A function that vanishes at special points."""
+            """Return a function of points that vanishes at special points."""
             return np.where(points.limit & (column == 1), 1.0, points.character()[1][column])
 
         for n, (line, zero) in enumerate(zip(*with_zeros(curves.lines, test), strict=True)):

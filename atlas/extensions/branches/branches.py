@@ -1,4 +1,4 @@
-"""Branches of relative equilibria against a parameter as a dataset."""
+"""Branches of relative equilibria against a parameter, as a dataset."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..equilibria.algebra import attitudes, body_at_rest
 from ..equilibria.dataset import UNUSED, attributes
 from .bifurcations import BodyFamily, Branches, follow
 
-# Variables that `equilibria` does not give; fold_<name> without a row has the attributes of <name>.
+# Variables that `equilibria` does not give. A variable fold_<name> that is missing here has the attributes of <name>.
 _OWN = Variable.table(
     Variable("index_sum", "float64", "1", "sum of (-1)^index over the equilibria"),
     Variable("fold_kind", "int8", "1", "kind of bifurcation", BifurcationKind.meanings()),
@@ -42,8 +42,8 @@ def branches(
 ) -> xr.Dataset:
     """Branches of relative equilibria, or of permanent rotations about the vertical, against one parameter.
 
-    All solutions are computed at every value, and solutions of neighbouring values are joined; an interval in which a solution
-    begins, ends or changes its stability is divided until each bifurcation in it follows from Newton's method.
+    All solutions are computed at every value, and solutions of neighbouring values are joined. An interval in which a solution
+    begins, ends or changes its stability is divided until Newton's method finds each bifurcation in the interval.
 
     Parameters
     ----------
@@ -53,20 +53,20 @@ def branches(
         Parameter -> number; omitted parameters take their defaults. Start values have no effect, except n of the fixed_point, the
         rate of rotation.
     along : mapping of str to sequence of float
-        One parameter, or another name that `ties` refer to -> its values, two or more.
+        Two or more values of one parameter, or of another name that `ties` refer to.
     ties : mapping of str to str, optional
         Parameter -> arithmetic in the other names, such as ``{"B": "1 + 0.5 * A"}``, as in a scene.
 
     Returns
     -------
     Dataset
-        Over the dimensions "branch" and the parameter, what `equilibria` gives, nan (index -1) where a branch does not exist;
-        index is the number of directions in which the amended potential falls at a constant rate. Over the parameter
-        completeness (flags), equilibrium_count and index_sum, the sum of (-1)^index: 0 for a satellite without symmetry, 2 for
-        one with an axis of symmetry and for permanent rotations; both are nan where they are not certain. Over the
-        dimension "fold", the bifurcations in the order of the parameter: ``fold_<parameter>``, fold_error, fold_kind (flags),
-        angles, vectors and potential as fold_theta0, ..., fold_direction, along which the solutions separate, and fold_branch, the
-        branches that meet.
+        Variables over "branch" and the parameter are those of `equilibria`, with nan (index -1) where a branch does not exist.
+        The index is the number of directions in which the amended potential falls at a constant rate. Along the parameter
+        are completeness (flags), equilibrium_count and index_sum, nan where they are not certain. The index_sum is the sum of
+        (-1)^index, which is 0 for a satellite without symmetry, and 2 with an axis of symmetry and for permanent rotations. The
+        dimension "fold" has the bifurcations in the order of the parameter. Variables are ``fold_<parameter>``, fold_error,
+        fold_kind (flags), angles, vectors and potential as fold_theta0, ..., fold_direction, along which the solutions
+        separate, and fold_branch, the branches that meet.
 
     Raises
     ------
@@ -77,8 +77,8 @@ def branches(
     Notes
     -----
     No branch is missed at a given value. A branch with two folds between two values is found if the tangents at these values do
-    not predict one another; a closed branch between two values is found if complex solutions at one of them become real, to
-    first order, before the other.
+    not predict one another. A closed branch between two values is found if complex solutions at one value become real, to
+    first order, before the other value.
     """
     return branches_of_scene(scene_of("branches", system, body, along, ties))
 
@@ -102,7 +102,7 @@ def scene_of(
 
 
 def empty_dataset(scene: Scene) -> xr.Dataset:
-    """A dataset with the parameters of a scene, without motions and without start values that the scene does not set."""
+    """Return a dataset with the parameters of a scene, without motions and without start values that the scene does not set."""
     ds = dataset.dataset(replace(scene, outputs=()), {})
     starts = {name for name, parameter in scene.system.parameters.items() if parameter.start}
     ds = ds.drop_vars(starts - {*scene.axes, *scene.fixed, *scene.ties}, errors="ignore")
@@ -115,7 +115,7 @@ def empty_dataset(scene: Scene) -> xr.Dataset:
 
 
 def branches_of_scene(scene: Scene) -> xr.Dataset:
-    """The branches of the bodies of a scene along its only axis, as `branches`."""
+    """Return the branches of the bodies of a scene along its only axis, in the form that `branches` returns."""
     system = scene.system
     if len(scene.axes) != 1:
         raise BadInput(f"branches: needs one axis, found {', '.join(scene.axes)}")
@@ -156,7 +156,7 @@ def branches_of_scene(scene: Scene) -> xr.Dataset:
 def _variables(
     along: str, size: int, possible: np.ndarray, family: BodyFamily, result: Branches
 ) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Variables of the branches and of their bifurcations; possible: indices of the values with a possible body."""
+    """Return the variables of branches and bifurcations. `possible` has the indices of the values with a possible body."""
     node, place = np.nonzero(result.branch >= 0)
     variables = {}
     for name, column in result.listed.items():

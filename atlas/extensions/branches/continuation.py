@@ -1,7 +1,7 @@
-"""Curves of degenerate critical points by pseudo-arclength continuation from many points on them at once.
+"""Curves of degenerate critical points by pseudo-arclength continuation from many points at once.
 
-From each point the curve is followed to the next of the points, so that no part of a curve is followed twice; the parts are then
-joined. Lengths are measured in x, position and s.
+The curve through each point is followed to the next point, so that no part is followed twice. The parts are then joined. Lengths
+are measured in x, position and s.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from ...systems.gyrostat.body import length
 from .singular import Degenerate
 
 _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # first, longest and shortest step; most steps
-# Length of a step across a point at which another curve crosses; limits of stability are more singular there.
+# A step across a point at which another curve crosses is shorter than this. Limits of stability are more singular there.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
 _BEND = 0.15  # angle between the tangents at both ends of a step, rad
-_SINGULAR = 1e8  # condition number above which the tangent is uncertain: another curve crosses
-_NONE = 1e-10  # fraction of the largest value below which a value counts as 0
-_ILLINOIS, _NO_SHARE = 14, 1e-15  # bracketed secant method: most iterations, last change
-_ITERATIONS = 10  # number of iterations of least squares, where the equations are singular
-_MISSED = 3e-5  # distance of a vertex from its prediction for which the cubic errs by less than 1e-6
-_ON_CURVE = 1e-6  # distance from a vertex within which a point counts as the vertex
-_SETTLED = 1e-6  # largest last step of Newton's method, whose square is about the remaining error
-# Number of points near a vertex among which the next one is sought, and the length after which they are chosen anew.
+_SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
+_NONE = 1e-10  # a value counts as 0 below this fraction of the largest value
+_ILLINOIS, _NO_SHARE = 14, 1e-15  # most iterations and last change of the bracketed secant method
+_ITERATIONS = 10  # number of iterations of least squares where the equations are singular
+_MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
+_ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
+_SETTLED = 1e-6  # largest last step of Newton's method; its square is about the remaining error
+# The next point is sought among this number of points near a vertex. They are chosen anew after this length.
 _NEIGHBOURS, _LOOK = 32, 0.2
-_ASTRAY = 0.1  # distance from the cubic / distance of its vertices above which a point is on another curve
-# Least scalar product of successive unit null vectors of one curve; with nearly equal moments another curve may be close.
+_ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
+# Least scalar product of successive unit null vectors of a curve. With nearly equal moments another curve may be close.
 _SAME_VECTOR = 0.3
-_BACK = 1e-6  # between vertices with parameter rates a and b, a curve turns if -a.b > _BACK (a.a + b.b)
-# Limits of stability that span less than this in the ranges of the parameters are dropped, and vertices of limits nearer than this
-# to others or to ends: near ends the equations of limits are nearly singular.
+_BACK = 1e-6  # a curve turns between vertices with parameter rates a and b if -a.b > _BACK (a.a + b.b)
+# Shorter limits of stability, in units of the ranges of the parameters, are dropped. So are vertices of limits that are nearer to
+# others or to ends, where the equations of limits are nearly singular.
 _SAME_END = 2e-5
-_OBLIQUE = 0.3  # largest distance of the next point from the tangent / its distance along the tangent
+_OBLIQUE = 0.3  # largest distance of the next point from the tangent, over its distance along the tangent
 
 
 class Piece(NamedTuple):
-    """Part of a curve between two ends; point i has the ends 2 i ahead and 2 i + 1 behind, a side of the box is -1, a lost end -2."""
+    """Part of a curve between two ends. Point i has the end 2 i ahead and 2 i + 1 behind; -1 is a side of the box, -2 a lost end."""
 
     length: float
     first: int
@@ -51,7 +51,7 @@ class Piece(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """Vertices of a curve and its unit tangents; a closed curve ends where it begins."""
+    """Vertices of a curve and unit tangents at the vertices. A closed curve ends where it begins."""
 
     points: Degenerate
     tangents: Array
@@ -59,12 +59,12 @@ class Curve(NamedTuple):
     lost: bool  # whether an end is not on the border of the box
 
     def sound(self) -> Mask:
-        """Which vertices are on the curve, and are not pitchforks without bifurcating solutions between two more of these."""
+        """Whether vertices are on the curve. A pitchfork without bifurcating solutions between two more of the kind does not count."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
     def runs(self, kept: Mask) -> list[Curve]:
-        """The parts of the curve with two or more successive vertices in `kept`."""
+        """Return the parts of the curve that have two or more successive vertices in `kept`."""
         if kept.all():
             return [self]
         cuts = np.flatnonzero(np.diff(kept)) + 1
@@ -72,7 +72,7 @@ class Curve(NamedTuple):
         return [Curve(self.points.take(own), self.tangents[own], False, self.lost) for own in groups]
 
     def inserted(self, after: NDArray[np.int64], points: Degenerate, tangents: Array) -> Curve:
-        """The curve with one more vertex after each of the vertices `after`."""
+        """Return the curve with one more vertex after each of the vertices `after`."""
         unknowns = np.insert(self.points.unknowns, after + 1, points.unknowns, 0)
         kind = np.full(len(unknowns), self.points.kind[0])
         every = np.insert(self.tangents, after + 1, tangents, 0)
@@ -80,7 +80,7 @@ class Curve(NamedTuple):
 
 
 def curves(points: Degenerate, tangents: Array) -> list[Curve]:
-    """The curves through points with these tangents."""
+    """Return the curves through `points`, which have these tangents there."""
     kept = _apart(points, tangents)
     points, tangents = points.take(kept), tangents[kept]
     if not kept.size:
@@ -99,7 +99,7 @@ def curves(points: Degenerate, tangents: Array) -> list[Curve]:
 
 
 def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
-    """Indices of the points, without points that are a short way ahead of or behind another point on the same curve."""
+    """Return the indices of points, without those that are a short way ahead of or behind another point on the same curve."""
     count, place, along = len(tangents), points.place, _of_place(points, tangents)
     targets, _ = _with_images(points, tangents)
     near = _nearest(place, targets)
@@ -115,7 +115,7 @@ def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
 
 
 def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Mask:
-    """Whether the seeds `near` each point have its kind and its null vector; numbers beyond the count of seeds mean mirror images."""
+    """Whether the seeds `near` each point have its kind and null vector. Indices from the number of seeds on mean mirror images."""
     count, signs = len(seeds.kind), seeds._replace(unknowns=seeds.potential.mirror()[None]).parts[2]
     vectors = np.concatenate([seeds.parts[2], signs * seeds.parts[2]])
     same = np.abs(np.einsum("nki,ni->nk", vectors[near], points.parts[2])) > _SAME_VECTOR
@@ -123,24 +123,24 @@ def _alike(points: Degenerate, seeds: Degenerate, near: NDArray[np.int64]) -> Ma
 
 
 def _along_and_across(gap: Array, along: Array) -> tuple[Array, Array]:
-    """Components of vectors along unit tangents, and squared distances of the vectors from the tangents."""
+    """Return the components of vectors along unit tangents, and the squared distances of the vectors from the tangents."""
     ahead = np.einsum("nki,ni->nk", gap, along)
     return ahead, (gap**2).sum(-1) - ahead**2
 
 
 def _nearest(place: Array, targets: Array) -> NDArray[np.int64]:
-    """The _NEIGHBOURS nearest targets, or all of them, (places, targets)."""
+    """Return the indices of the _NEIGHBOURS nearest targets, or of all targets, for each place."""
     distance = (targets**2).sum(1) - 2 * place @ targets.T
     return np.argpartition(distance, min(_NEIGHBOURS, len(targets)) - 1, axis=1)[:, :_NEIGHBOURS]
 
 
 def _of_place(points: Degenerate, rows: Array) -> Array:
-    """Components along x, position and s of rows over the unknowns."""
+    """Return the components along x, position and s of rows over the unknowns."""
     return np.concatenate([rows[:, : points.potential.size], rows[:, -3:]], 1)
 
 
 def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
-    """x, position and s of points and then of their mirror images, and the components of the tangents along x, position and s."""
+    """Return x, position and s of points, then of their mirror images, and the same components of the tangents."""
     place, along = points.place, _of_place(points, tangents)
     if not points.potential.mirrored:
         return place, along
@@ -149,14 +149,14 @@ def _with_images(points: Degenerate, tangents: Array) -> tuple[Array, Array]:
 
 
 def _in_unknowns(points: Degenerate, rows: Array) -> Array:
-    """Rows over the unknowns with these components along x, position and s, 0 elsewhere."""
+    """Return rows over the unknowns with these components along x, position and s, and with 0 elsewhere."""
     n, result = points.potential.size, np.zeros((len(rows), points.unknowns.shape[1]))
     result[:, :n], result[:, -3:] = rows[:, :n], rows[:, n:]
     return result
 
 
 def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) -> Iterator[Piece]:
-    """The parts of curves that begin at `ends` of the seeds, numbered as in `Piece`."""
+    """Yield the parts of curves that begin at `ends` of the seeds, which are numbered as in `Piece`."""
     targets, target_along = _with_images(seeds, seed_tangents)
     points = seeds.take(ends // 2)
     tangents = seed_tangents[ends // 2] * (1 - 2 * (ends % 2))[:, None]
@@ -173,7 +173,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
             break
         now, t = points.take(active), tangents[active]
         along, place = _of_place(now, t), now.place
-        with np.errstate(all="ignore"):  # how far the sides of the box are along each axis
+        with np.errstate(all="ignore"):  # distance of the sides of the box along each axis
             gaps = np.maximum(np.where(along > 0, 1 - place, -place) / along, 0)[:, -3:-1]
         gaps[along[:, -3:-1] == 0] = np.inf
         side, arc = gaps.argmin(1), step[active]
@@ -205,7 +205,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         accepted &= (sign == orientation[active]) | (
             arc < np.where(now.limit, _CROSSING_OF_LIMITS, _CROSSING)
         )
-        first = ~bend[active].any(1)  # on the first step from an end the prediction is of lower order
+        first = ~bend[active].any(1)  # the prediction is of lower order on the first step from an end
         missed = np.where(first, 0.0, length(new.place - start.place))
         accepted &= missed < 3 * _MISSED
         angle = np.arccos(cosine)
@@ -239,7 +239,7 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
 
 
 def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
-    """Curves from pieces; `of_end` has each piece under both of its ends."""
+    """Yield the curves that consist of pieces. `of_end` has each piece under both of its ends."""
     flip, left = seeds.potential.mirror(), set(of_end)
     for seed in sorted({end // 2 for end in of_end}):
         if not left & {2 * seed, 2 * seed + 1}:
@@ -256,16 +256,15 @@ def _joined(seeds: Degenerate, of_end: dict[int, Piece]) -> Iterator[Curve]:
         same = np.cumprod(np.r_[1.0, np.where((v[1:] * v[:-1]).sum(1) < 0, -1.0, 1.0)])
         for each in (points.unknowns, tangents):
             each[:, flip.size // 2 - 1 : -3] *= same[:, None]
-        if (
-            len(tangents) > 1 and np.ptp(points.parts[4], axis=0).max() > _ON_CURVE
-        ):  # a line of equilibria of one body is no curve
+        # A line of equilibria of one body is no curve.
+        if len(tangents) > 1 and np.ptp(points.parts[4], axis=0).max() > _ON_CURVE:
             yield Curve(points, tangents, closed, lost or also)
 
 
 def _walk(
     begin: int, of_end: dict[int, Piece], left: set[int], flip: Array
 ) -> tuple[list[tuple[Array, Array]], int | None, bool]:
-    """Vertices and tangents of the pieces that lead away from an end, the end that is reached, and whether the curve is lost there."""
+    """Return vertices and tangents of the pieces that lead away from `begin`, the end reached, and whether the curve is lost there."""
     signs, parts, end = np.ones(flip.size), [], begin
     while end in left:
         piece = of_end[end]
@@ -288,13 +287,12 @@ class Segments(NamedTuple):
     vertex: NDArray[np.int64]  # number of the vertex at which the segment begins
     start: Degenerate
     end: Degenerate
-    slopes: tuple[
-        Array, Array
-    ]  # derivatives of the unknowns by the fraction of the way, at both ends, from the tangents
+    # Derivatives of the unknowns by the fraction of the way, at both ends.
+    slopes: tuple[Array, Array]
 
     @classmethod
     def of(cls, lines: Sequence[Curve], chosen: Sequence[Mask] | None = None) -> Segments:
-        """The segments that begin at chosen vertices of each curve, by default at all vertices but the last."""
+        """Return the segments that begin at chosen vertices of each curve, by default at all vertices except the last."""
         chosen = chosen or [np.ones(len(line.tangents) - 1, bool) for line in lines]
         where = [np.flatnonzero(mask) for mask in chosen]
         number = np.repeat(np.arange(len(lines)), [k.size for k in where])
@@ -308,7 +306,7 @@ class Segments(NamedTuple):
         return cls(number, np.concatenate(where), start, end, (size * rows[0], size * rows[1]))
 
     def cubic(self, share: Array) -> Degenerate:
-        """Points at fractions `share` of the way, by the cubic through both ends with their tangents."""
+        """Return points at fractions `share` of the way, on the cubic through both ends with their tangents."""
         w, (first, last) = share[:, None], self.slopes
         unknowns = (1 + 2 * w) * (1 - w) ** 2 * self.start.unknowns + w * (1 - w) ** 2 * first
         return self.start._replace(
@@ -316,7 +314,7 @@ class Segments(NamedTuple):
         )
 
     def at(self, share: Array) -> tuple[Degenerate, Array]:
-        """Points of the curves at fractions `share` of the way (of the cubics, if no curve is near), and their unit tangents."""
+        """Return points of the curves, or of the cubics if no curve is near, at fractions `share` of the way, and unit tangents."""
         guess, chord = self.cubic(share), self.end.place - self.start.place
         reach, directions = _ASTRAY * length(chord), self._directions(share)
         points, step, tangents, _ = guess.corrected(_in_unknowns(guess, chord), 3)
@@ -333,7 +331,7 @@ class Segments(NamedTuple):
         return points, tangents
 
     def inserted(self, lines: Sequence[Curve], share: Array) -> list[Curve]:
-        """The curves with one more vertex on each of these segments, at a fraction `share` of the way."""
+        """Return the curves with one more vertex on each segment, at the fraction `share` of the way."""
         points, tangents = self.at(share)
         uncertain = ~(points.condition(tangents) < _SINGULAR)
         tangents[uncertain] = self._directions(share)[uncertain]
@@ -344,7 +342,7 @@ class Segments(NamedTuple):
         ]
 
     def _directions(self, share: Array) -> Array:
-        """Unit tangents of the cubics at fractions `share` of the way."""
+        """Return the unit tangents of the cubics at fractions `share` of the way."""
         w, (first, last) = share[:, None], self.slopes
         rows = 6 * w * (1 - w) * (self.end.unknowns - self.start.unknowns)
         rows += (1 - w) * (1 - 3 * w) * first + w * (3 * w - 2) * last
@@ -352,13 +350,13 @@ class Segments(NamedTuple):
 
 
 def lengths(line: Curve) -> Array:
-    """Length of a curve from its first vertex to each, (vertices,)."""
+    """Return the length of a curve from its first vertex to each vertex, (vertices,)."""
     place, along = line.points.place, _of_place(line.points, line.tangents)
     return np.r_[0.0, np.cumsum(arcs(place[:-1], place[1:], along[:-1], along[1:]))]
 
 
 def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
-    """Lengths of arcs from `start` to `end` with the unit tangents `first` and `last`, each (N, components)."""
+    """Return the lengths of arcs from `start` to `end` with the unit tangents `first` and `last`, each (N, components)."""
     bend = 0.5 * np.arccos(np.clip((first * last).sum(1), -1, 1))
     return length(end - start) / np.sinc(bend / np.pi)
 
@@ -366,7 +364,7 @@ def arcs(start: Array, end: Array, first: Array, last: Array) -> Array:
 def with_zeros(
     lines: Sequence[Curve], function: Callable[[Degenerate], Array]
 ) -> tuple[list[Curve], list[Mask]]:
-    """Curves with vertices also where a function changes its sign, and masks of the vertices that are zeros of the function."""
+    """Return the curves with vertices added where a function changes its sign, and masks of the vertices at which the function is 0."""
     if not lines:
         return [], []
     values = [function(line.points) for line in lines]
@@ -389,25 +387,25 @@ def with_zeros(
 
 
 def with_turns(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves with vertices also where limits of stability turn back: the limits of mirror images are one curve, which turns at a pitchfork."""
+    """Return the curves with vertices added where limits of stability turn back. The limit of two mirror images does so at a pitchfork."""
     if not lines:
         return []
     every = Segments.of(lines)
     first, last = (each[:, -3:-1] for each in every.slopes)
-    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # not at cusps that are vertices
+    turns = (first * last).sum(1) < -_BACK * (first**2 + last**2).sum(1)  # cusps at vertices are left out
     turns &= every.start.limit
     chosen = np.split(turns, np.cumsum([len(line.tangents) - 1 for line in lines])[:-1])
     back = (first - last)[turns]
     parts = Segments.of(lines, chosen)
     chord = (parts.end.unknowns - parts.start.unknowns)[:, -3:-1]
     a, b, c = ((each * back).sum(1) for each in (first[turns], last[turns], chord))
-    middle = 2 * a + b - 3 * c  # at `share` the derivative of the cubic along `back` is 0
+    middle = 2 * a + b - 3 * c  # the derivative of the cubic along `back` is 0 at `share`
     share = a / (middle + np.sqrt(middle**2 - 3 * a * (a + b - 2 * c)))
     return parts.inserted(lines, share)
 
 
 def without_repeats(lines: Sequence[Curve]) -> list[Curve]:
-    """Curves without limits of stability shorter than _SAME_END, and without vertices of limits within _SAME_END of others or of ends."""
+    """Return the curves without short limits of stability, and without vertices of limits close to other vertices; see _SAME_END."""
     result = []
     for line in lines:
         if line.points.limit[0]:

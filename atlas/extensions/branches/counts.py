@@ -13,7 +13,7 @@ from . import COUNTS
 
 
 def count_variables(system: System) -> dict[str, DerivedVariable]:
-    """Numbers of relative equilibria of satellites; nan where equilibria form circles or surfaces, or where numbers are not certain."""
+    """Return numbers of relative equilibria of satellites, nan where equilibria are not isolated or numbers are not certain."""
     if system.frame_rate is None:
         return {}
     from ...systems.satellite import Satellite
@@ -22,7 +22,7 @@ def count_variables(system: System) -> dict[str, DerivedVariable]:
         return {}
 
     def group(_: Any, points: Points, __: Array, pause: Callable[[], None]) -> dict[str, NDArray[Any]]:
-        """Points that differ in their start alone share one search."""
+        """Return the numbers at points. Points that differ only in their start share one search."""
         from ..equilibria.algebra import numbers
         from ..equilibria.bodies import bodies_of
 

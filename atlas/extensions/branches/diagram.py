@@ -25,13 +25,13 @@ from ...plotting.style import COLOURS, STYLE, SYMBOLS, axis_label, variable_labe
 from ...plotting.trajectory import Sphere
 
 Style = dict[str, Any]
-# Lines in the order of drawing: colour, width, and whether they are dashed.
+# Lines in the order in which they are drawn, with colour, width and whether they are dashed.
 _LINES = {
     StabilityKind.UNSTABLE: (COLOURS["unstable"], 0.9, True),
     StabilityKind.UNKNOWN: ("0.6", 0.9, True),
     StabilityKind.MARGINAL: (COLOURS["marginal"], 0.7, False),
     StabilityKind.LINEARLY_STABLE: (COLOURS["linearly_stable"], 0.7, False),
-    StabilityKind.GYROSCOPIC: ("#5aa7d0", 0.7, False),  # the colour of maps is too pale for a line
+    StabilityKind.GYROSCOPIC: ("#5aa7d0", 0.7, False),  # the colour on maps is too pale for a line
     StabilityKind.ENERGY_STABLE_AXIAL: (COLOURS["energy_stable_axial"], 1.2, False),
     StabilityKind.ENERGY_STABLE: (COLOURS["energy_stable"], 1.7, False),
 }
@@ -44,7 +44,7 @@ MARKERS: dict[BifurcationKind, Style] = {
     for kind, marker, face in zip(BifurcationKind, ("$?$", "o", "D", "x"), ("k", "k", "w", "k"), strict=True)
 }
 
-# Text and line of each kind of border, and of borders where a minimum ends; text and marker of special points.
+# Text and line of each kind of border and of borders where a minimum ends, then text and marker of each kind of special point.
 MINIMUM = 0
 BORDER_TEXTS = {
     MINIMUM: "a minimum ends",
@@ -64,7 +64,7 @@ SPECIAL: dict[int, tuple[str, Style]] = {
     )
 }  # fmt: skip
 
-# Bifurcations at which a branch ends with a vertical tangent; number of steps drawn between neighbouring points of a branch.
+# A branch ends with a vertical tangent at TURNS. SUBDIVISION steps are drawn between neighbouring points of a branch.
 TURNS, SUBDIVISION = (BifurcationKind.FOLD, BifurcationKind.PITCHFORK), 12
 
 
@@ -84,9 +84,9 @@ def diagram(
     ----------
     variable : str, optional
         A variable of the branches, such as theta0, potential or frequency_1. gamma and alpha are drawn on the unit sphere of
-        the body: for permanent rotations over their rate gamma gives Staude's arcs. No effect for borders.
+        the body. For permanent rotations over their rate, gamma gives Staude's arcs. Borders ignore this option.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw into; default a figure of its own.
+        Axes to draw into. By default a new figure is made.
     title : str, optional
         Title of the figure.
     legend : bool, optional
@@ -99,10 +99,10 @@ def diagram(
     Returns
     -------
     matplotlib.figure.Figure
-        Lines are thick where the energy proves stability, thin where motions are stable without it, dashed where they are
-        unstable; dots, diamonds and crosses are folds, pitchforks and exchanges. Between the values of the parameter lines are
-        interpolated without corners, and are vertical at folds. Borders are cubics, thick where a minimum ends, dashed at
-        pitchforks, dotted at extrema of the momentum, with dots at cusps and diamonds where a pitchfork meets another border.
+        Lines are thick where the energy proves stability, thin where motions are stable without such a proof, and dashed where
+        motions are unstable. Dots are folds, diamonds are pitchforks and crosses are exchanges. Lines are interpolated without
+        corners between the values of the parameter, and are vertical at folds. Borders are thick where a minimum ends,
+        dashed at pitchforks and dotted at extrema of the momentum. Dots are cusps, and diamonds are meetings with pitchforks.
     """
     chosen = MapOptions(ax=ax, title=title, legend=legend, width=width, degrees=degrees)
     if "count_change" in ds:
@@ -147,7 +147,7 @@ def diagram(
 
 
 def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
-    """Curves of `atlas.borders` as cubics through their vertices."""
+    """Draw the curves of `atlas.borders` as cubics through the vertices."""
     names = [str(dim).removeprefix("cell_") for dim in ds["cells"].dims]
     at, slope = (np.stack([ds[head + name].values for name in names], -1) for head in ("", "tangent_"))
     third = np.diff(ds["arc"].values)[:, None] / 3
@@ -157,9 +157,8 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
     same = np.diff(ds["curve"].values) == 0
     cuts = np.flatnonzero(np.r_[True, ~same, True] | np.r_[True, np.diff(style) != 0, True])
     lines: dict[int, list[Path]] = {}
-    for start, end in pairwise(
-        cuts.tolist()
-    ):  # vertices of one curve in one style, and the next vertex of the curve
+    # Each line has the vertices of one curve in one style, and the next vertex of the curve.
+    for start, end in pairwise(cuts.tolist()):
         end -= end == len(style) or not same[end - 1]
         if end > start:
             points = np.concatenate([at[start : start + 1], knots[start:end].reshape(-1, 2)])
@@ -184,7 +183,7 @@ def border_diagram(ds: xr.Dataset, chosen: MapOptions) -> Figure:
 
 
 def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np.ndarray]]:
-    """Stability -> smooth lines (parameter and variable, or vectors), which end at bifurcations and at changes of stability."""
+    """Return smooth lines of parameter and variable, or of vectors, by stability. Lines end at bifurcations and at changes of stability."""
     every, of_folds = ds[variable].values, ds.get(f"fold_{variable}")
     folds = np.full((ds.sizes["fold"], *every.shape[2:]), np.nan) if of_folds is None else of_folds.values
     lines: dict[int, list[np.ndarray]] = {}
@@ -211,9 +210,9 @@ def branch_lines(ds: xr.Dataset, variable: str, along: str) -> dict[int, list[np
 
 
 def smooth(position: np.ndarray, value: np.ndarray, turns_first: bool, turns_last: bool) -> np.ndarray:
-    """Parameter and values, or unit vectors, of a branch with SUBDIVISION steps between its points and no corners.
+    """Return parameter and values, or unit vectors, of a branch without corners, with SUBDIVISION steps between its points.
 
-    At an end where the branch turns back, values change as the square root of the distance from it, and are interpolated in this root.
+    At an end where a branch turns back, values are interpolated in the square root of the distance from the end.
     """
     nodes = np.arange(len(position))
     steps = np.linspace(0, nodes[-1], nodes[-1] * SUBDIVISION + 1)

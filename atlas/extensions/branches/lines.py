@@ -22,15 +22,15 @@ from .borders import Borders
 from .starts import Cell
 
 CHANGE = "change of the number"
-COUNT_TRISECTIONS = 4  # number of trisections of the distance between two neighbouring points of the atlas
-# The number of minima changes only where minima merge with others, the number of stable equilibria also at limits of stability.
+COUNT_TRISECTIONS = 4  # number of trisections between two neighbouring points of the atlas
+# The number of minima changes only where minima merge. The number of stable equilibria also changes at limits of stability.
 MINIMA_COUNT, STABLE_COUNT = "equilibrium_energy_stable_count", "equilibrium_stable_count"
-MANY_COUNTS = 300  # number of vertices whose tracing takes more than a second
-BETWEEN = 6  # number of straight parts that replace a cubic of a border, within 1e-5 of the plane
+MANY_COUNTS = 300  # tracing this number of vertices takes more than a second
+BETWEEN = 6  # number of straight parts that replace a cubic of a border to within 1e-5 of the plane
 
 
 def count_lines(count: str, plane: Plane, ds: xr.Dataset) -> Lines:
-    """Lines at which this count of equilibria changes, if the atlas has the count; else borders of motions."""
+    """Return the lines at which a count of equilibria changes. If the atlas lacks the count, return the borders of motions."""
     if count not in ds:
         return borders(plane)
     counts = ds[count].transpose(*plane.extent)
@@ -44,11 +44,11 @@ of_all, of_stable, of_minima = (
 
 
 def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
-    """Lines, under CHANGE, between the regions of a plane where a count has different values.
+    """Return the lines, under CHANGE, between regions of a plane in which a count has different values.
 
-    The lines are those of `Borders` if the bodies depend smoothly on the plane; lines of stable equilibria also need two axes, and
-    borders that explain all counts. Other lines are traced between the points of the atlas: regions narrower than a
-    cell are missed, and a count that jumps over values gives several lines.
+    The lines are exact, from `Borders`, if the bodies depend smoothly on the plane. For stable equilibria this also needs two
+    axes and borders that explain all counts. Other lines are traced between the points of the atlas. Regions narrower than a cell
+    are then missed, and several lines appear where a count jumps over values.
     """
     name = str(counts.name)
     with suppress(BadInput):
@@ -71,7 +71,7 @@ def count_borders(plane: Plane, counts: xr.DataArray) -> Lines:
 
 
 def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] | None:
-    """Lines, or points on a single axis, at which the number of equilibria changes; None if some are not known."""
+    """Return lines, or points on a single axis, at which the number of equilibria changes, or None if some are not known."""
     system, minima = plane.scene.system, name == MINIMA_COUNT
     if not isinstance(system, Gyrostat):
         return None
@@ -86,7 +86,7 @@ def _exact_lines(name: str, plane: Plane, counts: xr.DataArray) -> list[Array] |
 
 
 def _merging_points(plane: Plane, system: Gyrostat, values: Array, minima: bool) -> list[Array]:
-    """Values on a single axis at which equilibria, or minima among them, merge."""
+    """Return the values on a single axis at which equilibria merge, or at which minima merge if `minima` is true."""
     (dim,) = plane.extent
 
     def points(values: Array) -> Points:

@@ -1,4 +1,4 @@
-"""python -m atlas is the atlas command."""
+"""Run the atlas command by python -m atlas."""
 
 from .cli import command
 

@@ -1,4 +1,4 @@
-"""`ds.atlas`: questions to an atlas; `registration` registers it with xarray.
+"""The accessor `ds.atlas` for questions to an atlas, which `registration` registers with xarray.
 
 An atlas may be larger than memory. Therefore every dataset, whether lazy, chunked or in memory, is read in chunks. Only the
 methods that make figures, films and pages import Matplotlib.

@@ -17,7 +17,7 @@ MAX_TEXT = 200  # largest number of characters of a value in a message
 
 
 class BadInput(ValueError):
-    """Invalid input: one printable line with the key, its value and the allowed values."""
+    """Invalid input. The message is one printable line with the key, its value and the allowed values."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(str(message), MAX_MESSAGE))
@@ -161,7 +161,7 @@ _SHORT.maxlevel = 3
 
 
 def one_line(error: Exception) -> str:
-    """Message of an error in one line of at most 200 characters."""
+    """Return the message of an error in one line of at most 200 characters."""
     return " ".join(str(error).split())[:200]
 
 

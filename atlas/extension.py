@@ -21,7 +21,7 @@ Reference = str
 
 @dataclass(frozen=True, eq=False)
 class Extension:
-    """What a package adds to the core; each part is imported on use.
+    """The parts that a package adds to the core. Each part is imported on use.
 
     An entry point with the name of the extension refers to this record. Parts are references, "module:name", to modules inside
     `package`.
@@ -113,7 +113,7 @@ class Extension:
             raise BadInput(f"the extension {self.name} cannot be loaded ({why})") from error
 
 
-# Kinds of parts: fields that map names to references.
+# Kinds of parts, which are the fields that map names to references.
 PARTS = tuple(
     each.name for each in fields(Extension) if each.name not in ("name", "package", "title", "needs")
 )

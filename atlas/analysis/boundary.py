@@ -173,7 +173,7 @@ def theory_borders(plane: Plane) -> Lines:
         name + frame: (kind, frame)
         for name, kind in KINDS.items()
         for frame in frames[: 1 + kind.of_frame]
-        if kind.rate not in plane.extent  # no line at 0 if the rate itself is an axis
+        if kind.rate not in plane.extent  # a rate that is an axis needs no line at 0
     }
 
     def classes(positions: Array) -> Classes:

@@ -108,7 +108,7 @@ def _stability_lines(ds: xr.Dataset, axes: Sequence[str]) -> list[str]:
     near = near_boundary(stable, range(stable.ndim - len(axes), stable.ndim))
     steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
     drift = (stable == Stability.STABLE) & (label == Label.DRIFTING)
-    drift &= ds["predicted"].values != Label.DRIFTING  # motions in the plane are not steady
+    drift &= ds["predicted"].values != Label.DRIFTING  # theory predicts that motions in the plane drift
     survive = (stable == Stability.UNSTABLE) & steady
     lines = [
         f"linearly {description}: {points.sum()}"
@@ -181,7 +181,7 @@ def _worst_lines(ds: xr.Dataset, result: Flags, count: int) -> list[str]:
     disagree = np.flatnonzero(result > Agreement.AGREE)
     if not disagree.size or not count:
         return []
-    # Whole arrays, because xarray 2026.9 cannot select single points of transposed lazy variables.
+    # Whole arrays are read, because xarray 2026.9 cannot select single points of transposed lazy variables.
     values = {name: array.values.ravel()[disagree] for name, array in ds.data_vars.items()}
     theory_steady = result[disagree] == Agreement.THEORY_ONLY
     names, dims = list(Label.meanings()), ds["label"].dims

@@ -1,4 +1,4 @@
-"""Conversion of angles: degrees may be in arguments and results, all else is in rad; no other module converts."""
+"""Conversion of angles. Only arguments and results may be in degrees, and no other module converts angles."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ def scene_problem(ds: xr.Dataset, part: xr.Dataset | None = None) -> str:
 
 
 def settings_of(ds: xr.Dataset) -> Settings:
-    """Settings of points without a scene, from the attributes of their dataset."""
+    """Return the settings of points without a scene, from the attributes of their dataset."""
     method, step = attribute_text(ds.attrs, "atlas_method"), number_attribute(ds, "atlas_step")
     settings = Settings(method=method, rate_tolerance=rate_tolerance_of(ds))
     if math.isfinite(step):
@@ -204,7 +204,7 @@ def common_values(ds: xr.Dataset, scene: Scene) -> dict[str, float | str]:
 
 
 def is_logarithmic(scene: Scene | None, dim: str, values: ArrayLike) -> bool:
-    """Whether the scene spaces an axis logarithmically and all values are positive, so that maps have a logarithmic axis."""
+    """Whether the scene spaces an axis logarithmically and all values are positive, as a map with a logarithmic axis needs."""
     axis = None if scene is None else axes_of(scene).get(dim)
     return axis is not None and axis.table.get("spacing") == "log" and bool(np.min(np.asarray(values)) > 0)
 
@@ -237,7 +237,7 @@ def is_numeric_axis(ds: xr.Dataset, dim: object) -> bool:
 
 
 def numeric_coordinates(ds: xr.Dataset, dim: str) -> list[str]:
-    """Names of the numeric coordinates whose only dimension is `dim`."""
+    """Return the names of the numeric coordinates whose only dimension is `dim`."""
     return [str(name) for name, c in ds.coords.items() if c.dims == (dim,) and c.dtype.kind in "iuf"]
 
 

@@ -28,7 +28,7 @@ IN_SPACE = " in space"
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of theory at points of a plane; arrays of shape (points,)."""
+    """Predictions of theory at points of a plane, in arrays of shape (points,)."""
 
     exists: Mask  # whether the scene has a motion at the point
     stable: np.ndarray  # linear stability, values of Stability
@@ -41,8 +41,8 @@ class Plane:
     """Part of the parameter space of a scene that a map shows, over one or two axes. Every other axis has one value."""
 
     scene: Scene  # the scene of the atlas
-    extent: Mapping[str, tuple[float, float]]  # dimension of the atlas -> lowest and highest value, x first
-    fixed: Mapping[str, float]  # every other dimension -> its value
+    extent: Mapping[str, tuple[float, float]]  # lowest and highest value along each dimension, x first
+    fixed: Mapping[str, float]  # value along every other dimension
 
     @staticmethod
     def of(scene: Scene, ds: xr.Dataset, dims: Iterable[str]) -> Plane:
@@ -84,12 +84,12 @@ class Plane:
         return plane
 
     def samples(self, dim: str, count: int = SAMPLES) -> Array:
-        """Evenly spaced values along an axis, (count,); on a logarithmic axis their logarithms are evenly spaced."""
+        """Return evenly spaced values along an axis, (count,). On a logarithmic axis, the logarithms of the values are evenly spaced."""
         spaced = np.geomspace if is_logarithmic(self.scene, dim, self.extent[dim]) else np.linspace
         return spaced(*self.extent[dim], count)
 
     def coordinates(self, positions: Array) -> dict[str, Array]:
-        """Values by dimension at positions (points, axes), which are fractions of the extent of each axis."""
+        """Return values by dimension at `positions` (points, axes), which are fractions of the extent of each axis."""
         values = {}
         for position, (dim, (low, high)) in zip(positions.T, self.extent.items(), strict=True):
             if is_logarithmic(self.scene, dim, (low, high)):
@@ -105,13 +105,13 @@ class Plane:
         return axes, dict(zip(self.extent, (grid.ravel() for grid in grids), strict=True))
 
     def positions(self, dim: str, values: Array) -> Array:
-        """Positions of values along an axis, as fractions of its extent."""
+        """Return the positions of values along an axis, as fractions of the extent of the axis."""
         scale = np.log if is_logarithmic(self.scene, dim, self.extent[dim]) else np.asarray
         low, high = scale(self.extent[dim])
         return (scale(values) - low) / (high - low)
 
     def points(self, coordinates: Mapping[str, Array]) -> grid.Grid:
-        """The points of the scene at coordinates in the plane, dimension -> (points,)."""
+        """Return the points of the scene at `coordinates` in the plane, which are arrays (points,) by dimension."""
         shape = next(iter(coordinates.values())).shape
         values = {dim: np.full(shape, value) for dim, value in self.fixed.items()} | dict(coordinates)
         axes = axes_of(self.scene)
@@ -132,6 +132,6 @@ class Plane:
         return Predictions(points.exists, predicted["stable"], frames)
 
     def derived(self, coordinates: Mapping[str, Array], names: Collection[str]) -> dict[str, NDArray[Any]]:
-        """Variables from theory in the plane, by their names."""
+        """Return variables from theory at points of the plane, by their names."""
         points = self.points(coordinates)
         return derived_values(self.scene.system, names, points.base, points.duration, lambda: None)

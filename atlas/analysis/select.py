@@ -1,4 +1,4 @@
-"""Selection of points of an atlas: by flags, nearest to given values, or on the plane of a map."""
+"""Selection of points of an atlas by flags, by nearness to given values, or on the plane of a map."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ MAX_CELLS = 2000
 def select(
     ds: xr.Dataset, flags: Mapping[str, str | int | Sequence[str | int]], degrees: bool = False
 ) -> xr.Dataset:
-    """The points with given flags, in memory, along the dimension "point"; see `Atlas.select`."""
+    """Return the points with given flags, in memory, along the dimension "point"; see `Atlas.select`."""
     flag_numbers = {variable: flag_values(ds, variable, names) for variable, names in flags.items()}
     if not flag_numbers:
         raise BadInput("select: name at least one flag, such as label='drifting'")
@@ -77,7 +77,7 @@ def select(
 
 
 def to_dataframe(ds: xr.Dataset, degrees: bool) -> pd.DataFrame:
-    """The points as a pandas DataFrame with flags as categories; see `Atlas.to_dataframe`."""
+    """Return the points as a pandas DataFrame with flags as categories; see `Atlas.to_dataframe`."""
     from pandas import Categorical
 
     ds = in_degrees(ds if ds.dims else ds.expand_dims("point"), degrees)
@@ -150,7 +150,7 @@ def nearest_on_axes(ds: xr.Dataset, values: Mapping[str, float], degrees: bool =
 
 
 def cell_edges(values: np.ndarray, log: bool = False) -> np.ndarray:
-    """Edges midway between n increasing values, (n + 1,); each outer cell is symmetric about its value."""
+    """Return edges midway between n increasing values, (n + 1,). Each outer cell is symmetric about its value."""
     v = np.log(values) if log else np.asarray(values, float)
     if v.size == 1:
         edges = np.array([v[0] - 0.5, v[0] + 0.5])

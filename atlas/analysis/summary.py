@@ -24,7 +24,7 @@ _UNKNOWN = {
 
 
 def summary(ds: xr.Dataset, tally: Tally | None = None, *, verbose: bool = True) -> str:
-    """Summary of an atlas as text; without a tally all points are read."""
+    """Return the summary of an atlas as text. Without a tally, all points are read."""
     names = [name for name in (*COUNTED, "error_estimate", "integral_drift", "stable") if name in ds]
     if tally is None:
         tally = Tally()

@@ -226,7 +226,7 @@ def without_poles(
 
 
 def shown_parts(line: Array, shown: Mask) -> list[Array]:
-    """The parts of a line whose vertices are all shown."""
+    """Return the parts of a line whose vertices are all shown."""
     parts = np.split(np.arange(len(line)), np.flatnonzero(np.diff(shown)) + 1)
     return [line[part] for part in parts if shown[part[0]]]
 
@@ -248,7 +248,7 @@ def within(line: Array, low: Array, high: Array) -> list[Array]:
 
 
 def values_at(positions: Array, axes: list[Array]) -> Array:
-    """Axis values at positions (vertices, axes), which are fractional indices of the values."""
+    """Return axis values at `positions` (vertices, axes), which are fractional indices of the values."""
     columns = [np.interp(p, np.arange(axis.size), axis) for p, axis in zip(positions.T, axes, strict=True)]
     return np.stack(columns, -1)
 

@@ -29,7 +29,7 @@ BOX = 4  # number of points along each side of a box for which the entropy is co
 
 
 def trust(ds: xr.Dataset, variable: str) -> xr.Dataset:
-    """Uncertainty of a map at several resolutions, and the fraction of cells with a missed border; see `Atlas.trust`."""
+    """Return the uncertainty of a map at several resolutions, and the fraction of cells with a missed border; see `Atlas.trust`."""
     check_not_empty(ds)
     grid = flag_variable(ds, variable).to_dataset()
     dims = [dim for dim in neighbour_axes(grid.assign_attrs(ds.attrs)) if grid.sizes[dim] >= MIN_VALUES]
@@ -92,7 +92,7 @@ def _differ(values: np.ndarray, n_axes: int, offsets: tuple[int, ...], *, step: 
 
 
 def roughness(ds: xr.Dataset, x: str | None, y: str | None) -> xr.DataArray:
-    """Second differences of theta_max - theta_min; see `Atlas.roughness`."""
+    """Return second differences of theta_max - theta_min; see `Atlas.roughness`."""
     for name in ("theta_min", "theta_max"):
         if name not in ds:
             raise BadInput(f"{name}: not in this dataset; list theta_min and theta_max in outputs.variables")
@@ -116,7 +116,7 @@ def roughness(ds: xr.Dataset, x: str | None, y: str | None) -> xr.DataArray:
 
 
 def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
-    """Fraction of the points with each flag of a variable; see `Atlas.fractions`."""
+    """Return the fraction of the points with each flag of a variable; see `Atlas.fractions`."""
     counts = flag_counts(ds, variable, [] if along is None else [_axis(ds, variable, "along", along)])
     with np.errstate(invalid="ignore"):
         shares = counts / counts.sum(variable)  # nan where there are no points
@@ -127,7 +127,7 @@ def fractions(ds: xr.Dataset, variable: str, along: str | None) -> xr.DataArray:
 
 
 def probability(ds: xr.Dataset, variable: str, over: str | Sequence[str]) -> xr.Dataset:
-    """Fraction of random draws with each flag of a variable, with its confidence interval; see `Atlas.probability`."""
+    """Return the fraction of random draws with each flag of a variable, and its confidence interval; see `Atlas.probability`."""
     draw_axes = [_axis(ds, variable, "over", name) for name in ([over] if isinstance(over, str) else over)]
     counts = flag_counts(ds, variable, [str(dim) for dim in ds[variable].dims if dim not in draw_axes])
     draws = math.prod(ds.sizes[dim] for dim in draw_axes)

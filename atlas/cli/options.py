@@ -45,7 +45,7 @@ class Parser(argparse.ArgumentParser):
         return super().add_argument(*names, **settings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse the words of a command line, as `argparse.ArgumentParser`."""
+        """Parse the words of a command line, as `argparse.ArgumentParser` does."""
         return super().parse_known_args(self._repeated(sys.argv[1:] if args is None else args), namespace)
 
     def _repeated(self, words: Sequence[str]) -> list[str]:
@@ -178,7 +178,7 @@ def input_files(scene: str) -> list[Path]:
 
 
 def output_folder(name: str, files: Sequence[str], *, force: bool) -> Path:
-    """Create the folder for output files; BadInput if one of the files must not be written."""
+    """Create the folder for output files. Raise BadInput if one of the files must not be written."""
     folder = Path(name)
     check_name(folder)
     if folder.exists() and not folder.is_dir():
@@ -209,7 +209,7 @@ def assignments(option: str, texts: Sequence[str], form: str) -> dict[str, str]:
 
 
 def axis_values(option: str, texts: Sequence[str]) -> dict[str, float]:
-    """AXIS=VALUE options as numbers by axis."""
+    """Return AXIS=VALUE options as numbers by axis."""
     form, values = 'AXIS=VALUE with a finite number, or arithmetic such as "60 * deg"', {}
     for name, text in assignments(option, texts, form).items():
         try:

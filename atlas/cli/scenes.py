@@ -38,7 +38,7 @@ from .options import (
 
 
 def out_text() -> str:
-    """Help text for the output of a run."""
+    """Return the help text for the output of a run."""
     text = f"NAME{FILE}; or NAME/ for a run folder or NAME{STORE} for a store (also s3://...), which the same command continues"
     others = [
         f"; or NAME{suffix} {atlases}" for suffix, atlases in suffixes().items() if suffix not in FORMATS

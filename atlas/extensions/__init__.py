@@ -1,1 +1,1 @@
-"""The extensions of this package: nothing in the core imports them."""
+"""The extensions of this package, which nothing in the core imports."""

@@ -320,7 +320,7 @@ MAX_EVALUATIONS = 200_000
 
 
 class _TooManyEvaluations(Exception):
-    """Ends an integration that takes far more steps than the frequencies of its points explain."""
+    """Raised to end an integration that takes far more steps than the frequencies of its points explain."""
 
 
 def errors(

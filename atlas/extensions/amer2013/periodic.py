@@ -6,8 +6,8 @@ direction of the motion and the three integrals (2). The others are rho and 1/rh
 matrix minus 4. The solution is stable where rho is on the unit circle.
 
 Without a field the solution is known. The point p1 + i q1 rests at mu / Omega, and gamma turns about the axis of rotation with
-the period 2 pi / |w|, where w is the angular velocity in units of r0. `follow` raises the field from 0 to its value at constant l
-/ (A r0), which is the same as raising eps from 0. A solution is found if the path does not end before the full field.
+the period 2 pi / |w|, where w is the angular velocity in units of r0. `follow` raises the field from 0 to its value at constant
+l / (A r0), which is the same as raising eps from 0. A solution is found if the path does not end before the full field.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Periodic(NamedTuple):
 
     @property
     def stability(self) -> Flags:
-        """Values of PeriodicSolution, (points,)."""
+        """Values of PeriodicSolution for the points, (points,)."""
         excess = np.abs(self.trace) - 2
         kinds = (PeriodicSolution.STABLE, PeriodicSolution.UNSTABLE, PeriodicSolution.MARGINAL)
         where = (excess < -MARGIN, excess > MARGIN, ~np.isnan(excess))

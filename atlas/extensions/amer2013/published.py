@@ -118,7 +118,7 @@ def measured_period_correction(spin: FastSpin, turns: int = 4) -> float:
     return float(-2 * np.pi * ((speed - 1) * window).sum() / window.sum())
 
 
-# Errors of formulas, as printed and as true, against the equations of motion.
+# The following functions measure the errors of formulas, printed and true, against the equations of motion.
 
 Formula = Callable[[FastSpin, Array], Array]
 
@@ -204,13 +204,13 @@ def _exact_angles(spin: FastSpin) -> tuple[Array, Array, Array, Array]:
 
 
 def _constant_10(spin: FastSpin, rng: np.random.Generator, chi: Callable[[FastSpin], Array]) -> Array:
-    """chi minus the term A1 (q1 l1 - p1 l2) q1 / (C r0) of (7), on the forced motion w = mu / Omega."""
+    """Return chi minus the term A1 (q1 l1 - p1 l2) q1 / (C r0) of (7), on the forced motion w = mu / Omega."""
     y = np.array([spin.forced.real, spin.forced.imag, 1, 0, 0, 1])
     return chi(spin) - spin.A1 * y[1] * true_rate(spin, y)[2] / (spin.eps * spin.Omega**2)
 
 
 def _change_by_units(spin: FastSpin, rng: np.random.Generator, term: Callable[[FastSpin], Array]) -> Array:
-    """Relative change of a dimensionless number when the unit of mass is halved."""
+    """Return the relative change of a dimensionless number when the unit of mass is halved."""
     doubled = {name: 2 * getattr(spin, name) for name in ("A", "C", "weight", "l1", "l2", "l3")}
     return term(replace(spin, **doubled)) / term(spin) - 1
 

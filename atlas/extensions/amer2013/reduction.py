@@ -1,10 +1,9 @@
 """Equations of Amer, Abo Essa, Ibrahim & Amer that are expressions in equations.toml, printed and true, with residuals.
 
-Each row tests one equation in two readings. In both readings k, the frequency, chi, chi1, nu and X have their true values (X = 1
-/ Omega, chi = 0), and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from (3) with its misprint corrected. S11 to S22
-are from the corrected (13) without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the
-difference of the two readings, or to the exact value where the readings are equal. The true reading of an expansion in eps has a
-residual of order eps.
+Each row tests one equation in two readings. In both readings k, the frequency, chi, chi1, nu and X have their true values
+(X = 1 / Omega, chi = 0), and A^-1 y2 is read as C A^-1 y2. S1 and S2 are from (2), or from the corrected (3). S11 to S22 are from
+the corrected (13) without terms in l2 / (A r0), which are of higher order in eps. Residuals are relative to the difference of the
+readings, or to the exact value if the readings are equal. The true reading of an expansion in eps has a residual of order eps.
 """
 
 from __future__ import annotations
@@ -191,7 +190,7 @@ def _periodic(body: str, rotor: float) -> Values:
 
 
 def _orbit(rng: np.random.Generator, entry: Entry) -> Values:
-    """The periodic solution of a random body of section VI with a rotor."""
+    """Return the periodic solution of a random body of section VI with a rotor."""
     return dict(_periodic(str(rng.choice(list(PAPER_BODIES))), float(rng.choice(PAPER_ROTORS[1:4]))))
 
 

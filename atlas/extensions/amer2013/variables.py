@@ -14,12 +14,12 @@ from . import MAX_RADIANS
 
 
 def solution_errors(system: System) -> dict[str, DerivedVariable]:
-    """Errors of the fast-spin solution, true and as printed."""
+    """Return the errors of the fast-spin solution, in the true and in the printed form."""
     return _errors("true") | _errors("printed") if system.name == "fixed_point" else {}
 
 
 def _errors(form: str) -> dict[str, DerivedVariable]:
-    """Errors of one form of the fast-spin solution."""
+    """Return the errors of one form of the fast-spin solution."""
     suffix = "" if form == "true" else f"_{form}"
     names = f"first_order_error{suffix}", f"first_order_rate_error{suffix}"
 
@@ -51,7 +51,7 @@ def _errors(form: str) -> dict[str, DerivedVariable]:
 
 
 def periodic_solutions(system: System) -> dict[str, DerivedVariable]:
-    """Stability, period and trace of the exact periodic solution near (33)."""
+    """Return the stability, period and trace of the exact periodic solution near (33)."""
     if system.name != "fixed_point":
         return {}
     names = "periodic_stability", "periodic_period", "periodic_trace"

@@ -83,7 +83,7 @@ def _refuse(bad: Mask, many: bool, text: str, *values: Array) -> None:
 
 
 def _principal_axes(tensor: Array, nearest: bool) -> tuple[Array, Array]:
-    """Moments (points, 3) and axes as rows (points, 3, 3), in the order and with the signs that make the rotation smallest."""
+    """Return moments (points, 3) and axes as rows (points, 3, 3). Signs, and the order if `nearest`, make the rotation smallest."""
     moments, vectors = np.linalg.eigh(tensor)
     rows, point = vectors.swapaxes(1, 2), np.arange(len(tensor))
     # The largest component (the first of equal ones) is made positive, so that the signs of the solver do not matter.
@@ -272,7 +272,7 @@ def attitude(
     if euler is not None:
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # gimbal lock
+                warnings.simplefilter("ignore", UserWarning)  # SciPy warns in gimbal lock
                 angles = turn.as_euler(euler)
         except ValueError as error:
             raise BadInput(f"euler = {shown(euler)}: {one_line(error)}") from None

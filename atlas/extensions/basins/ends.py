@@ -138,7 +138,7 @@ class Ends(Instrument):
 
 @dataclass(frozen=True)
 class Settling(Instrument):
-    """The time after which the energy keeps a body near the minimum in which it ends."""
+    """Time after which the energy keeps a body near the minimum in which the body ends."""
 
     sums = given = LEVELS
 

@@ -126,7 +126,7 @@ class Borders(NamedTuple):
         return cls(plane, potential, lines, index, changes, axis, cells)
 
     def values(self, positions: Array) -> Array:
-        """Values of the parameters, (N, 2)."""
+        """Return the values of the parameters, (N, 2), at positions."""
         return np.stack(list(self.plane.coordinates(positions).values()), -1)
 
     def slopes(self, positions: Array, rates: Array) -> Array:
@@ -295,7 +295,7 @@ def table(ds: xr.Dataset) -> pd.DataFrame:
 
 
 def _vertices(curves: Borders) -> dict[str, np.ndarray]:
-    """Variables over the vertices of all borders."""
+    """Return the variables over the vertices of all borders."""
     points = Degenerate.joined([curves.potential.none(), *(line.points for line in curves.lines)])
     rows = np.concatenate([points.unknowns[:0], *(line.tangents for line in curves.lines)])
     sizes = [len(line.tangents) for line in curves.lines]
@@ -315,7 +315,7 @@ def _vertices(curves: Borders) -> dict[str, np.ndarray]:
 
 
 def _special(curves: Borders) -> dict[str, np.ndarray]:
-    """Variables over the special points of all borders."""
+    """Return the variables over the special points of all borders."""
     points, curve, kind = curves.potential.none(), [], []
     for column in (0, 1):
 
@@ -345,7 +345,7 @@ def _special(curves: Borders) -> dict[str, np.ndarray]:
 
 
 def _attitudes(curves: Borders, points: Degenerate) -> dict[str, np.ndarray]:
-    """Parameters and attitudes of points."""
+    """Return the parameters and attitudes of points."""
     low, high = np.transpose(list(curves.plane.extent.values()))
     values = np.clip(curves.values(points.parts[4]), low, high)  # rounding may lead outside of the limits
     frames = frames_of(*curves.potential.attitudes(points.parts[0]))

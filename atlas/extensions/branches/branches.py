@@ -90,7 +90,7 @@ def scene_of(
     axes: Mapping[str, Sequence[float]],
     ties: Mapping[str, str] | None,
 ) -> Scene:
-    """The scene of bodies over axes with these values."""
+    """Return the scene of bodies over axes with these values."""
     for name, values in axes.items():
         check_written(f"axes.{name}.values", values)
     table = {

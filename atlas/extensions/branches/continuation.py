@@ -19,7 +19,7 @@ from .singular import Degenerate
 _FIRST, _LARGEST, _SMALLEST, _STEPS = 0.01, 0.06, 1e-7, 4000  # first, longest and shortest step; most steps
 # A step across a point at which another curve crosses is shorter than this. Limits of stability are more singular there.
 _CROSSING, _CROSSING_OF_LIMITS = 1e-5, 0.05
-_BEND = 0.15  # angle between the tangents at both ends of a step, rad
+_BEND = 0.15  # desired angle between the tangents at both ends of a step, rad
 _SINGULAR = 1e8  # condition number above which the tangent is uncertain, because another curve crosses
 _NONE = 1e-10  # a value counts as 0 below this fraction of the largest value
 _ILLINOIS, _NO_SHARE = 14, 1e-15  # most iterations and last change of the bracketed secant method
@@ -56,7 +56,7 @@ class Curve(NamedTuple):
     points: Degenerate
     tangents: Array
     closed: bool
-    lost: bool  # whether an end is not on the border of the box
+    lost: bool  # whether the curve ends inside the box
 
     def sound(self) -> Mask:
         """Whether vertices are on the curve. A pitchfork without bifurcating solutions between two more of the kind does not count."""
@@ -186,8 +186,8 @@ def _pieces(seeds: Degenerate, seed_tangents: Array, ends: NDArray[np.int64]) ->
         choice = ahead.argmin(1)
         target, to_target = near[range(active.size), choice], ahead[range(active.size), choice]
         to_side = gaps.min(1)
-        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target may be on the side
-        meets = (to_target <= 1.2 * arc) & ~leaves  # else the next step may begin at the target
+        leaves = (to_side <= arc) & (to_side < to_target - _ON_CURVE)  # a target on the side is met instead
+        meets = (to_target <= 1.2 * arc) & ~leaves  # otherwise the next step may begin at the target
         arc = np.where(leaves, to_side, np.where(meets, to_target, arc))
         start = now.moved(arc[:, None] * t + 0.5 * arc[:, None] ** 2 * bend[active])
         row = _in_unknowns(now, along)
@@ -377,7 +377,7 @@ def with_zeros(
     for iteration in range(_ILLINOIS if share.size else 0):
         before, share = share, high - at_high * (high - low) / (at_high - at_low)
         if iteration and (np.abs(share - before) < _NO_SHARE).all():
-            break  # the first secant may give the middle again
+            break  # not at once, because the first secant may give the middle again
         value = function(parts.at(share)[0])
         crossed = value * at_high < 0
         low, at_low = np.where(crossed, high, low), np.where(crossed, at_high, 0.5 * at_low)

@@ -1,4 +1,4 @@
-"""Lines at which the number of equilibria changes."""
+"""Lines at which numbers of equilibria change."""
 
 from __future__ import annotations
 

@@ -256,7 +256,7 @@ class Atlas(Questions):
         str
             A comparison with theory has a confusion table, the agreement, unstable points that survive, and the clearest
             disagreements. A comparison with another atlas has the differences of the scenes and the changes of flags, with a
-            table of labels in this atlas (rows) and in the other (columns). For each numeric variable it has the largest
+            table of labels in this atlas (rows) and in the other (columns). For each numeric variable the text has the largest
             difference, and the place and size of the largest ratio of the difference to the larger error_estimate. Variables are
             loaded whole, one after another.
         """

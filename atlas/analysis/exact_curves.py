@@ -51,7 +51,7 @@ def _traced_curves(plane: Plane, family: Family) -> list[Array]:
     """Return the lines on which one condition of a family changes sign and the other conditions hold.
 
     A condition that is the magnitude of a vector has no sign, and is replaced by the difference between a parameter and its
-    solved value. If several parameters can be solved for, the one with the longest lines is used.
+    solved value. If several parameters can be solved for, the parameter with the longest lines is used.
     """
     axes, coordinates = plane.lattice(TRACING_SAMPLES)
 

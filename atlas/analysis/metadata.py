@@ -106,7 +106,7 @@ def resolved_scene(ds: xr.Dataset, part: xr.Dataset) -> Scene | None:
 
     Raise BadInput if a coordinate differs from the scene by more than rounding. Evenly chosen points are compared, and only
     corners and middles of a lazy part. An axis may have only some of the scene's values. After a join of atlases that differ only
-    in this axis, it may also have all of the scene's values and others.
+    in this axis, the axis may also have all of the scene's values and others.
     """
     system, scene = system_of(ds), scene_of(ds, needed=True)
     axes = {} if scene is None else axes_of(scene)

@@ -113,7 +113,7 @@ def nearest(ds: xr.Dataset, values: Mapping[str, float], degrees: bool = False) 
 
 
 def _number(name: str, value: object) -> float:
-    """Return the value of an axis or parameter as a float. Raise BadInput unless it is a finite number."""
+    """Return the value of an axis or parameter as a float. Raise BadInput unless the value is a finite number."""
     check_written(name, value)
     array = np.asarray(value)
     if array.ndim or array.dtype.kind not in "iuf" or not np.isfinite(array):

@@ -88,8 +88,8 @@ def class_borders(
     sign on the lines of a kind, `zeros` has the magnitude of the quantity as a function of positions. Parts of lines on which the
     quantity has a pole instead of a zero are removed.
 
-    On two axes, cells that a line crosses are refined, and neighbouring cells as far as the line continues. A region wider than 1
-    / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis is thus followed to its ends if it contains one sample.
+    On two axes, cells that a line crosses are refined, and neighbouring cells as far as the line continues. If a region
+    wider than 1 / (COARSE_SAMPLES * DIVISION**LEVELS) of an axis contains one sample, the region is thus followed to its ends.
     """
     if len(plane.extent) == 1:
         samples, trisections = classes(np.linspace(0, 1, SAMPLES)[:, np.newaxis]), LINE_TRISECTIONS
@@ -282,7 +282,7 @@ _CURVATURE = 0.5
 
 
 def crossings(difference: Array) -> list[Array]:
-    """Return segments on which two frequencies cross, so that the larger minus the smaller one has a kink at 0.
+    """Return segments on which two frequencies cross, so that the larger minus the smaller frequency has a kink at 0.
 
     At a kink, the difference extrapolated from one side is the negative of the difference on the other side.
     """

@@ -128,7 +128,7 @@ def rhs(spin: FastSpin, y: Array) -> Array:
 
 
 def rate_of(spin: FastSpin) -> Callable[[float, Array], Array]:
-    """Return `rhs` of one body as a function of time and state. It computes with Python's numbers, which are faster than NumPy's."""
+    """Return `rhs` of one body as a function of time and state. Python's numbers are used, because they are faster than NumPy's."""
     numbers = {name: value.item() for name, value in vars(spin).items() if not isinstance(value, tuple)}
     one: Any = SimpleNamespace(**numbers)
     return lambda _, y: rhs(one, y.tolist())
@@ -242,7 +242,7 @@ def dop853(
     rate: Callable[[float, Array], Array], span: tuple[float, float], y0: Array, **options: Any
 ) -> Any:
     """Return the result of solve_ivp by DOP853 at the tightest tolerances. `options` are passed to solve_ivp."""
-    # scipy is imported here because it is slow to import, and reading a scene needs the formulas alone.
+    # scipy is imported here, because its import is slow and reading a scene needs the formulas alone.
     from scipy.integrate import solve_ivp
 
     return solve_ivp(rate, span, y0, **({"method": "DOP853", "rtol": 1e-13, "atol": 1e-14} | options))

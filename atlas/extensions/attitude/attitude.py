@@ -188,7 +188,7 @@ def start(
 
 
 def _start_values(attitude: Rotation, rates: Array, turning: Array) -> tuple[Array, ...]:
-    """Return the values of STARTS. `attitude` is that of the principal axes, `rates` are along them, `turning` is the frame's rate."""
+    """Return the values of STARTS. `attitude` and `rates` are those of the principal axes, and `turning` is the rate of the frame."""
     x, y, z, s = np.moveaxis(attitude.as_quat(), -1, 0)
     theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(z, s))
     total, difference = 2 * np.arctan2(z, s), 2 * np.arctan2(y, x)  # psi + phi and psi - phi

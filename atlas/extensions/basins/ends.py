@@ -101,7 +101,7 @@ class Ends(Instrument):
         }
 
     def needs_growth(self, run: Run, status: Flags) -> Mask:
-        """Return which points have an end, unless it is proved and the start has less energy than every equilibrium that is no minimum."""
+        """Return which points have an end, unless it is proved and every equilibrium that is no minimum has more energy than the start."""
         measured = run.measured
         decided = (measured["settled_by"] == SettledBy.PROVED) & (measured[START] < measured[LEAST])
         return (status == Status.OK) & (measured[END] >= 0) & ~decided

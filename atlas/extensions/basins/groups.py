@@ -34,7 +34,7 @@ def ends(ds: xr.Dataset, features: str | Sequence[str], tolerance: float | Mappi
     Returns
     -------
     Dataset
-        `end`, int16, over the dimensions of the atlas, is the position along `which`. It is -1 where the status is not ok or no
+        `end`, int16, over the dimensions of the atlas, is the position along `which`, or -1 where the status is not ok or no
         other motion has the same end. Motions that differ by at most the tolerance, to within a quarter of it, have the same end,
         also through a chain of motions. The ends along `which`, in the order of the first feature, have the number
         `count` of motions, the median of each feature, and `spread`, the largest difference over the tolerance. A warning names

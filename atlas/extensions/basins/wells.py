@@ -101,8 +101,8 @@ class Wells:
     def find_rims(self, bodies: Places) -> None:
         """Compute the rims of the wells of some bodies.
 
-        If descent from an equilibrium reaches no other one, the equilibrium counts for every rim. If descent reaches a saddle,
-        the equilibrium counts for no rim, because the saddle is lower and in the same component.
+        An equilibrium counts for every rim if descent from there reaches no other equilibrium. An equilibrium counts for no rim if
+        descent reaches a saddle, because the saddle is lower and in the same component.
         """
         bodies = bodies[np.isnan(self.rim[bodies]).all(1)]
         which, place = np.nonzero(~np.isnan(self.potential[bodies]) & ~self.minimum[bodies])
@@ -118,7 +118,7 @@ class Wells:
     def proved(self, frames: Array, energy: Array, row: Places, place: Places, settled: Mask) -> Places:
         """Return the place of the minimum in which every motion with at most the given energy must end, or -1.
 
-        `place` is the place of the nearest equilibrium, and `settled` says whether the attitude is within SETTLED of it.
+        `place` is the place of the nearest equilibrium, and `settled` says whether the attitude is within SETTLED of this equilibrium.
         """
         least = self.least[row]
         decided = self.listed[row] & np.isfinite(energy)

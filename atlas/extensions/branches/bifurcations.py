@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ...systems.gyrostat.system import Gyrostat
 
 Places = NDArray[np.int64]
-# Solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times that of every rival.
+# Solutions match if the sum of both errors of prediction is below _CLOSE, and below _DISTINCT times the sum of every rival.
 _CLOSE, _DISTINCT = 0.3, 0.25
 _MAX_TURN = 0.5  # largest turn by a prediction or by a step of Newton's method, rad
 _ROUNDS, _GOLDEN = 30, 0.618034  # most divisions of an interval, and step between their fractions
@@ -358,7 +358,7 @@ def links_of(pairs: Places, follower: Places) -> Places:
 
 
 def number_branches(nodes: Nodes, links: Places) -> tuple[Places, int]:
-    """Return the number of the branch of each solution, or -1, and the number of branches, in the order of their lowest values."""
+    """Number the branches in the order of their lowest values. Return the branch of each solution, or -1, and the number of branches."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

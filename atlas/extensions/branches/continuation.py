@@ -27,7 +27,7 @@ _ITERATIONS = 10  # number of iterations of least squares where the equations ar
 _MISSED = 3e-5  # if a vertex is within this distance of its prediction, the cubic errs by less than 1e-6
 _ON_CURVE = 1e-6  # a point within this distance of a vertex counts as the vertex
 _SETTLED = 1e-6  # largest last step of Newton's method; its square is about the remaining error
-# The next point is sought among this number of points near a vertex. They are chosen anew after this length.
+# The next point is sought among _NEIGHBOURS points near a vertex, which are chosen anew after the length _LOOK.
 _NEIGHBOURS, _LOOK = 32, 0.2
 _ASTRAY = 0.1  # a point is on another curve if its distance from the cubic exceeds this fraction of the chord
 # Least scalar product of successive unit null vectors of a curve. With nearly equal moments another curve may be close.
@@ -59,7 +59,7 @@ class Curve(NamedTuple):
     lost: bool  # whether the curve ends inside the box
 
     def sound(self) -> Mask:
-        """Whether vertices are on the curve. A pitchfork without bifurcating solutions between two more of the kind does not count."""
+        """Whether vertices are on the curve. A pitchfork without bifurcating solutions between two more of this kind does not count."""
         flat = np.r_[True, self.points.flat(), True]
         return self.points.solves() & ~(flat[:-2] & flat[1:-1] & flat[2:])
 
@@ -80,7 +80,7 @@ class Curve(NamedTuple):
 
 
 def curves(points: Degenerate, tangents: Array) -> list[Curve]:
-    """Return the curves through `points`, which have these tangents there."""
+    """Return the curves through `points` with these tangents."""
     kept = _apart(points, tangents)
     points, tangents = points.take(kept), tangents[kept]
     if not kept.size:
@@ -99,7 +99,7 @@ def curves(points: Degenerate, tangents: Array) -> list[Curve]:
 
 
 def _apart(points: Degenerate, tangents: Array) -> NDArray[np.int64]:
-    """Return the indices of points, without those that are a short way ahead of or behind another point on the same curve."""
+    """Return the indices of points, without points that are a short way ahead of or behind another point on the same curve."""
     count, place, along = len(tangents), points.place, _of_place(points, tangents)
     targets, _ = _with_images(points, tangents)
     near = _nearest(place, targets)

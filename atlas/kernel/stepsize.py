@@ -1,4 +1,4 @@
-"""Number and size of the integration steps of each point; other points have no influence on them."""
+"""Number and size of the integration steps of each point, which do not depend on the other points."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from .sampling import MIN_INTERVALS
 from .tableaux import METHODS, Method
 
 MAX_STEPS_PER_SAMPLE = 16
-# Largest error of a rate by automatic steps, divided by the rate tolerance, in a motion at the frequency bound.
+# Automatic steps limit the error of a rate as large as the frequency bound to this fraction of the rate tolerance.
 RATE_ERROR_BUDGET = 0.1
-ROUNDING = 1e-16  # relative rounding error of the state at the start, and of each step
-# A run is resolved up to this step ratio and this dissipation error.
+ROUNDING = 1e-16  # relative rounding error of the initial state and of each step
+# A run counts as resolved if `step_ratio` and `dissipation_error` do not exceed these limits.
 MAX_STEP_RATIO, MAX_DISSIPATION_ERROR = 0.5, 0.1
-# Number of steps of an unresolved run, which gets no label in any case: enough steps to show an overflow.
+# An unresolved run gets no label. The run takes at most this number of steps, which is enough to show an overflow.
 STEPS_UNRESOLVED = 64
 MIN_NODES_PER_PERIOD = 8
 GOLDEN_SECTION = 0.5 * (5**0.5 - 1.0)
-# Error of an oscillation that is interpolated between four nodes x rad apart, divided by x^8.
+# The interpolation of an oscillation between four nodes x rad apart has the relative error INTERPOLATION_ERROR * x^8.
 INTERPOLATION_ERROR = 81 / 256 / 40320
 
 
 class StepSettings(Protocol):
-    """Settings that determine steps, see `scene.model.Settings`."""
+    """The settings that determine the steps. See `scene.model.Settings`."""
 
     @property
     def method(self) -> str: ...
@@ -42,21 +42,21 @@ class StepSettings(Protocol):
 
 @dataclass(frozen=True)
 class StepSizes:
-    """Step sizes of an ensemble and the errors to expect from them."""
+    """Step sizes of an ensemble and the expected integration errors. Arrays have shape (points,)."""
 
-    steps: NDArray[np.int64]  # number of steps
-    steps_per_sample: NDArray[np.int64]  # steps between two nodes of the statistics
+    steps: NDArray[np.int64]
+    steps_per_sample: NDArray[np.int64]  # number of steps between two nodes of the statistics
     step_size: NDArray[np.float64]  # in time units
-    step_ratio: NDArray[np.float64]  # step_size x frequency bound / stability limit of the method
-    # At the end of the run, for an oscillation at the frequency bound: phase error in rad, relative loss of amplitude
+    step_ratio: NDArray[np.float64]  # step size times frequency bound, over the stability limit
+    # Phase error (rad) and relative loss of amplitude that an oscillation at the frequency bound has at the end of the run.
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
-    # Expected variation, by errors of the steps, of a steady rate that is as large as the bound, rad per time unit
+    # Expected variation that step errors cause in a steady rate as large as the frequency bound, in rad per time unit.
     rate_error: NDArray[np.float64]
-    # Number of periods in the run, each with equally many nodes; 0 without strobed observables
+    # Number of periods in the run, or 0 for a system without strobed observables. All periods have equally many nodes.
     periods: NDArray[np.int64]
-    transient: NDArray[np.float64]  # time before the run, time units
-    transient_steps: NDArray[np.int64]  # number of steps in this time; they are about as long as in the run
+    transient: NDArray[np.float64]  # duration of the transient before the run, in time units
+    transient_steps: NDArray[np.int64]  # number of steps in the transient
 
     @classmethod
     def of(
@@ -66,13 +66,13 @@ class StepSizes:
         duration: NDArray[np.float64],
         step: NDArray[np.float64] | None = None,
     ) -> StepSizes:
-        """Step sizes of points with these frequency bounds (rad per time unit) and durations (time units).
+        """Return the step sizes for frequency bounds (rad per time unit) and durations (time units).
 
-        Steps are at most as long as `step`, (points,), or else `settings.step`. Without both, the phase error of an
-        oscillation at the bound stays within `settings.tolerance`, and neither its loss of amplitude nor the local error lets a
-        steady rate as large as the bound vary by more than RATE_ERROR_BUDGET of the rate tolerance. `settings.max_steps` limits
-        the number of steps before rounding up, at the cost of larger errors. A point without a finite bound gets the fewest steps
-        and an infinite step ratio.
+        No step is longer than `step` or, if `step` is None, than `settings.step`. If both are None, the steps are automatic. The
+        phase error of an oscillation at the bound then stays within `settings.tolerance`, and neither the loss of amplitude nor
+        the local error changes a steady rate as large as the bound by more than RATE_ERROR_BUDGET times the rate tolerance.
+        The number of steps before rounding up never exceeds `settings.max_steps`, even if errors become larger. A point without
+        a finite bound gets the fewest steps and an infinite step ratio.
         """
         method, length = METHODS[settings.method], settings.step if step is None else step
         radians = bound * duration
@@ -88,14 +88,14 @@ class StepSizes:
                 )
                 by_dissipation = relative_rate / (method.dissipation * np.maximum(radians, 1e-300))
                 y = np.minimum(y, by_dissipation ** (1 / (method.dissipation_order - 1)))
-                # A body at rest needs no steps, also where the tolerances are so small that y underflows to 0.
+                # A body at rest needs no steps, even if tiny tolerances make y underflow to 0.
                 count = np.divide(radians, y, out=np.zeros_like(radians), where=radians > 0)
             steps = count_ladder(np.minimum(count, float(settings.max_steps)))
         else:
             run = np.where(finite, duration, 0.0)
             steps = steps_of_length(length, run, MIN_INTERVALS, settings.max_steps)
         y = radians / steps
-        # steps_per_sample is a power of 2 that keeps the interpolation error, of order 8, below a tenth of the phase error.
+        # steps_per_sample is a power of 2. The interpolation error, which has order 8, stays below a tenth of the phase error.
         with np.errstate(divide="ignore", invalid="ignore"):
             phase_error = radians * method.dispersion * y**method.order
             spacing = (0.1 * phase_error / INTERPOLATION_ERROR) ** (1 / 8) / y  # in steps
@@ -120,7 +120,7 @@ class StepSizes:
         )
 
     def after(self, transient: NDArray[np.float64], duration: NDArray[np.float64]) -> StepSizes:
-        """Step sizes if these runs consist of a transient and a duration after it; the errors are those of the whole runs."""
+        """Return step sizes of runs that are divided into a transient and a duration. The errors are those of the whole runs."""
         has = transient > 0
         intervals = np.ceil(self.intervals * duration / (transient + duration) - 1e-9).astype(np.int64)
         steps = np.maximum(intervals, 2 * MIN_INTERVALS) * self.steps_per_sample
@@ -136,7 +136,7 @@ class StepSizes:
 
     @property
     def whole_steps(self) -> NDArray[np.int64]:
-        """Number of steps from the start, the transient included."""
+        """Number of steps from the start, including the transient."""
         return self.steps + self.transient_steps
 
     @property
@@ -161,7 +161,7 @@ class StepSizes:
         return np.asarray(stable & (self.dissipation_error <= MAX_DISSIPATION_ERROR))
 
     def without_unresolved(self) -> StepSizes:
-        """The same step sizes, but at most STEPS_UNRESOLVED steps and no transient at unresolved points."""
+        """Return step sizes with at most STEPS_UNRESOLVED steps and no transient at unresolved points."""
         shorter = ~self.resolved & (self.steps > STEPS_UNRESOLVED)
         return replace(
             self,
@@ -174,29 +174,29 @@ class StepSizes:
         return StepSizes(**{field.name: getattr(self, field.name)[where] for field in fields(self)})
 
     def halved(self, method: Method, where: NDArray[np.bool_] | bool = True) -> StepSizes:
-        """The same runs with twice as many steps and nodes where the mask is true."""
+        """Return step sizes with twice as many steps and nodes where `where` is true."""
         return self._in_steps(np.where(where, 2, 1) * self.steps, self.steps_per_sample, method)
 
     def coarsened(self, method: Method) -> StepSizes:
-        """The same runs with half as many steps, rounded up."""
+        """Return step sizes with half as many steps, rounded up."""
         steps = np.maximum(-(-self.steps // 2), MIN_INTERVALS)
         return self._in_steps(steps, np.gcd(steps, self.steps_per_sample), method)
 
     def incommensurate(self, method: Method) -> StepSizes:
-        """The same runs with about 0.618 times as many steps (golden section), so that old and new runs share hardly any node.
+        """Return step sizes with about 0.618 times as many steps (golden section).
 
-        If a motion is faster than the steps and looks slow at the old nodes, it looks different at the new ones: the golden section
-        is the number farthest from all fractions with small denominators.
+        The golden section is the number farthest from fractions with small denominators, so that old and new runs share hardly any
+        node. A motion that is faster than the steps and looks slow at the old nodes looks different at the new nodes.
         """
         nodes, periods = self.nodes_per_period, np.maximum(self.periods, 1)
         fewer = (GOLDEN_SECTION * nodes).astype(np.int64) | 1
-        for _ in range(3):  # the next odd number, where fewer and nodes have a common factor above 3
+        for _ in range(3):  # add 2 where fewer and nodes have a common factor above 3
             fewer = np.where(np.gcd(fewer, nodes) > 3, fewer + 2, fewer)
         intervals = np.where(fewer * periods >= MIN_INTERVALS, fewer, 2 * nodes - 1) * periods
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 
     def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
-        """The same runs with equally many nodes in each period; periods: their number in each run; None changes nothing."""
+        """Return step sizes with equally many nodes in each of `periods` periods of a run. None changes nothing."""
         if periods is None:
             return self
         steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
@@ -205,7 +205,7 @@ class StepSizes:
     def _in_steps(
         self, steps: NDArray[np.int64], steps_per_sample: NDArray[np.int64], method: Method
     ) -> StepSizes:
-        """The same runs with other numbers of steps, rounded up so that all periods have equally many nodes."""
+        """Return step sizes with other numbers of steps, rounded up so that all periods have equally many nodes."""
         nodes = np.maximum(self.periods, 1) * steps_per_sample
         steps = -(-steps // nodes) * nodes
         ratio = self.steps / steps
@@ -223,7 +223,7 @@ class StepSizes:
 
 
 def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most: int) -> NDArray[np.int64]:
-    """Number of steps no longer than `length`, but at least `least` and at most `most`."""
+    """Return the number of steps of at most `length` in `duration`, clipped to the range from `least` to `most`."""
     count = np.ceil(np.minimum(duration / length, float(most)) - 1e-9)
     return np.maximum(count, least).astype(np.int64)
 
@@ -231,14 +231,14 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: StepSettings, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Steps in each of `intervals` equal parts of runs; they are at most as long as with `steps` in all, or as `settings.step`."""
+    """Return the number of steps in each of `intervals` equal parts of a run, from `settings.step` or else from `steps` of the run."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))
 
 
 def count_ladder(count: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Round counts up to a ladder 16, 32, 48, ... near powers of 2^(1/4), so that points share lanes."""
+    """Round each count up to a multiple of 16 near 16 times a power of 2^(1/4), so that many points have the same count."""
     exponent = np.ceil(4 * np.log2(np.maximum(count / MAX_STEPS_PER_SAMPLE, 1.0)) - 1e-9)
     rounded = np.ceil(2.0 ** (exponent / 4) - 1e-9) * MAX_STEPS_PER_SAMPLE
     return rounded.astype(np.int64)

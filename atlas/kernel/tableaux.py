@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods: Butcher tableaux and their limits on oscillations."""
+"""Explicit Runge-Kutta methods, with Butcher tableaux, errors on oscillations and stability limits."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Method:
-    """An explicit Runge-Kutta method and its errors on x' = i w x at y = w h; ValueError if it is invalid."""
+    """An explicit Runge-Kutta method, with errors for x' = i w x and the step h, where y = w h. An invalid tableau raises ValueError."""
 
     name: str
     order: int  # global order
     a: tuple[tuple[float, ...], ...]  # rows of the Butcher tableau below the diagonal
     b: tuple[float, ...]  # weights of the stages
-    # To leading order a step has the error dispersion * y^(order + 1), an error of the phase if the order is even, and loses the
-    # fraction dissipation * y^dissipation_order of the amplitude. Values 0, here and below, are computed from the tableau.
+    # To leading order a step has the error dispersion * y^(order + 1), which is an error of the phase if the order is even. A step
+    # loses the fraction dissipation * y^dissipation_order of the amplitude. Fields that are 0 are computed from the tableau.
     dispersion: float = 0.0
     dissipation: float = 0.0
     dissipation_order: int = 0
     stability: float = 0.0  # largest stable y
-    kernel_step: float = 1.0  # step in the kernel's unit of time; it makes most coefficients 1
-    # Processor time of a step, samples included, relative to a step of rk4: see bench_methods.py
+    kernel_step: float = 1.0  # step in the kernel's unit of time, chosen to make most coefficients 1
+    # Processor time of a step, including samples, divided by the time of a step of rk4. See bench_methods.py.
     step_cost: float = 0.0
 
     def __post_init__(self) -> None:
@@ -41,7 +41,7 @@ class Method:
                 object.__setattr__(self, name, value)
 
     def _on_oscillations(self) -> dict[str, float]:
-        """Errors and stability limit on oscillations, from the stability function R(z) = 1 + sum b a^(k-1) 1 z^k at z = iy."""
+        """Return errors and stability limit, from the stability function R(z) = 1 + sum b a^(k-1) (1, ..., 1) z^k at z = iy."""
         a = np.array([(*row, *[0.0] * (self.stages - len(row))) for row in self.a])
         column, R = np.ones(self.stages), [1.0]
         for _ in self.b:
@@ -58,7 +58,7 @@ class Method:
                 f"{self.name}: no step is stable, for the amplitude of oscillations grows by any"
             )
         signs = 1j ** np.arange(len(R))
-        growth = np.convolve(R * signs, R / signs).real[even::2]  # (|R|^2 - 1) / y^even, by powers of y^2
+        growth = np.convolve(R * signs, R / signs).real[even::2]  # (|R|^2 - 1) / y^even in powers of y^2
         squares = np.roots(growth[::-1])
         limits = squares.real[(squares.real > 0) & (np.abs(squares.imag) <= 1e-9 * np.abs(squares))]
         return {
@@ -71,7 +71,7 @@ class Method:
         return len(self.b)
 
     def step(self, slope: Callable[[Any], Any], state: Any, step_size: Any) -> Any:
-        """State after a step of this size (time units), in NumPy; slope: derivative as a function of the state."""
+        """Return the state after a step of `step_size` time units. `slope` returns the derivative of a state."""
         slopes: list[Any] = []
         for row in (*self.a, self.b):
             change = sum((a * each for a, each in zip(row, slopes, strict=True) if a), 0.0)
@@ -91,7 +91,7 @@ RK4 = Method(
     stability=8**0.5,
     kernel_step=2.0,
 )
-# The twelve stages of DOP853, its eighth-order solution without the error estimate: Hairer, Norsett and
+# The eighth-order solution of DOP853, which has twelve stages, without the error estimate. See Hairer, Norsett and
 # Wanner, Solving Ordinary Differential Equations I, 2nd ed. (1993), section II.5.
 RK8 = Method(
     "rk8",
@@ -123,5 +123,5 @@ RK8 = Method(
     step_cost=8.0,
 )  # fmt: skip
 METHODS = {method.name: method for method in (RK4, RK8)}
-# The method of all runs with tangent vectors: it needs less time than rk4 for a given error.
+# All runs with tangent vectors use this method, because rk8 needs less time than rk4 for a given error.
 TANGENT_METHOD = RK8

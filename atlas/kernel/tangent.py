@@ -1,12 +1,12 @@
-"""The kernel of the chaos indicators: blocks of points integrated together with one tangent vector each.
+"""Kernel of the chaos indicators, which integrates blocks of points with one tangent vector each.
 
-`augmented` gives the layout of the tangent vector v. At the end of the run and at nodes, which are equally spaced to within a
-step, v is divided by its norm. With L the logarithm of the growth of |v| up to an instant t,
+`augmented` gives the layout of the tangent vector v. The nodes are equally spaced to within a step, and the last node is the end of
+the run. At each node v is divided by its norm. Let L(t) be the logarithm of the growth of |v| up to the time t. Then
 
     Y(t) = 2 (L(t) - (1/t) int_0^t L ds),    mean MEGNO = (1/T) int_0^T Y dt,    Lyapunov exponent = L(T) / T
 
-(Cincotta & Simo 2000, doi 10.1051/aas:2000108; integration by parts gives this form without derivatives of v). The integrals
-are sums by the trapezoidal rule over the nodes; time is counted in steps.
+(Cincotta & Simo 2000, doi 10.1051/aas:2000108). Integration by parts gives this form of Y, which needs no derivative of v. The
+integrals are computed by the trapezoidal rule over the nodes. Time is counted in steps.
 """
 
 from enum import IntEnum
@@ -35,13 +35,13 @@ from .generated import (
 
 
 class Growth(IntEnum):
-    """Rows of the sums: L, its integral, Y, the integral of Y, the largest L, and the drawdown, the largest decrease of L."""
+    """Rows of the sums: L, the integral of L, Y, the integral of Y, the largest L and the largest decrease of L (drawdown)."""
 
     LOG_GROWTH, LOG_INTEGRAL, MEGNO, MEGNO_INTEGRAL, HIGHEST, DRAWDOWN = range(6)
 
 
 def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
-    """Integrate blocks with tangent vectors from first_node to last_node; schedule: points, numbers of steps and of nodes."""
+    """Integrate blocks from `first_node` to `last_node`. `schedule` holds the points, steps and nodes of the blocks."""
     full_vectors()
     points, steps, nodes = schedule
     step_size, state0, constants0, tangent0, weights, out = arrays
@@ -92,7 +92,7 @@ def integrate(schedule, arrays, first_block, last_block, first_node, last_node):
 
 
 def add_stretch(sums, l, log_growth, length, time):
-    """Add the stretch between two nodes to the sums of lane l; log_growth and length are those of the stretch, time is its end."""
+    """Add the stretch between two nodes to the sums of lane `l`. The stretch has `length` steps and ends at `time`."""
     before = sums[Growth.LOG_GROWTH, l]
     after = before + log_growth
     sums[Growth.LOG_GROWTH, l] = after

@@ -1,1 +1,1 @@
-"""From a plan to labels: the pipeline, the prediction of theory, trajectories."""
+"""Measured labels, the labels that theory predicts, and trajectories."""

@@ -1,4 +1,4 @@
-"""Labels about any axes from theory alone."""
+"""Labels of motions about any axes, predicted by theory alone."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..theory.motions import predict_circles
 from .plan import Plan
 from .theory import Prediction, frame_motion, on_other_axes, predicted_frames
 
-# Number of rate tolerances: a start whose angular velocity soon changes by more is far from every circle, see `near_circle`.
+# A start may be far from every circle if its angular velocity changes by more than this number of rate tolerances, see `near_circle`.
 _FAR_CIRCLE = 10.0
 
 
 @np.errstate(all="ignore")
 def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str, np.ndarray]:
-    """Labels about any axes that theory predicts for runs, in the system's frame and, if the frame turns, in inertial space.
+    """Predict labels about any axes in the system's frame and, if the frame turns, in inertial space.
 
-    Axes within the angle tolerance count as parallel. A start that is no steady motion drifts if its angular velocity is far
-    from every circle, else its label is not_computed.
+    Axes within the angle tolerance count as parallel. A start that is no steady motion is labelled drifting if its angular velocity
+    is far from every circle, and not_computed otherwise.
     """
     system, base, theory = plan.system, tile.base, prediction.variables
     frames = predicted_frames(system, base)
@@ -33,7 +33,7 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
         membership = (theory["family"] > 0) & ~on_other_axes(system, theory["family"])
         return {name: np.where(membership, theory[own], 0).astype(np.int8) for own, name in names.items()}
     tolerances, duration = plan.settings.at(tile.rate_tolerance).tolerances, tile.duration
-    # Rounding in the equations, divided by the rate across the spin axis, is an error of the spin rate.
+    # The rounding error of the equations, divided by the rate across the spin axis, is an error of the spin rate.
     s, m, fixed, n = prediction.motion
     across, error = np.abs(n) * length(cross(s, fixed)), TERM_ROUNDING * (np.abs(n) + np.abs(m)) ** 2
     rounded = (m != 0) & (across > tolerances.rate) & (error > tolerances.rate * across)
@@ -53,13 +53,13 @@ def predict_any_axis(plan: Plan, tile: Grid, prediction: Prediction) -> dict[str
 def _circle(
     system: System, points: Points, axes: TwoAxes, frame_rate: Array, duration: Array
 ) -> dict[str, Array]:
-    """Statistics of the angular velocity of exact motions in a frame that turns about the vertical at frame_rate.
+    """Return statistics of the angular velocity of exact motions in a frame that turns about the vertical at `frame_rate`.
 
-    nan if the frame turns and the motion precesses about another axis than the vertical: there are then three rotations.
+    Rates are nan if the frame turns and the motion precesses about another axis than the vertical, which makes three rotations.
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]
-    # A single rotation counts as one about a body axis; the axis fixed in the frame is then arbitrary, such as the vertical.
+    # A single rotation counts as a rotation about a body axis. The axis fixed in the frame is then arbitrary.
     single, turning = (n == 0) | (m == 0), frame_rate != 0
     s, m = np.where((n != 0) & single, fixed, s), np.where((n != 0) & single, n, m)
     n = np.where(single, 0.0, n)
@@ -67,7 +67,7 @@ def _circle(
     rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
     sine = length(cross(s, np.where(turning & single, vertical, fixed)))
     zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # The angular velocity runs along an arc of the angle m T on its circle; an arc as short as the tolerance counts as a point.
+    # The angular velocity covers an arc of the angle m T on a circle with radius 1. `arc` is the standard deviation along the arc.
     arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
     return {
         "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
@@ -78,11 +78,11 @@ def _circle(
 def near_circle(
     system: System, points: Points, duration: Array, rate_tolerance: Array | float, frame_rate: Array
 ) -> Mask:
-    """Whether the angular velocity of a start may stay on a circle in the body, as along steady motions about any axes.
+    """Return whether the angular velocity may stay on a circle in the body, as along a steady motion about any axes.
 
-    No linear theory covers these motions. A start is far from all of them if, within a radian of the frequency bound, the angular
-    velocity changes by more than _FAR_CIRCLE tolerances, and departs by as much from the circle that its first derivatives give. On
-    a circle the derivative v of the angular velocity has v.v' = 0 and v'' = -(|v'| / |v|)^2 v.
+    No linear theory covers steady motions about any axes. Let v be the derivative of the angular velocity. On a circle v.v' = 0 and
+    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within a radian of the
+    frequency bound: the change of the angular velocity, and its departure from the circle that the first derivatives give.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

@@ -1,4 +1,4 @@
-"""Changes of labels and rates in a sample of a scene's points that is integrated again at half the step."""
+"""Check of a scene's labels and rates in a sample of points that is integrated again at half the step."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .pipeline import evaluate
 from .plan import Plan
 
 CONFIDENCE = 0.95
-# Size of the sample: one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), from MIN_SAMPLE to MAX_SAMPLE points.
+# The sample has one point in POINTS_PER_SAMPLE (about 1 % of the cost of a run), but at least MIN_SAMPLE and at most MAX_SAMPLE points.
 MIN_SAMPLE, MAX_SAMPLE, POINTS_PER_SAMPLE = 64, 1000, 300
 
 
 def upper_bound(events: int, draws: int, population: int | None = None) -> float:
-    """Upper 95 % confidence bound of a probability; the observed fraction if the whole population is drawn.
+    """Return the upper 95 % confidence bound of a probability, or the observed fraction if the whole population is drawn.
 
-    C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
+    See C. J. Clopper and E. S. Pearson, Biometrika 26 (1934) 404-413.
     """
     if draws == population:
         return events / draws
@@ -40,7 +40,7 @@ def upper_bound(events: int, draws: int, population: int | None = None) -> float
 
 
 def stratified_indices(size: int, count: int) -> np.ndarray:
-    """Ascending indices, one pseudorandom index from each of `count` equal parts of range(size)."""
+    """Return ascending pseudorandom indices, one from each of `count` equal parts of range(size)."""
     count = min(size, count)
     fraction = (mixed(np.arange(count, dtype=np.uint64)) >> np.uint64(11)).astype(np.float64) / 2.0**53
     edges = [i * size // count for i in range(count + 1)]
@@ -51,17 +51,17 @@ def stratified_indices(size: int, count: int) -> np.ndarray:
 def half_step_sample(
     scene: Scene, plan: Plan | None = None, *, threads: Threads = ALL_THREADS
 ) -> dict[str, Any]:
-    """Attributes that compare a sample of points at the scene's step and at half the step, see docs/accuracy.md."""
+    """Return attributes that compare a sample of points at the scene's step and at half the step. See docs/accuracy.md."""
     indices = stratified_indices(
         scene.size, min(max(MIN_SAMPLE, scene.size // POINTS_PER_SAMPLE), MAX_SAMPLE)
     )
     plan = (plan or Plan.of(scene)).without_derived()
-    # Both runs of each point in one call, because theory takes as long for one point as for a few.
+    # One call makes both runs of each point, because theory takes as long for one point as for a few.
     both = grid.points_at_indices(scene, np.tile(indices, 2))
     columns = evaluate(plan, both, halved=np.repeat([False, True], indices.size), threads=threads)
     first, second = slice(indices.size), slice(indices.size, None)
     part, full, half = both.subset(first), subset(columns, first), subset(columns, second)
-    # Points with a label at the full step, and another label or no label at half the step.
+    # A point has changed if it has a label at the full step, and another label or no label at half the step.
     changed = np.zeros(indices.size, bool)
     for name in LABELS:
         if name in full:
@@ -90,7 +90,7 @@ def half_step_sample(
 
 
 def half_step_text(attributes: Mapping[str, Any], *, verbose: bool = True) -> str:
-    """One line of text about the attributes from `half_step_sample`."""
+    """Return one line of text about the attributes from `half_step_sample`."""
     a = attributes
     text = (
         f"{a['atlas_half_step_changed']} of {a['atlas_half_step_points']} points checked at half the step changed"

@@ -1,4 +1,4 @@
-"""From parameters to labels and theory: prepare, integrate, recheck at half the step, assemble."""
+"""Computation of labels from parameters: runs are prepared, integrated, checked at other steps and compared with theory."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from .theory import Theory, agreement, departure_changes, forget_drifting
 if TYPE_CHECKING:
     from ..measure.tangent_runs import TangentRuns
 
-# If check_half_step = "sample", the error of one point in POINTS_PER_HALF_STEP is measured.
+# The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Largest accepted relative difference of a statistic between two step sizes; an error common to both may be ten times as large.
+# Statistics from two step sizes may differ by this fraction. The error that both have in common may be ten times as large.
 LARGEST_CHANGE = 0.01
 
 
@@ -41,16 +41,16 @@ def evaluate(
     halved: Mask | bool = False,
     threads: Threads = ALL_THREADS,
 ) -> dict[str, np.ndarray]:
-    """Integrate, measure, label and compare points; returns arrays (points,) by the names of variables.
+    """Integrate, measure, label and compare points, and return arrays (points,) by the names of variables.
 
-    Points with a reason not to exist are not computed: their numbers are nan, their flags 0 except for the status. Statistics
-    that the plan does not want may be missing or cover only a part of the run, because a run may end once its label is certain;
-    points whose labels are proved have no statistics. `halved`: whether points run at half the step of the settings, one value
-    for all or (points,). Progress counts points.
+    Points with a reason not to exist are not computed. Numbers are nan there, and flags other than the status have the value for a
+    missing point. A run may end once its label is certain. Statistics that the plan does not want may therefore be missing or cover
+    only a part of the run. Points whose labels are proved have no statistics. Points where `halved` is true run at half the step of
+    the settings. Progress counts points.
     """
 
     def of_part(plan: Plan, where: Mask) -> dict[str, np.ndarray]:
-        """The variables, computed at the points `where` and missing at the others."""
+        """Compute the variables at the points `where`. Other points have missing values."""
         columns, registry = {}, variables(plan.system)
         if where.any():
             part, half = tile.subset(where), np.broadcast_to(halved, where.shape)[where]
@@ -106,10 +106,10 @@ def label_status(
     step_sensitive: Mask | bool = False,
     rounding_decides: Mask | bool = False,
 ) -> Flags:
-    """Status of each computed point: the first that applies, in the order of `flags.Status`.
+    """Return the status of each computed point, which is the first of the following conditions that applies.
 
-    rounding_growth: growth rate times duration if the start is, to rounding, on an unstable motion, else 0; step_sensitive:
-    whether the step size decides a label or a statistic, see `_recheck` and `_step_decides`; rounding_decides: see `Run`.
+    `rounding_growth` is the logarithm of the growth of rounding errors. `step_sensitive` is true where the step size decides a
+    label or a statistic (see `_recheck` and `_step_decides`). For `rounding_decides` see `Run`.
     """
     conditions = {
         Status.NOT_FINITE: ~finite,
@@ -124,7 +124,7 @@ def label_status(
 
 @dataclass(frozen=True)
 class _Runs:
-    """Points ready to be integrated, and their predictions; arrays of shape (points,)."""
+    """Points that are ready to be integrated, with predictions of theory. Arrays have shape (points,)."""
 
     plan: Plan
     tile: Grid
@@ -133,16 +133,16 @@ class _Runs:
     step_sizes: StepSizes
     settled: Mask  # whether the frequency bound holds for the whole run
     theory: Theory
-    tangent: TangentRuns | None  # after the transient, for the indicators of chaos
-    growth: TangentRuns | None  # from the start, for the growth of errors
+    tangent: TangentRuns | None  # tangent runs after the transient, for the indicators of chaos
+    growth: TangentRuns | None  # tangent runs from the start, for the growth of errors
     threads: Threads  # progress counts points
 
     def check(self) -> None:
-        """Report progress of 0 points, which ends an interrupted run."""
+        """Report a progress of 0 points, so that an interrupted run ends here."""
         self.threads.progress(0.0)
 
     def integrate(self) -> Run:
-        """Integrate the points; unresolved runs end after a few steps, drifting ones, if the plan allows it, once this is certain."""
+        """Integrate the points. Unresolved runs end after a few steps. If the plan allows it, runs also end once they surely drift."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
         further = self.tangent or self.growth
@@ -165,14 +165,14 @@ class _Runs:
         ).measure()  # fmt: skip
 
     def by_steps(self, run: Run, step_sizes: StepSizes) -> Run:
-        """The points of a run, integrated with other step sizes."""
+        """Integrate the points of `run` again with other step sizes."""
         threads = self.threads.scaled(0.0)
         ensemble = after_transient(self.plan, run.points, run.ensemble, step_sizes, threads)
         integration = ensemble.integrate(self.plan.kernel, step_sizes, run.settings.cylinder, threads=threads)
         return replace(run, ensemble=ensemble, step_sizes=step_sizes, integration=integration).measure()
 
     def resolved(self, run: Run) -> Mask:
-        """Whether the steps are short enough for the bound and for tangent vectors, and the bound holds."""
+        """Whether the frequency bound holds and the steps are short enough for the motion and the tangent vectors."""
         with np.errstate(all="ignore"):
             resolved = self.step_sizes.resolved & self.settled & run.main.resolved(run)
             if self.tangent is not None:
@@ -180,11 +180,11 @@ class _Runs:
             return resolved
 
     def with_growth(self, run: Run, status: Flags) -> Run:
-        """The run with the growth of tangent vectors where instruments need it."""
+        """Return the run with the growth of tangent vectors at the points where an instrument needs the growth."""
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
         if self.growth is None or not needed:
             return run
-        # Progress counts these runs or, if there are any, the tangent runs for chaos.
+        # Progress counts each point once. If there are tangent runs for chaos, progress counts those runs instead.
         threads = self.threads.scaled(0.0) if self.tangent else self.threads
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 
@@ -197,7 +197,7 @@ class _Runs:
 
 
 def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _Runs:
-    """The ensemble, its step sizes and its theory; points whose parameters overflow are unresolved."""
+    """Prepare runs with an ensemble, step sizes and theory. Points whose parameters overflow are unresolved."""
     system, settings, main = plan.system, plan.settings.at(tile.rate_tolerance), plan.main
     points = SharedValues(tile.points)
     ensemble, method = Ensemble.of(system, points, plan.plugs), METHODS[settings.method]
@@ -229,12 +229,12 @@ def _prepare(plan: Plan, tile: Grid, halved: Mask | bool, threads: Threads) -> _
 
 @np.errstate(all="ignore")
 def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: StepSizes, threads: Threads = ALL_THREADS) -> Ensemble:  # fmt: skip
-    """The ensemble at the end of the transients that start at its origin; progress counts the steps of all points."""
+    """Return the ensemble at the end of the transients, which start at `ensemble.origin`. Progress counts the steps of all points."""
     where, start = np.flatnonzero(step_sizes.transient_steps), replace(ensemble, state=ensemble.origin)
     if not where.size:
         return start
     steps, state, change = step_sizes.transient_steps[where], start.state.copy(), np.zeros(start.size)
-    # A transient needs no nodes; they are there so that a long run can be interrupted.
+    # A transient has nodes only so that a long run can be interrupted.
     intervals = -(-steps * WIDTH // blocks.CHUNK)
     strides = -(-steps // intervals)
     step_size = step_sizes.transient[where] / (strides * intervals)
@@ -246,11 +246,11 @@ def after_transient(plan: Plan, points: Points, ensemble: Ensemble, step_sizes: 
 
 
 def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
-    """Relative errors, and whether the step size decides a label, from further runs with other steps where needed."""
+    """Return the relative error of each run, and whether the step size decides a label. Some points are run again with other steps."""
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
-        # Integration errors may cause the departure from an unstable motion; they do so if the start is on the motion to rounding.
+        # Integration errors may cause the departure from an unstable motion. If the start is on the motion to rounding, errors cause it.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
             theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.whole_steps)
@@ -258,12 +258,12 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
         errors, error = run.errors()
         unsure = run.unsure(errors)
         # With a numeric bound all errors are measured, because expected errors ignore frequencies that the bound misses. Measured
-        # errors decide the status only if all points have them, so that the status does not depend on the sample.
+        # errors decide the status only if every point is measured, so that the status does not depend on the sample.
         is_numeric = run.system.has_numeric_bound
         every = is_numeric or run.settings.check_half_step == "all"
         sample = np.flatnonzero(usable & (every or _sample(run)))
         if sample.size:
-            # The second run has fewer steps; if it overflows, the label is unsure.
+            # The second run has fewer steps. If the second run overflows, the label is unsure.
             part, expected = run.subset(sample), error[sample]
             sizes = part.step_sizes
             coarser = sizes.incommensurate(method) if is_numeric else sizes.coarsened(method)
@@ -290,7 +290,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
 
 
 def _sample(run: Run) -> Mask:
-    """One point in POINTS_PER_HALF_STEP, by a hash of the point; none unless the settings ask for a sample."""
+    """Select one point in POINTS_PER_HALF_STEP by a hash of the point, or no point unless the settings ask for a sample."""
     if run.settings.check_half_step != "sample":
         return np.zeros(run.ensemble.size, bool)
     mixed = np.zeros(run.ensemble.size, np.uint64)
@@ -305,9 +305,10 @@ def _sample(run: Run) -> Mask:
 
 
 def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
-    """Whether another step changes a statistic by a fraction above LARGEST_CHANGE that the growth of errors does not explain.
+    """Return whether another step size changes a statistic by a fraction above LARGEST_CHANGE.
 
-    Errors grow like the distance between runs with neighbouring starts; in chaos they grow so fast that no step size would suffice.
+    Changes that the growth of errors explains do not count, because in chaos errors grow so fast that no step size would suffice.
+    The growth is measured by the distance between runs with neighbouring starts.
     """
     change = run.change(coarse)
     decides = change > LARGEST_CHANGE
@@ -324,7 +325,7 @@ def _step_decides(runs: _Runs, run: Run, coarse: Run) -> Mask:
 
 
 def _assemble(runs: _Runs, run: Run, error: Array, step_sensitive: Mask) -> dict[str, np.ndarray]:
-    """The variables from measurements and predictions; `evaluate` adds the others."""
+    """Collect the variables that measurements and predictions give. `evaluate` adds the other variables."""
     integration, main = run.integration, run.main
     resolved = main.shown(run, runs.resolved(run))
     columns: dict[str, np.ndarray] = {

@@ -1,4 +1,4 @@
-"""The plan of an integration and its measurements, made once from system, settings and wanted variables."""
+"""Plan of an integration and of its measurements, made once from a system, settings and the wanted variables."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Plan:
 
     system: System
     settings: Settings
-    outputs: Collection[str] | None = None  # variables wanted; None: `variables.default_variables`
+    outputs: Collection[str] | None = None  # wanted variables, or None for `variables.default_variables`
     specialization: Specialization = GENERIC  # terms that the kernels leave out
-    nudged: bool = False  # whether points were moved off a family's motions
-    # Whether theory is compiled as well: plain Python is faster for a few points.
+    nudged: bool = False  # whether points were moved off the motions of a family
+    # Whether theory is compiled as well. Plain Python is faster for a few points.
     in_machine_code: bool = False
 
     @classmethod
@@ -52,25 +52,25 @@ class Plan:
         given: Collection[str],
         size: int = 1,
     ) -> Plan:
-        """The plan of `size` points; given: names of the parameters that may have any value; all others have their defaults."""
+        """Return the plan of `size` points. Parameters named in `given` may have any value. Other parameters have their defaults."""
         defaults = {name: p.default for name, p in system.parameters.items() if name not in given}
         terms = Specialization.of(system, *zero_and_equal(defaults))
         return cls(system, settings, outputs, terms, in_machine_code=size > FEW_POINTS)
 
     def without_derived(self) -> Plan:
-        """The plan without derived variables, which need no run but may take long."""
+        """Return the plan without derived variables, which need no run but may take long to compute."""
         if self.outputs is None:
             return self
         derived = derived_variables(self.system)
         return replace(self, outputs=[name for name in self.outputs if name not in derived])
 
     def without_prove(self) -> Plan:
-        """The plan that integrates every point."""
+        """Return the plan that integrates every point."""
         return replace(self, settings=replace(self.settings, prove=False))
 
     @property
     def names(self) -> Collection[str]:
-        """Names of the wanted variables; empty for the default variables, none of which is optional."""
+        """Names of the wanted variables, or () for the default variables. No default variable is optional."""
         return self.outputs or ()
 
     @cached_property
@@ -80,7 +80,7 @@ class Plan:
 
     @cached_property
     def instruments(self) -> tuple[Instrument, ...]:
-        """The main instrument, then the others that the variables need."""
+        """The main instrument, followed by the other instruments that the variables need."""
         others = (each for each in instruments() if each.wanted(self.system, self.names))
         return self.main, *(each for each in others if each != self.main)
 
@@ -89,7 +89,7 @@ class Plan:
         return tuple(each for each in self.instruments if each.sums)
 
     def proofs(self, tile: Grid) -> dict[str, NDArray[Any]]:
-        """Variables that instruments give without a run, see `Instrument.proofs`."""
+        """Return the variables that instruments give without a run. See `Instrument.proofs`."""
         tolerances = self.settings.at(tile.rate_tolerance).tolerances
         each = (
             i.proofs(self.system, tile.points, tolerances, self.in_machine_code) for i in self.instruments
@@ -118,14 +118,14 @@ class Plan:
 
     @cached_property
     def without_statistics(self) -> Plan | None:
-        """The plan without statistics of the rates, if its runs may stop early and those of this plan may not, else None."""
+        """The plan without statistics of the rates, or None if leaving out the statistics does not let runs stop early."""
         statistics = {statistic.name for statistic in STATISTICS}
         names = default_variables(self.system) if self.outputs is None else self.outputs
         plan = replace(self, outputs=[name for name in names if name not in statistics])
         return plan if plan.may_stop_early and not self.may_stop_early else None
 
     def relative_costs(self, bound: Array, points: Grid) -> dict[str, float]:
-        """Expected processor times of other methods for equal errors, in units of the plan's method; empty if a step is given."""
+        """Return the processor time of each other method divided by that of the plan's method, or {} if a step is given."""
         if self.settings.step is not None:
             return {}
         costs = dict[str, float]()
@@ -147,7 +147,7 @@ class Plan:
 
     @property
     def kernel_hash(self) -> str:
-        """Hash of the kernel, and of the kernel with tangent vectors if the plan has one."""
+        """Hash of the kernel and, if points may need tangent vectors, of the kernel with tangent vectors."""
         source, terms = specialization.source, self.specialization
         texts = [source(self.system, self.settings.method, terms, self.plugs)]
         if self.has_tangent:
@@ -158,7 +158,7 @@ class Plan:
 
 
 def method_lines(method: str, costs: Mapping[str, float]) -> list[str]:
-    """A sentence on the cost of each other method, from `Plan.relative_costs`."""
+    """Return a sentence on the cost of each other method. `costs` is the result of `Plan.relative_costs`."""
     return [
         f'method: {method}; method = "{name}" would integrate in about {ratio:.2g}'
         f" {'of' if ratio < 1 else 'times'} the time at the same tolerance"

@@ -17,7 +17,7 @@ from .theory import predict_runs
 
 
 def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """For each point whether all provable labels of the plan are proved, and the variables that its instruments give without a run."""
+    """Return whether all provable labels of each point are proved, and the variables that instruments give without a run."""
     columns = plan.proofs(tile)
     proofs = [
         proof for label, proof in proofs_of_labels().items() if label in plan.names and proof in columns
@@ -28,7 +28,7 @@ def proved_points(plan: Plan, tile: Grid) -> tuple[Mask, dict[str, NDArray[Any]]
 def by_proof(
     plan: Plan, tile: Grid, progress: Callable[[float], None]
 ) -> tuple[Mask, dict[str, NDArray[Any]]]:
-    """For each point whether its labels are proved, and the variables of the proved points; progress is called with their number."""
+    """Return whether the labels of each point are proved, and the variables of the proved points. `progress` gets their number."""
     proved, columns = proved_points(plan, tile)
     if not proved.any():
         return proved, {}

@@ -1,4 +1,4 @@
-"""Labels of points given one by one."""
+"""Labels of points that are given one by one."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from ..variables import variables as variable_registry
 from .pipeline import evaluate
 from .plan import Plan, method_lines
 
-# A call with more points than this and more steps of rk4 in all (about a second) is told of a faster method.
+# A call with at least MANY_POINTS points that costs more than MANY_STEPS steps of rk4 (about a second) logs which method is faster.
 MANY_POINTS, MANY_STEPS = 100, 1e8
-_advised = False  # whether a call of this process was told
+_advised = False  # whether a call of this process has logged the advice
 OTHER_SETTINGS = ("cylinder_tolerance", "std_tolerance", "drift_tolerance", "max_steps", "check_half_step")
 
 
@@ -63,14 +63,14 @@ def label_points(
     system : str
         Name of a system, such as "satellite" or "fixed_point".
     points : mapping, list of mappings, Dataset, DataFrame or path
-        Parameter -> number, 1-D array or DataArray of any dimensions, in the units of the registry; omitted parameters take
+        Mapping from a parameter to a number, a 1-D array or a DataArray, in the units of the registry. Omitted parameters take
         their defaults. DataArrays are broadcast as xarray does; other arrays lie along the dimension "point", and so do the
         variables of a Dataset whose only dimension is not a parameter. The index of a DataFrame becomes the coordinate of "point",
         or a parameter if it is named like one. A path names a .csv or .nc file. DataFrames of polars (also lazy) and tables of
         pyarrow are read like those of pandas.
     duration : float, array_like, DataArray or str
-        In time units, or a text as in a scene: "20 orbits", "50 turns", or arithmetic in parameters and in
-        natural_rate, which differs from point to point.
+        Duration in time units, or a text as in a scene, such as "20 orbits", "50 turns", or arithmetic in parameters and
+        natural_rate, whose value may differ from point to point.
     step : float, optional
         Largest step in time units, instead of `tolerance`.
     tolerance : float
@@ -80,18 +80,18 @@ def label_points(
     rate_tolerance : float or str
         Largest variation of a rate that counts as constant, rad per time unit: a number, or arithmetic as in `duration`.
     transient : float or str
-        Time before the run in which motions may settle: statistics, labels and indicators of chaos begin after it.
+        Time before the run in which motions may settle. Statistics, labels and indicators of chaos begin after this time.
     variables : sequence of str, optional
-        Names of the wanted variables; default: all that are measured or predicted, except optional ones.
+        Names of the wanted variables. The default is all measured and predicted variables that are not optional.
     threads : int, optional
-        Default: all processors, or one thread for each chunk of a lazy result.
+        Number of threads. The default is all processors, or one thread for each chunk of a lazy result.
     progress : bool
         Print progress on the standard error stream.
     keep : sequence of str, optional
         Columns of `points`, other than parameters, that become coordinates of the result. Columns of text, and columns named
         id, index, name, number or point, are always kept.
     **other_settings
-        cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step: as in a scene.
+        Settings as in a scene: cylinder_tolerance, std_tolerance, drift_tolerance, max_steps, check_half_step.
 
     Returns
     -------
@@ -114,8 +114,8 @@ def label_points(
     If an array is a dask array, the result is lazy: it is computed chunk by chunk, bit for bit as in memory. Values out of range
     are then found only in the computation, and there are no warnings and no attributes that depend on values.
 
-    Parameters that are not given are compiled away where their defaults make a term vanish, or two terms equal. A parameter that
-    is given as 0 is computed, so results may differ by rounding. Points never affect each other.
+    The kernel leaves out terms that vanish or are equal because omitted parameters have their defaults. A parameter that is given as
+    0 is computed, so results may differ by rounding. Points never affect each other.
     """
     description = systems.get(system)
     for key in set(other_settings) - set(OTHER_SETTINGS):
@@ -156,7 +156,7 @@ def label_points(
         if name in outputs:
             raise BadInput(f"points: the column {name} has the name of a variable of the result; rename it")
     lazy = any(array.chunks is not None for array in (*arrays, lengths))
-    if lazy:  # only numbers can be checked now
+    if lazy:  # values of dask arrays are not known yet, so only single numbers are checked
         single = {name: array.values for name, array in zip(names, arrays, strict=True) if not array.ndim}
         flat_columns(description, [*single], [*single.values()], (), source)
     sizes = {dim: n for array in (*arrays, lengths) for dim, n in array.sizes.items()}
@@ -184,7 +184,7 @@ def label_points(
 
 @dataclass(frozen=True)
 class _Labels:
-    """A function of the parameters and, last, the durations of points (arrays); dask may send it to other processes."""
+    """Function that labels points from arrays of parameters and, last, durations. Dask may send the function to other processes."""
 
     system: str
     settings: Settings
@@ -192,15 +192,15 @@ class _Labels:
     outputs: Sequence[str]  # names of the returned variables
     names: Sequence[str]  # names of the parameters
     size: int  # number of points in all chunks
-    duration: Duration | None  # if given, used instead of the last array
+    duration: Duration | None  # replaces the last array unless it is None
     transient: Duration
     threads: int | None
     progress: bool
-    source: Any  # table of the points, for messages
-    warnings: list[str] | None  # warnings about the points are appended
+    source: Any  # table of the points, which messages name
+    warnings: list[str] | None  # list to which warnings about the points are added
 
     def __call__(self, *arrays: Array) -> tuple[np.ndarray, ...] | np.ndarray:
-        """The outputs at the points, in the shape of the arrays."""
+        """Return the outputs at the points, in the shape of the arrays."""
         system, shape = systems.get(self.system), np.broadcast_shapes(*(array.shape for array in arrays))
         points = flat_columns(system, self.names, arrays[:-1], shape, self.source)
         durations = np.broadcast_to(arrays[-1], shape).ravel()
@@ -219,7 +219,7 @@ class _Labels:
 
 
 def warnings_of(system: System, outputs: Sequence[str], points: grid.Grid, duration: Duration) -> list[str]:
-    """Warnings about points; BadInput if none can be computed."""
+    """Return warnings about points, or raise BadInput if no point can be computed."""
     check_possible(system, points.base)
     if not points.exists.any():
         reason = grid.Reason(points.reason[points.reason >= grid.Reason.NO_DURATION].min())
@@ -232,13 +232,13 @@ def warnings_of(system: System, outputs: Sequence[str], points: grid.Grid, durat
     warnings += grid.unit_warnings(system, outputs, computed) + grid.settling_warnings(system, computed)
     try:
         system.check(points.base)
-    except BadInput as error:  # incomplete points
+    except BadInput as error:  # the points are incomplete or contradictory
         warnings.append(str(error))
     return warnings
 
 
 def _advise(plan: Plan, points: grid.Grid) -> None:
-    """Log, once in a process, which other method would save time in a long call."""
+    """Log once in a process which other method would save time in a long call."""
     global _advised
     exists = np.flatnonzero(points.exists)
     if _advised or exists.size < MANY_POINTS:
@@ -257,7 +257,7 @@ def _advise(plan: Plan, points: grid.Grid) -> None:
 def _evaluate_in_tiles(
     plan: Plan, points: grid.Grid, names: Sequence[str], threads: int | None, progress: bool
 ) -> dict[str, np.ndarray]:
-    """The named variables of all points."""
+    """Evaluate the points in tiles and return the variables `names` of all points."""
     size, registry = points.duration.size, variable_registry(plan.system)
     columns = {name: np.empty(size, registry[name].dtype) for name in names}
     bar = Progress(size, show=progress)

@@ -42,36 +42,37 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# If half the step changes theta' by a smaller fraction, a start near an unstable motion departs because of its nudge, not of errors.
+# If halving the step changes theta' by a smaller fraction, the offset of the start and not an error made it leave an unstable motion.
 HALF_STEP_RTOL = 0.05
-# Number of samples of an exact motion about other axes; error of the statistics of the samples, divided by the samples' spread.
+# An exact motion about other axes is sampled at _SAMPLES times. The error of a statistic is _SAMPLING_ERROR times the spread.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What theory predicts for a set of runs; arrays of shape (points,)."""
+    """Predictions of theory for a set of runs. Arrays have shape (points,)."""
 
-    variables: Mapping[str, np.ndarray]  # labels, with family, stable and growth_rate
-    motion: TwoAxes | None  # axes and rates before the nudge; None if the equations do not decide
+    variables: Mapping[str, np.ndarray]  # predicted labels, family, stable and growth_rate
+    motion: TwoAxes | None  # axes and rates before the nudge, or None if families decide
     test: SteadyTest
-    answer: Flags  # values of `Existence`, after `predict`
-    family_residual: Array  # residual of the family's conditions at the start before the nudge
-    # How far the start of the run is from the conditions of the steady motion to which `log_growth` belongs
+    answer: Flags  # values of `Existence` that `predict_labels` returns
+    family_residual: Array  # residual of the family's conditions before the nudge
+    # Residual, at the start of the run, of the conditions of the steady motion to which `log_growth` belongs.
     start_residual: Array
-    about_other_axes: Mask  # whether this steady motion is about other axes than the third and the vertical
-    pushed: Mask  # whether a nudge moved the start off its motion
-    # Logarithm of the growth of a distance from the motion until the end of the run; 0 where it is unknown
+    # Whether the motion is about axes other than the third and the vertical, and labels about any axes are measured.
+    about_other_axes: Mask
+    pushed: Mask  # whether a nudge moved the start off the steady motion
+    # Logarithm of the factor by which a distance from the motion grows until the end of the run, 0 where the factor is unknown.
     log_growth: Array
     may_settle: Mask  # whether the run begins after a transient from a start that is no steady motion
 
 
 @np.errstate(all="ignore")
 def predict_runs(plan: Plan, tile: Grid) -> Prediction:
-    """Predictions for the runs of a plan, in the order of `theory.prediction`.
+    """Predict labels and growth for the runs of a plan by the rules of `theory.prediction`.
 
-    Motions about other axes than the third and the vertical have a log_growth only if labels about any axes are measured: the
-    other labels call them drifting anyway.
+    A motion about axes other than the third and the vertical has a `log_growth` only if labels about any axes are measured, because
+    the other labels call the motion drifting anyway.
     """
     system, duration, until, base = plan.system, tile.duration, tile.until, SharedValues(tile.base)
     points, nudged = SharedValues(tile.points) if plan.nudged else base, plan.nudged
@@ -119,9 +120,10 @@ def _tests_and_families(
     nudged: bool,
     in_machine_code: bool,
 ) -> tuple[TwoAxes | None, SteadyTest, Flags, Array]:
-    """Steady motions and tests of the starts by the equations; families of the starts, and the residuals of the families' conditions.
+    """Return steady motions, tests of the starts, families of the starts, and residuals of the families' conditions.
 
-    If the theorem does not cover a system, its families decide: a start on a family is exact, others have no label.
+    The motions and the tests come from the equations. If the theorem does not cover a system, families decide instead. The motions
+    are then None, a start on a family is exact, and other starts have no label.
     """
     size = duration.size
     family, residual = np.zeros(size, np.int8), np.full(size, np.inf)
@@ -145,7 +147,7 @@ def _tests_and_families(
 def forget_drifting(
     system: System, labels: dict[str, np.ndarray], where: Mask, constants: Array, *states: Array
 ) -> None:
-    """Remove predictions of drifting where the flow changes phase volume at one of the states, because the motion may settle."""
+    """Remove predictions of drifting where the flow changes phase volume at any of `states`, because the motion may settle there."""
     if where.any():
         changes = [changes_volume(system.equations, state, constants) for state in states]
         unknown = where & np.any(changes, axis=0)
@@ -156,18 +158,18 @@ def forget_drifting(
 
 @dataclass(frozen=True)
 class Theory:
-    """Theory of runs; arrays of shape (points,), with zero growth for systems without theory."""
+    """Theory of a set of runs. Arrays have shape (points,), and growth is 0 for systems without theory."""
 
     prediction: Prediction
-    rounding_growth: Array  # log_growth where the start is on the motion to rounding, else 0
-    growth_about_vertical: Array  # log_growth if the third axis stays exactly on the vertical
-    unstable: Mask  # whether the start is, to rounding, on an unstable steady motion or motion in the plane
+    rounding_growth: Array  # log_growth where the start is exact to within rounding, else 0
+    growth_about_vertical: Array  # log_growth of a third axis that stays exactly on the vertical
+    unstable: Mask  # whether the start lies, to within rounding, on an unstable exact motion
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    unknown_growth: Mask  # whether only a missing extension could give the growth
+    unknown_growth: Mask  # whether the growth is unknown because an extension is missing
 
     @classmethod
     def of(cls, plan: Plan, tile: Grid, ensemble: Ensemble, step_sizes: StepSizes) -> Theory:
-        """Theory of the points of a plan."""
+        """Compute the theory of the points of a plan."""
         system, zero = plan.system, np.zeros(ensemble.size)
         if not plan.main.has_theory:
             no, none = zero > 0, zero.astype(np.int8)
@@ -175,7 +177,7 @@ class Theory:
             nothing = Prediction({}, None, test, none, zero, zero, no, no, zero, no)
             return cls(nothing, zero, zero, zero > 0, {"label": zero}, zero > 0)
         prediction = predict_runs(plan, tile)
-        # The start counts as exact where rounding is at least a per cent of the growth of its offset in one step.
+        # A start counts as exact if its offset grows in one step by at most a hundred rounding errors.
         growth_in_step = prediction.variables["growth_rate"] * step_sizes.step_size
         max_residual = np.fmin(
             np.fmax(ROUNDING_RESIDUAL, 100.0 * ROUNDING / growth_in_step), FAMILY_TOLERANCE
@@ -200,19 +202,19 @@ class Theory:
         return np.asarray(amplified & (growth > 0))
 
     def rounding(self, run: Run) -> tuple[Array, Array]:
-        """Logarithms of the growth of rounding errors during the run, and of the growth that makes them as large as a tolerance."""
-        # A third axis that is exactly on the vertical has no tilt that could grow.
+        """Return the logarithm of the growth of rounding errors in a run, and the logarithm at which the errors reach a tolerance."""
+        # A third axis that stays exactly on the vertical has no tilt that could grow.
         sine = run.measured.get("sine_max", np.ones(run.ensemble.size))
         residual = self.prediction.start_residual
         least = np.fmin(self.rounding_growth, self.growth_about_vertical)
         growth = np.where(sine == 0.0, least, self.rounding_growth)
-        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth of a tilt as large as the residual
+        measured = np.log(sine / np.fmax(residual, ROUNDING))  # growth of a tilt from this residual
         growth = np.where(self.unknown_growth, measured, growth)
         tolerances = run.settings.tolerances
         return growth, rounding_limit(residual, run.bound, tolerances.rate, tolerances.angle)
 
     def departed(self, run: Run) -> Mask:
-        """Whether a motion drifts and may have left an unstable motion by integration errors."""
+        """Whether a motion drifts and may have left an unstable motion because of integration errors."""
         kinds = run.labels()
         kind = np.where(
             self.prediction.about_other_axes, kinds.get("label_any_axis", kinds["label"]), kinds["label"]
@@ -222,7 +224,7 @@ class Theory:
 
 
 def departure_changes(run: Run, fine: Run) -> Mask | bool:
-    """Whether a motion leaves an unstable motion differently at half the step."""
+    """Whether halving the step changes how a motion leaves an unstable motion."""
     rms, fine_rms = (each.measured.get("theta_dot_rms", np.zeros(1)) for each in (run, fine))
     return np.asarray(np.abs(fine_rms - rms) > HALF_STEP_RTOL * fine_rms)
 
@@ -235,9 +237,9 @@ def predict(
     duration: Array | float = np.inf,
     rough: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Labels, family, stable and growth_rate of starts, from their families alone and without a nudge.
+    """Predict labels, family, stable and growth_rate of starts from families alone, without a nudge.
 
-    rough: whether growth_rate may have fewer digits.
+    If `rough` is true, growth_rate may have fewer digits.
     """
     family, _ = _identify(system, points)
     stable, growth = (
@@ -258,10 +260,10 @@ def exact_labels(
     duration: Array,
     tolerances: Tolerances,
 ) -> dict[str, Flags]:
-    """Labels of exact motions from their statistics.
+    """Return the labels of exact motions, which follow from their statistics.
 
-    elsewhere: whether a motion is about other axes. The statistics of such a motion are sampled; if their error could change the
-    label, the label is not_computed. If `motion` is None, such motions drift.
+    Where `elsewhere` is true, a motion is about axes other than the third and the vertical, and its statistics are sampled. A label
+    that the sampling error could change is not_computed. If `motion` is None, motions about other axes are labelled drifting.
     """
     others = np.flatnonzero(elsewhere)
     sine, n, m = system.steady_rates(points)
@@ -286,7 +288,7 @@ def exact_labels(
 
 
 def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
-    """The angular velocity in the frame and the frame's vertical at the start, in body axes, (3, points)."""
+    """Return the angular velocity in the frame and the vertical of the frame, both at the start and along body axes, (3, points)."""
     motion = system.equations.frame_motion(system.initial_state(points), system.constants(points))
     return np.array(motion[:3]), np.array(motion[3:])
 
@@ -294,8 +296,8 @@ def frame_motion(system: System, points: Points) -> tuple[Array, Array]:
 def _statistics(
     system: System, points: Points, axes: TwoAxes, duration: Array, cylinder: float
 ) -> tuple[Measured, Measured]:
-    """Sampled measurements of exact motions that decide labels, and the errors of sampling."""
-    # Multiples of the golden section: evenly spread, and in resonance with no period.
+    """Sample the measurements that decide the labels of exact motions, and return them with the sampling errors."""
+    # Multiples of the golden section are spread evenly and are in resonance with no period.
     times = (np.arange(1, _SAMPLES + 1) * (np.sqrt(5) - 1) / 2 % 1)[:, None] * duration
     u, g = motion_about_axes(axes, frame_motion(system, points)[1], times)
     sine = np.hypot(g[0], g[1])
@@ -314,13 +316,13 @@ def _statistics(
 
 
 def _identify(system: System, points: Points) -> tuple[Flags, Array]:
-    """Family of each start and the residual of its conditions, see `System.identify_family`; family 0 (none) out of range."""
+    """Return the results of `System.identify_family`, the family and the residual of each start, with family 0 (none) out of range."""
     family, residual = system.identify_family(points)
     return np.where(within_range(system, points), family, 0).astype(np.int8), residual
 
 
 def predicted_frames(system: System, points: Points) -> dict[str, Array]:
-    """Name of a predicted label -> rate of its frame, which is added to psi', rad per time unit."""
+    """Return the rates (rad per time unit) that are added to psi' for each predicted label, by the name of the label."""
     frames = {"predicted": np.zeros(shape_of(points))}
     if system.frame_rate is not None:
         frames["predicted_inertial"] = system.frame_rate(points)
@@ -328,12 +330,12 @@ def predicted_frames(system: System, points: Points) -> dict[str, Array]:
 
 
 def on_other_axes(system: System, family: Flags) -> Mask:
-    """Whether a family's motion is about other axes than the third and the vertical."""
+    """Whether the motion of a family is about axes other than the third and the vertical."""
     return np.isin(family, [f.flag for f in families_of(system).values() if f.axes is not None])
 
 
 def agreement(label: Flags, predicted: Flags) -> Flags:
-    """Value of flags.Agreement for each point."""
+    """Return the values of `flags.Agreement` for two labels of each point."""
     unknown = (predicted == Label.NOT_COMPUTED) | (label == Label.NOT_COMPUTED) | (label == Label.UNRESOLVED)
     conditions = {
         Agreement.NOT_COMPARED: unknown,

@@ -1,4 +1,4 @@
-"""The motion of one point in time, by the kernel and the steps that label it in an atlas."""
+"""Motion of one point in time, computed with the kernel and the steps that label the point in an atlas."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from ..systems.base import Array, Points, System, check_possible, time_units
 from ..variables import main_instrument
 from .plan import Plan
 
-# Largest number of instants of a trajectory; with so many it takes some gigabytes.
+# Largest number of instants of a trajectory. A trajectory of this length takes some gigabytes.
 MAX_SAMPLES = 10**7
-# psi and phi are continued from node to node, SIDE_BY_SIDE nodes at a time. The instants of the trajectory are nodes; if they are
-# fewer than NODES, nodes at least STEPS_PER_NODE steps apart are added between them.
+# psi and phi are continued from node to node, for SIDE_BY_SIDE nodes at a time. Every instant of the trajectory is a node. If there
+# are fewer than NODES instants, further nodes are added, which are at least STEPS_PER_NODE steps apart.
 NODES, STEPS_PER_NODE, SIDE_BY_SIDE = 1000, 64, 4096
-# psi and phi are continued over a step in which the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body
-# by less than d / MARGIN, where d is the sum of its distances from the third axis at the two ends. Longer steps are halved, until
-# d < AT_VERTICAL, which is rounding.
+# Let d be the sum of the distances between the vertical and the third axis at the two ends of a step. psi and phi are continued over
+# the step if the body turns by less than LARGEST_TURN (rad) and the vertical moves in the body by less than d / MARGIN. A longer step
+# is halved, unless d < AT_VERTICAL, where d is a rounding error.
 AT_VERTICAL, LARGEST_TURN, MARGIN = 1e-13, 1.5, 1.5
 MAX_HALVINGS = 60
 # Components of the first axis of the frame along the body axes.
@@ -71,11 +71,11 @@ def trajectory(
     point : mapping of str to float, or Series
         Parameters; omitted parameters take their defaults. A row of a DataFrame for `label_points` may be given.
     duration : float or str
-        In time units, or a text as in `label_points`.
+        Duration in time units, or a text as in `label_points`.
     samples : int
         Number of evenly spaced instants from 0 to `duration`, at least 2.
     step : float, optional
-        Largest step in time units; a whole number of steps lies between two instants. Default: as in `label_points`, or shorter.
+        Largest step in time units. By default steps are as long as in `label_points`, or shorter to end at the instants.
     method : str
         "rk4" or "rk8".
     tolerance : float
@@ -86,31 +86,31 @@ def trajectory(
     Returns
     -------
     xarray.Dataset
-        Over the dimension "time", float64: the states by their names in the equations; theta, psi, phi (rad); theta_dot,
-        psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (the third body axis in the frame: for the
-        satellite along radius, velocity and normal); frame_axis_1, _2, _3 (the first axis of the frame along the body axes,
-        unless the state contains it); integral_drift. For a system with observables: the states, the observables and
-        integral_drift. Without a dimension: `step` and the parameters (with the suffix _start if a variable over "time" has
-        the same name). Attributes as in an atlas.
+        Variables over the dimension "time", float64. For a body they are the states by their names in the equations; theta,
+        psi, phi (rad); theta_dot, psi_dot, phi_dot, normal_rate (rad per time unit); axis_x, axis_y, axis_z (components of the
+        third body axis in the frame, for the satellite along radius, velocity and normal); frame_axis_1, _2, _3 (components of
+        the first frame axis along the body axes, unless the state contains this axis); integral_drift. A system with
+        observables has the states, the observables and integral_drift. `step` and the parameters have no dimension. The name
+        of a parameter ends in _start if a variable over "time" has the same name. Attributes are as in an atlas.
 
     Raises
     ------
     BadInput
-        As `label_points`.
+        In the cases in which `label_points` raises it.
 
     Notes
     -----
-    psi and phi begin at psi0 and phi0 (psi at 0 if the system has no psi0) and are unwrapped along the steps of the
-    integration, so that their values, and the axis, do not depend on `samples`. The axis comes from a vector at rest in the
+    psi and phi begin at psi0 and phi0 (psi at 0 if the system has no psi0). Both angles are unwrapped along the steps of the
+    integration, so that neither the angles nor the axis depend on `samples`. The axis comes from a vector at rest in the
     frame, which is integrated with the motion and is regular on the vertical. On the vertical psi and phi do not exist and are
     nan. If the third axis passes close to the vertical, psi and phi both change by half a turn, so that psi + phi is
-    continuous (psi - phi at theta = pi); if it passes exactly through the vertical, phi turns forward.
+    continuous (psi - phi at theta = pi). If the third axis passes exactly through the vertical, phi turns forward.
     """
     settings = Settings(method=method, step=step, tolerance=tolerance, rate_tolerance=rate_tolerance)
     description = systems.get(system)
     length = parse_duration(duration, names=description.parameters)
     source = table(point, description.parameters)
-    # The kernel of `label_points` for the same parameters.
+    # `label_points` uses the same kernel for the same parameters.
     plan = Plan.of_points(description, settings, None, source)
     return trajectory_of_point(plan, source, length, samples)
 
@@ -118,7 +118,7 @@ def trajectory(
 def trajectory_of_point(
     plan: Plan, point: Mapping[str, Any], duration: Duration, samples: int, title: str = ""
 ) -> xr.Dataset:
-    """Motion of one point by the kernel of a plan, see `trajectory`."""
+    """Return the motion of one point, computed with the kernel of `plan`. See `trajectory`."""
     system, settings = plan.system, plan.settings
     checks.whole_number("samples", samples, 2, MAX_SAMPLES)
     points, size = point_columns(system, point)
@@ -135,7 +135,7 @@ def trajectory_of_point(
     settings = settings.with_number(float(rate_tolerance[0]))
     at_point, ensemble = settings.at(rate_tolerance), Ensemble.of(system, points)
     method = METHODS[settings.method]
-    with np.errstate(all="ignore"):  # numbers may overflow: the motion is then not finite
+    with np.errstate(all="ignore"):  # the motion is not finite if numbers overflow
         bound, _ = numeric_bound.along_runs(
             system, plan.kernel, method, ensemble, durations, settings.max_steps, blocks.Threads(1)
         )
@@ -157,7 +157,7 @@ def trajectory_of_point(
     at_samples = slice(None, None, parts)
     path, lost = ({name: values[at_samples] for name, values in each.items()} for each in (path, lost))
     ds = _dataset(system, ensemble, states[at_samples], lost, path, np.linspace(0.0, durations[0], samples))
-    # Variables, because xarray prints scalar coordinates over every plot.
+    # Numbers are stored as variables, because xarray prints scalar coordinates over every plot.
     ds["step"] = (
         (),
         float(step_size[0]),
@@ -176,7 +176,7 @@ def trajectory_of_point(
 
 
 def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: int = 1001) -> xr.Dataset:
-    """Motion of the point of a scene with the given value of each axis; BadInput if an axis is wrong or there is no motion."""
+    """Return the motion at the value of each axis in `places`; BadInput for a wrong axis or a point without motion."""
     located = grid.point_at(scene, places, "a trajectory")
     point = {name: values[0] for name, values in located.points.items() if not np.isnan(values[0])}
     place = ", ".join(f"{name} = {value:g}" for name, value in places.items())
@@ -190,7 +190,7 @@ def trajectory_of_scene(scene: Scene, places: Mapping[str, float], *, samples: i
 def _states(
     module: Any, ensemble: Ensemble, steps: NDArray[np.int64], step_size: Array
 ) -> tuple[Array, dict[str, Array]]:
-    """States at the start and after each number of steps, (nodes, states), and the losses of first integrals up to each node."""
+    """Return the states at the nodes, which are `steps` apart, (nodes, states), and the losses of first integrals at each node."""
     count, arrays = len(ensemble.state), ensemble.arrays(module, step_size)
     schedules = {n: blocks.pack_blocks(np.array([n]), np.array([n])) for n in set(steps.tolist())}
     states = np.empty((steps.size + 1, len(arrays.state)))
@@ -210,7 +210,7 @@ def _dataset(
     path: Mapping[str, Array],
     time: Array,
 ) -> xr.Dataset:
-    """The trajectory with angles, rates and the drift of the first integrals."""
+    """Return the trajectory with angles, rates and the drift of the first integrals."""
     equations, constants = system.equations, ensemble.constants
     columns = {name: states[:, i] for i, name in enumerate(equations.STATE)}
     if path:
@@ -249,7 +249,7 @@ def _dataset(
 
 
 def attributes_of(system: System) -> dict[str, dict[str, str]]:
-    """Attributes of the quantities of a motion by name; only states that are rates have known units."""
+    """Return the attributes of each quantity of a motion, by name. Only states that are rates have known units."""
     attributes = {name: {"long_name": f"state {name}"} for name in system.equations.STATE}
     for name in system.rate_states:
         attributes[name]["units"] = _RATE
@@ -265,14 +265,14 @@ def attributes_of(system: System) -> dict[str, dict[str, str]]:
 def _path(
     system: System, points: Points, motion: _Motion, states: Array, steps: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """psi and phi, unwrapped, and the third axis in the frame at the nodes; states: (nodes, states); steps: numbers between nodes."""
+    """Return the unwrapped psi and phi and the third axis in the frame at the nodes. `states` has shape (nodes, states)."""
     state = states.T
     vertical = np.array(system.equations.frame_motion(state, motion.constants)[3:])
     if motion.equations is system.equations:
         turns, _ = motion.turns(state[:, :-1], steps)
     else:
-        # The motions from all nodes are computed side by side, each with three known vectors, the first of them horizontal. The
-        # first axis of the frame is a combination of the three, because its equation is linear.
+        # The motions from all nodes are computed side by side, each with three known vectors, of which the first is horizontal. The
+        # first axis of the frame is a linear combination of the three vectors, because the equation of this axis is linear.
         unit = vertical / np.linalg.norm(vertical, axis=0)
         body_axis = np.argmin(np.abs(unit), axis=0)
         first = np.eye(3)[:, body_axis] - unit * np.take_along_axis(unit, body_axis[None], 0)
@@ -297,7 +297,7 @@ def _path(
 
 
 def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
-    """First axis of the frame along the body axes at the start, from psi0 and, if the third axis is vertical, phi0 (default 0)."""
+    """Return the first frame axis at the start along body axes. The axis follows from psi0, and phi0 if the third axis is vertical."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
     psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # so that theta is positive
@@ -310,13 +310,13 @@ def frame_vector(system: System, points: Points, state: Array, constants: Array)
 
 
 def _branch(angle: Any, near: Any) -> Any:
-    """The angle plus the number of whole turns that brings it nearest to `near`."""
+    """Return `angle` plus the number of whole turns for which the sum is nearest to `near`."""
     return angle + 2 * np.pi * np.rint((near - angle) / (2 * np.pi))
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """Many motions of one body, with equations that have `axis_in_frame`, a method, constants (constants, 1), and a step size."""
+    """Integrator of many motions of one body. `equations` must have `axis_in_frame`. `constants` has shape (constants, 1)."""
 
     equations: Any
     method: Method
@@ -324,14 +324,14 @@ class _Motion:
     step_size: float
 
     def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), speed of the vertical in the body, angular speed of the body."""
+        """Return sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and two speeds: of the vertical and of the rotation."""
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
         x, y = self.equations.axis_in_frame(state, self.constants)
         speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)
         return x + 1j * y, g2 + 1j * g1, g3, np.array([speed, np.sqrt(u1 * u1 + u2 * u2 + u3 * u3)])
 
     def step(self, state: Array) -> Array:
-        """The states, (states, motions), after one step."""
+        """Return the states, (states, motions), after one step."""
 
         def slope(state: Array) -> Array:
             return np.array(np.broadcast_arrays(*self.equations.rhs(state, self.constants)))
@@ -339,7 +339,7 @@ class _Motion:
         return np.asarray(self.method.step(slope, state, self.step_size))
 
     def turns(self, state: Array, steps: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Changes of psi and phi, (2, motions), in the given number of steps of each motion, and the final states."""
+        """Return the changes of psi and phi, (2, motions), in `steps` steps of each motion, and the final states."""
         numbers = [np.flatnonzero(steps == number) for number in np.unique(steps)]
         groups = [group for each in numbers for group in np.array_split(each, -(-each.size // SIDE_BY_SIDE))]
         if len(groups) > 1:
@@ -366,16 +366,16 @@ class _Motion:
     def _add_turns(
         self, turns: Array, before: Array, after: Array, motions: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Add the changes of psi and phi to `turns`; return both end states and the indices of motions whose step is too long."""
+        """Add the changes of psi and phi to `turns`, and return both end states and the indices of motions whose step is too long."""
         w0, z0, g3, rates0 = self.axis_and_vertical(before)
         w1, z1, _, rates1 = self.axis_and_vertical(after)
         distance, (path, angle) = np.abs(z0) + np.abs(z1), self.step_size * np.maximum(rates0, rates1)
         too_long = ((distance <= MARGIN * path) | (angle >= LARGEST_TURN)) & (distance >= AT_VERTICAL)
         turn = z1 * z0.conj()
         phi = np.angle(turn)
-        # If the axis passes exactly through the vertical, phi changes by half a turn, forward whatever the rounding.
+        # If the axis passes exactly through the vertical, phi changes by half a turn. The turn is forward, whatever the rounding.
         phi = np.where(phi < 0.1 - np.pi, phi + 2 * np.pi, phi)
-        # Near the vertical psi + phi is regular, near its opposite psi - phi.
+        # psi + phi is regular near the vertical, and psi - phi is regular near the opposite direction.
         regular = np.angle(w1 * w0.conj() * np.where(g3 > 0.0, turn, turn.conj()))
         psi = np.where(g3 > 0.0, regular - phi, regular + phi)
         for total, change in zip(turns, (psi, phi), strict=True):

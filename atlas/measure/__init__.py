@@ -1,1 +1,1 @@
-"""Instruments: measurements of runs, their errors, the labels that follow, and their variables."""
+"""Instruments, which measure runs and give labels, errors and the variables of an atlas."""

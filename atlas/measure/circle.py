@@ -1,13 +1,14 @@
-"""Motions that are steady about any axis: is the angular velocity in the body constant, or on a circle?
+"""Labels of motions that are steady about any axis. Their angular velocity in the body is constant or moves on a circle.
 
 A body that turns at the rate m about a body-fixed axis s, while s turns at the rate n about an axis e fixed in the frame, has
 the angular velocity u = n e + m s. In the body e turns about s at the rate -m, so u moves on a circle about s at constant
-speed: u' = -m s x u. The converse holds as well. The radius of the circle, n sin(nutation), the height of its plane,
-u . s = m + n cos(nutation), and the speed determine m, n and the nutation, the angle between s and e.
+speed, u' = -m s x u. Conversely, each motion of u on a circle at constant speed has this form. The nutation is the angle between
+s and e. Three numbers determine m, n and the nutation: the radius n sin(nutation) of the circle, the height
+u . s = m + n cos(nutation) of its plane, and the speed.
 
-Sums over the nodes give the plane nearest to the angular velocities, and their distance from a circle in this plane. To avoid
-cancellation, differences from the start are summed, along body axes x, y, z; about z the angular velocity turns at the start,
-so that on a circle the differences along z are rounding errors.
+Sums over the nodes give the plane nearest to the angular velocities, and the distance of the angular velocities from a circle in this
+plane. Only differences from the start are summed, which avoids cancellation. They are taken along body axes x, y, z. The angular
+velocity turns about z at the start, so that on a circle the differences along z are rounding errors.
 """
 
 from __future__ import annotations
@@ -30,24 +31,24 @@ from .instrument import Instrument, Measured, Rule, Run, Tolerances, Variable
 from .rates import existing, relative_error, steady_label
 from .rates import label as label_of_third_axis
 
-# Time step of the finite differences at the start, times the bound of the fastest frequency. On a circle the error of the second
-# derivative lies in the plane of the circle.
+# Time step of the finite differences at the start, multiplied by the frequency bound. On a circle the error of the second derivative
+# lies in the plane of the circle.
 DIFFERENCE_TIME = 1e-2
-# Sweeps of Jacobi's method for the axes of a 3 x 3 matrix; it converges quadratically.
+# Number of sweeps of Jacobi's method, which converges quadratically, for the axes of a 3 x 3 matrix.
 SWEEPS = 6
 
 
 class Axis(IntEnum):
-    """Rows of the constants of a point in one frame: axes x, y, z in the body, and the motion at the start."""
+    """Rows of the constants of a point in one frame, which are the axes x, y, z in the body and the motion at the start."""
 
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
-    # Along x, y, z: the angular velocity, the square of its derivative, the derivative, the vertical.
+    # Components along x, y, z of the angular velocity (START), of its derivative (SLOPE) and of the vertical.
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
 
 class Sum(IntEnum):
-    """Trapezoidal sums over the nodes: differences of u (x, y, z), u^2 (l) and u'^2 (s) from the start, and their products."""
+    """Trapezoidal sums over the nodes of the differences of u (X, Y, Z), u^2 (L) and u'^2 (S) from the start, and of products."""
 
     X, Y, Z, XX, XY, YY, XZ, YZ, ZZ, L, LL, LX, LY, LZ, S, SS = range(16)
 
@@ -89,12 +90,12 @@ def add_to_circle(sums, s, axes, a, l, nodes, i, intervals, spacing, inverse_uni
 def circle_axes(
     equations: ModuleType, state: Array, constants: Array, frame_rate: Array, bound: Array
 ) -> Array:
-    """Constants in one frame, (len(Axis), points); frame_rate times the vertical is added to the system's angular velocity."""
+    """Return the constants in a frame, (len(Axis), points). The angular velocity in the frame is u + frame_rate * vertical."""
     with np.errstate(all="ignore"):
         h = DIFFERENCE_TIME / np.where((bound > 0) & np.isfinite(bound), bound, 1.0)
         slope = np.array(equations.rhs(state, constants))
         after, before = (np.array(equations.rhs(state + t * slope, constants)) for t in (h, -h))
-        curvature = 0.5 * h * (after - before)  # h^2 times the second derivative
+        curvature = 0.5 * h * (after - before)  # h^2 times the second derivative of the state
         later, now, earlier = (
             np.array(equations.frame_motion(state + sign * h * slope + sign**2 * 0.5 * curvature, constants))
             for sign in (1.0, 0.0, -1.0)
@@ -102,7 +103,7 @@ def circle_axes(
         motions = now, (later - earlier) / (2.0 * h), (later - 2.0 * now + earlier) / h**2
         u, du, ddu = (each[:3] + frame_rate * each[3:] for each in motions)
         du = np.where(np.isfinite(du), du, 0.0)  # a run that overflows is not resolved
-        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s: z has this direction, or any direction where u'' x u' is 0.
+        # u' = m u x s and u'' = m u' x s give u'' x u' = m |u'|^2 s, which is the direction of z. Where u'' x u' is 0, z is arbitrary.
         direction = cross(ddu, du)
         size = np.sqrt(dot(direction, direction))
         exists = np.isfinite(size) & (size > 0)
@@ -115,14 +116,15 @@ def circle_axes(
 
 
 def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> dict[str, Array]:
-    """The circle nearest to the angular velocities u of each run in one frame, and their distance from it, (points,) each.
+    """Return statistics of the circle that is nearest to the angular velocities u of each run in one frame, (points,) each.
 
-    In rad per time unit: `spread`, standard deviation of u; `height` and `height_std`, mean and deviation of u along s, the normal of
-    the best plane; `radius` and `radius_std`, root mean square and deviation of the distance of u from the line along s; `extent`,
-    the smaller principal deviation of u in the plane; `spin` and `spin_std`, the rate of the body about s and its deviation;
-    `rate_1` to `rate_3`, mean of u along the body axes. `spin_axis_1` to `spin_axis_3`: s along the body axes, of
-    either sign. Angles in rad from the vertical at the start: `precession_inclination` of the axis fixed in the frame (from s and
-    spin), `rotation_inclination` of u, `tilt` of the third body axis.
+    Let s be the normal of the best plane. In rad per time unit, `spread` is the standard deviation of u, and `extent` the smaller
+    principal deviation of u in the plane. `height` and `height_std` are the mean and the deviation of u along s. `radius` and
+    `radius_std` are the root mean square and the deviation of the distance of u from the line along s. `spin` and `spin_std` are the
+    rate of the body about s and the deviation of this rate. `rate_1` to `rate_3` are the mean of u along the body axes.
+    `spin_axis_1` to `spin_axis_3` are the components of s, of either sign, along the body axes. Three statistics are angles in rad
+    from the vertical at the start. `precession_inclination` belongs to the axis fixed in the frame, which follows from s and `spin`,
+    `rotation_inclination` to u, and `tilt` to the third body axis.
     """
     with np.errstate(all="ignore"):
         mean = sums / weight
@@ -162,9 +164,9 @@ def circle_statistics(sums: Array, axes: Array, weight: NDArray[np.int64]) -> di
 
 
 def principal_axes(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues of symmetric matrices (3, 3, points), ascending, and unit eigenvectors vectors[i], by Jacobi's method.
+    """Return ascending eigenvalues and unit eigenvectors, vectors[i], of symmetric matrices (3, 3, points).
 
-    For nearly diagonal matrices this method computes small eigenvalues to a small relative error, unlike LAPACK: J. Demmel and
+    Unlike LAPACK, Jacobi's method computes small eigenvalues of nearly diagonal matrices to a small relative error. See J. Demmel and
     K. Veselic, SIAM J. Matrix Anal. Appl. 13 (1992) 1204-1245.
     """
     a = matrix.copy()
@@ -172,7 +174,7 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
             # Turn the axes p and q so that the element (p, q) vanishes.
-            with np.errstate(all="ignore"):  # division by an element (p, q) that is 0
+            with np.errstate(all="ignore"):  # the element (p, q) may be 0
                 r = 3 - p - q
                 ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
                 tangent = np.copysign(1.0, ratio) / (np.abs(ratio) + np.sqrt(1.0 + ratio * ratio))
@@ -193,14 +195,14 @@ def principal_axes(matrix: Array) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Angles between vectors (3, points), rad."""
+    """Return the angles between vectors (3, points) in rad."""
     perpendicular = cross(a, b)
     return np.asarray(np.arctan2(np.sqrt(dot(perpendicular, perpendicular)), dot(a, b)))
 
 
 AXIS_RATES = ("precession_rate", "spin_rate")
 ANGLES = ("nutation", "precession_inclination", "spin_axis_1", "spin_axis_2", "spin_axis_3")
-# The measurements of a circle that decide its label.
+# Statistics of a circle that decide the label.
 STATISTICS = ("spread", "height_std", "radius_std", "spin_std", "spin", "precession", "sine")
 # Variables that need the sums of a circle, in the system's frame or in inertial space.
 ANY_AXIS = (
@@ -218,11 +220,11 @@ _SPIN_AXIS = (
 
 @dataclass(frozen=True)
 class Circle(Instrument):
-    """Labels, axes and rates of motions about any axis of the body and any axis of a frame.
+    """Instrument of labels, axes and rates of motions about any axis of the body and any axis of a frame.
 
-    A point that is steady about the third axis and the vertical keeps its label. Elsewhere a motion is a permanent rotation if its
-    angular velocity is constant in the body, and a regular precession if the angular velocity moves on a circle at constant speed.
-    Rates and angles are in the system's frame.
+    A motion that is steady about the third axis and the vertical keeps its label. Another motion is a permanent rotation if its angular
+    velocity is constant in the body, and a regular precession if its angular velocity moves on a circle at constant speed. Rates
+    and angles are in the system's frame.
     """
 
     name: str = "label_any_axis"  # or label_any_axis_inertial
@@ -231,11 +233,11 @@ class Circle(Instrument):
 
     @property
     def inertial(self) -> bool:
-        """Whether the frame is inertial space, not the system's frame."""
+        """Whether the frame is inertial space instead of the system's frame."""
         return self.name == "label_any_axis_inertial"
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables of both frames; the inertial instrument has none of its own."""
+        """Return the variables of both frames. The inertial instrument has no variables of its own."""
         if self.inertial:
             return ()
         labels, predicted = [], []
@@ -285,7 +287,7 @@ class Circle(Instrument):
         return circle_axes(system.equations, start.state, start.constants, rate, bound)
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Statistics of the circles, named "label:statistic"; in the system's frame also AXIS_RATES and ANGLES."""
+        """Return the statistics of the circles as "label:statistic" and, in the system's frame, AXIS_RATES and ANGLES."""
         circle = circle_statistics(*run.plugged(self), run.integration.intervals)
         with np.errstate(all="ignore"):
             circle["precession"] = np.hypot(circle["radius"], circle["height"] - circle["spin"])
@@ -294,7 +296,7 @@ class Circle(Instrument):
         return own | {f"{self.name}:{key}": value for key, value in circle.items()}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rule of the label about any axis; a steady label about the third axis and the vertical is kept."""
+        """Return the rule of the label about any axis. A steady label about the third axis and the vertical is kept."""
         own_label = rules[self.name.replace("_any_axis", "")].decide(run.measured)
 
         def label_of(measured: Measured) -> Flags:
@@ -307,11 +309,11 @@ class Circle(Instrument):
         return {key: measured[f"{self.name}:{key}"] for key in STATISTICS}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected errors of STATISTICS, in their units, (points,) each."""
+        """Return the expected error of each of STATISTICS, in the unit of the statistic, (points,)."""
         step_sizes, bound, circle = run.step_sizes, run.bound, self._statistics(run.measured)
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
         rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps)
-        # The axis and the spin of a small circle, or of a short arc, are uncertain.
+        # The axis and the spin are uncertain if the circle is small or the arc short.
         spin = step_sizes.rate_error + rounding * self._amplification(run)
         absolute = dict.fromkeys(("spread", "height_std", "radius_std"), step_sizes.rate_error)
         errors = {key: size + share * circle[key] for key, size in (absolute | {"spin_std": spin}).items()}
@@ -319,7 +321,7 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": error for key, error in errors.items()}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors of angular velocities as large as the bound; larger if the circle is small and its axis is no body axis."""
+        """Return rounding errors for rates as large as the bound. A small circle whose axis is no body axis has larger errors."""
         size, measured = run.bound * relative, run.measured
         s = np.array([measured[f"{self.name}:spin_axis_{i}"] for i in (1, 2, 3)])
         mixed = (np.abs(s) * np.sqrt(np.maximum(1.0 - s * s, 0.0))).sum(0)
@@ -329,14 +331,14 @@ class Circle(Instrument):
         return {f"{self.name}:{key}": each for key, each in sizes.items()}
 
     def _amplification(self, run: Run) -> Array:
-        """Error of the spin and precession rates, divided by the error of the angular velocity, (points,)."""
+        """Return the error of the spin and precession rates divided by the error of the angular velocity, (points,)."""
         radius, height, extent = (
             run.measured[f"{self.name}:{key}"] for key in ("radius", "height", "extent")
         )
         return np.asarray((1.0 + np.abs(height) / radius) * run.bound / extent)
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of AXIS_RATES and ANGLES, at most 1; 0 for drifting motions and regular precessions about the third axis."""
+        """Return the relative error of AXIS_RATES and ANGLES. Drifting motions and precessions about the third axis have the error 0."""
         if self.inertial:
             return np.zeros_like(run.bound)
         measured, rate_error = run.measured, run.step_sizes.rate_error * np.exp(run.log_growth)
@@ -352,15 +354,15 @@ class Circle(Instrument):
             return np.minimum(error, 1.0)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of AXIS_RATES in two runs, in units of the bound."""
+        """Return the largest difference of AXIS_RATES between two runs, in units of the bound."""
         return self._change(run, other, AXIS_RATES) / run.bound
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Largest difference of ANGLES, and of AXIS_RATES in units of the bound, in two runs."""
+        """Return the largest difference of ANGLES, and of AXIS_RATES in units of the bound, between two runs."""
         return np.fmax(self._change(run, coarse, AXIS_RATES) / run.bound, self._change(run, coarse, ANGLES))
 
     def _change(self, run: Run, other: Run, names: Collection[str]) -> Array:
-        """Largest difference of the named values in two runs; 0 where all are nan."""
+        """Return the largest difference of the named values between two runs, or 0 where all values are nan."""
         changes = [np.abs(run.measured[name] - other.measured[name]) for name in names if not self.inertial]
         return np.asarray(np.fmax.reduce([np.zeros_like(run.bound), *changes]))
 
@@ -370,7 +372,7 @@ class Circle(Instrument):
         return {name: np.where(ok, columns[name], np.nan) for name in names}
 
 
-# Circles in the system's frame and in inertial space; a scene with the second has the first as well.
+# Instruments of the system's frame and of inertial space. A scene with the second instrument has the first as well.
 CIRCLES = (Circle(), Circle("label_any_axis_inertial"))
 
 
@@ -379,7 +381,7 @@ def is_steady(label: Flags) -> Mask:
 
 
 def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances) -> Flags:
-    """Values of flags.Label about any axis, whatever the status; own_label, about the third axis and the vertical, is kept if steady."""
+    """Return labels about any axis, whatever the status. A steady `own_label`, about the third axis and the vertical, is kept."""
     rate = tolerances.rate
     constant = circle["spread"] <= rate
     varies = (
@@ -393,7 +395,7 @@ def label(circle: Mapping[str, Array], own_label: Flags, tolerances: Tolerances)
 def values(
     circle: Mapping[str, Array], measured: Mapping[str, Array], tolerances: Tolerances
 ) -> dict[str, Array]:
-    """AXIS_RATES and ANGLES, nan for unsteady motions; a regular precession about the third axis has the rates |psi'| and phi'."""
+    """Return AXIS_RATES and ANGLES, nan for unsteady motions. A precession about the third axis has the rates |psi'| and phi'."""
     with np.errstate(all="ignore"):
         own_label = label_of_third_axis(measured, tolerances)
         kind = label(circle, own_label, tolerances)
@@ -401,20 +403,20 @@ def values(
         reversed_axis = measured["psi_dot_mean"] < 0
         regular = kind == Label.REGULAR_PRECESSION
         conditions = [regular & (own_label == kind), regular, kind == Label.PERMANENT_ROTATION]
-        # For a regular precession the last component of the spin axis that exceeds the tolerance is made positive.
+        # The last component of the spin axis whose magnitude exceeds the tolerance is made positive for a regular precession.
         s = [circle[f"spin_axis_{i}"] for i in (1, 2, 3)]
         last = np.select(
             [np.abs(s[2]) > tolerances.angle, np.abs(s[1]) > tolerances.angle], [s[2], s[1]], s[0]
         )
         sign = np.copysign(1.0, last)
-        # The axis of a permanent rotation is that of the mean angular velocity, which vanishes for a body at rest.
+        # The axis of a permanent rotation is the direction of the mean angular velocity, which vanishes for a body at rest.
         components = [circle[f"rate_{i}"] for i in (1, 2, 3)]
         size = np.sqrt(sum(component**2 for component in components))
         zero, third_axis = np.zeros_like(size), (0.0, 0.0, 1.0)
         zero_or_nan = np.where(size > tolerances.rate, 0.0, np.nan)
         lean = np.arctan2(circle["radius"], sign * (circle["height"] - circle["spin"]))
         inclination = circle["rotation_inclination"] + zero_or_nan
-        # Regular precession about third axis and vertical, the same about other axes, permanent rotation; adding 0.0 removes -0.0.
+        # Each tuple has one value for each of `conditions`. Adding 0.0 turns -0.0 into 0.0.
         choices = {
             "precession_rate": (np.abs(measured["psi_dot_mean"]), circle["precession"], zero),
             "spin_rate": (measured["phi_dot_mean"], sign * circle["spin"], size),

@@ -1,7 +1,7 @@
-"""Instruments: variables, sums in the kernel, final formulas, errors, and the rules by which labels follow.
+"""Instruments, which define variables, sums in the kernel, final formulas, errors, and rules for labels.
 
-An instrument is a frozen object of a class derived from `Instrument`. The main instrument of a plan integrates the points in its
-kernel (`label.plan`); the others add sums to that kernel (`kernel.ensemble.Plug`), or run a kernel of their own.
+An instrument is a frozen object of a class derived from `Instrument`. The kernel of a plan's main instrument integrates the points
+(`label.plan`). Other instruments add sums to this kernel (`kernel.ensemble.Plug`) or run a kernel of their own.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ..kernel.statistics import Row
 from ..kernel.stepsize import ROUNDING, StepSizes
 from ..systems.base import Array, Flags, Mask, Points, System, subset
 
-# Least product of frequency bound and duration, rad; not 0, because the bound is a divisor.
+# Least product of frequency bound and duration in rad. It is not 0, because the bound is a divisor.
 LEAST_TURN = 1e-80
 
-# Measurements by name, (points,) each; names with a colon are not in atlases.
+# Measurements by name, (points,) each. A measurement whose name has a colon is not stored in atlases.
 Measured = Mapping[str, Array]
 
 
@@ -36,16 +36,16 @@ class Variable:
     dtype: str  # NumPy dtype in the file
     units: str  # UDUNITS
     long_name: str
-    flags: dict[str, str] | None = None  # flag name -> sentence, values 0, 1, 2, ...
+    flags: dict[str, str] | None = None  # flag name -> sentence, in the order of the values 0, 1, 2, ...
     comment: str = ""
     optional: bool = False  # only in the atlases of scenes that ask for it
     missing: int = 0  # value of an integer variable where a point is not computed
-    # For values that are positions in a list: name of the missing value -1 (none), and name of the values 0, 1, ...
+    # For positions in a list, the flag name of the value -1 (no position) and the stem of the flag names of the values 0, 1, ...
     positions: tuple[str, str] | None = None
     beside: str = ""  # name of a variable that every atlas with this variable contains
 
     def attributes(self) -> dict[str, object]:
-        """CF attributes: units or flags, long_name, comment."""
+        """Return the CF attributes, which are units or flags, long_name and comment."""
         attributes: dict[str, object] = {"long_name": self.long_name}
         if self.flags is None:
             attributes["units"] = self.units
@@ -58,7 +58,7 @@ class Variable:
 
     @staticmethod
     def table(*variables: Variable) -> dict[str, dict[str, object]]:
-        """CF attributes of variables by their names."""
+        """Return the CF attributes of each variable by the name of the variable."""
         return {variable.name: variable.attributes() for variable in variables}
 
 
@@ -66,18 +66,18 @@ class Variable:
 class Tolerances:
     """Largest variations of a motion that counts as steady."""
 
-    # Limit of the rms of theta', of the standard deviations of psi' and phi', and of mean rates that count as zero, rad per time unit
+    # Limit (rad per time unit) of the rms of theta', of the standard deviations of psi' and phi', and of mean rates that count as 0.
     rate: Array | float  # (points,), or one number for all points
-    angle: float  # radius of the cylinder: the third axis counts as vertical where sin(theta) is smaller
+    angle: float  # the third axis counts as vertical (in the cylinder) if sin(theta) is smaller
 
     def subset(self, where: Any) -> Tolerances:
-        """The tolerances of some of the points, by a mask, their indices or a slice."""
+        """Return the tolerances of the points `where`, which is a mask, an array of indices or a slice."""
         return self if isinstance(self.rate, float) else replace(self, rate=self.rate[where])
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """Settings of runs and of their measurements, see `scene.model.Settings`."""
+    """Settings of runs and of measurements. See `scene.model.Settings`."""
 
     method: str
     tolerance: float
@@ -99,27 +99,27 @@ class RunSettings:
         return self.tolerances.angle
 
     def subset(self, where: Any) -> RunSettings:
-        """The settings of some of the points."""
+        """Return the settings of the points `where`."""
         transient = self.transient if isinstance(self.transient, float) else self.transient[where]
         return replace(self, tolerances=self.tolerances.subset(where), transient=transient)
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How a label follows from measurements."""
+    """Rule by which a label follows from measurements."""
 
     label: Callable[[Measured], Flags]  # the labels, whatever the status
     statistics: tuple[str, ...]  # measurements that decide the label; each has an error unless it is exact
-    # Statistic that is a mean -> rate added to it; the label depends on the magnitude of the sum
+    # Name of a mean -> rate that is added to the mean. The label depends on the magnitude of the sum.
     means: Mapping[str, Array | float] = field(default_factory=dict)
-    # Statistic -> largest value that rounding alone can give it in a steady motion, in its unit
+    # Statistic -> largest value that rounding alone can cause in a steady motion, in the unit of the statistic.
     rounding: Mapping[str, Array] = field(default_factory=dict)
-    # Names of two flags of the label's variable: for runs that ended early, certain to drift, and for runs whose status is not ok
+    # Names of two flags of the label. `drifting` is for runs that ended early, and `unresolved` for runs whose status is not ok.
     drifting: str = "drifting"
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """The measurements, but the values at rest where rounding alone may explain them; the same object if no value is replaced."""
+        """Return the measurements, with values at rest where rounding may explain a value. Without any, return the same object."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -129,11 +129,11 @@ class Rule:
         return {**measured, **changed} if changed else measured
 
     def decide(self, measured: Measured) -> Flags:
-        """The labels that follow from the measurements `without_rounding`."""
+        """Return the labels that follow from the measurements `without_rounding`."""
         return self.label(self.without_rounding(measured))
 
     def column(self, name: str, registry: Mapping[str, Variable], run: Run, resolved: Mask) -> Flags:
-        """The label's variable; resolved: where the status is ok. BadInput if a value is no flag of the variable."""
+        """Return the label with `unresolved` where `resolved` is false, or raise BadInput if a value is no flag of the variable."""
         flags, rule = list(registry[name].flags or ()) if name in registry else [], f"the rule of {name}"
         for flag in (self.drifting, self.unresolved):
             if flag not in flags:
@@ -146,7 +146,7 @@ class Rule:
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label changes if the motion is larger, or smaller, by the errors of all its measurements."""
+    """Whether the label changes if all measurements increase, or all decrease, the size of the motion by their errors."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -165,7 +165,7 @@ def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
 
 @dataclass(frozen=True)
 class Run:
-    """Integrated points, their step sizes and the measurements of instruments; arrays (points,)."""
+    """Integrated points with step sizes and the measurements of instruments. Arrays have shape (points,)."""
 
     system: System
     settings: RunSettings
@@ -173,28 +173,28 @@ class Run:
     ensemble: Ensemble
     step_sizes: StepSizes
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
-    # Logarithm of the growth of a distance from the family's steady motion over the run; 0 where it is unknown
+    # Logarithm of the factor by which a distance from the steady motion grows in the run, 0 where the factor is unknown.
     log_growth: Array
     integration: Integration
     points: Points = field(default_factory=dict)  # every parameter of the points
     measured: Measured = field(default_factory=dict)  # measurements of all instruments
-    # Logarithm of the largest growth of a tangent vector in the run; nan where no instrument needs it, (points,)
+    # Logarithm of the largest growth of a tangent vector in the run, (points,). It is nan where no instrument needs the growth.
     growth: Array = field(default_factory=lambda: np.empty(0))
 
     @property
     def main(self) -> MainInstrument:
-        """The main instrument."""
+        """The main instrument, which is the first instrument."""
         main = self.instruments[0]
         assert isinstance(main, MainInstrument)
         return main
 
     @property
     def bound(self) -> Array:
-        """Bound of the fastest frequency, rad per time unit, positive even if nothing moves."""
+        """Bound of the fastest frequency in rad per time unit. The bound is positive even if nothing moves."""
         return np.fmax(self.ensemble.frequency_bound, LEAST_TURN / self.integration.duration)
 
     def measure(self) -> Run:
-        """The run with the measurements of its instruments."""
+        """Return the run with the measurements of all instruments."""
         measured: dict[str, Array] = {}
         for instrument in self.instruments:
             measured |= instrument.measurements(self, measured)
@@ -203,7 +203,7 @@ class Run:
 
     @cached_property
     def rules(self) -> dict[str, Rule]:
-        """Rule of each label by the name of its variable."""
+        """Rules of the labels by the names of the variables."""
         rules: dict[str, Rule] = {}
         rounding: dict[str, Array] = {}
         for instrument in self.instruments:
@@ -213,18 +213,18 @@ class Run:
         return rules
 
     def plugged(self, instrument: Instrument) -> tuple[Array, Array]:
-        """The rows of the kernel's sums and constants that belong to an instrument."""
+        """Return the rows of the kernel's sums and constants that belong to `instrument`."""
         before = self.instruments[: self.instruments.index(instrument)]
         row, first = len(Row) + sum(each.sums for each in before), sum(each.given for each in before)
         sums, given = self.integration.sums[row:], self.ensemble.given[first:]
         return sums[: instrument.sums], given[: instrument.given]
 
     def change(self, other: Run) -> Array:
-        """Largest relative difference of a statistic in two runs of the same points, (points,)."""
+        """Return the largest relative difference of a statistic between two runs of the same points, (points,)."""
         return np.asarray(np.fmax.reduce([each.rate_change(self, other) for each in self.instruments]))
 
     def labels(self) -> dict[str, Flags]:
-        """Every label, whatever the status."""
+        """Return every label, whatever the status."""
         return {name: rule.decide(self.measured) for name, rule in self.rules.items()}
 
     @cached_property
@@ -244,12 +244,12 @@ class Run:
         )
 
     def ends_otherwise(self, other: Run) -> Mask:
-        """Where the same points end differently in another run."""
+        """Whether a point ends differently in another run, (points,)."""
         differences = [each.outcome_differs(self, other) for each in self.instruments]
         return np.logical_or.reduce(np.broadcast_arrays(*differences, np.zeros(self.ensemble.size, bool)))
 
     def errors(self) -> tuple[dict[str, Array], Array]:
-        """Expected errors of the measurements that decide labels, in their units, and the relative error of states and values."""
+        """Return the expected errors of measurements that decide labels, and the relative error of states and values."""
         errors: dict[str, Array] = {}
         relative = np.zeros(self.ensemble.size)
         for instrument in self.instruments:
@@ -272,33 +272,33 @@ class Run:
 
 
 class Instrument:
-    """A measurement: variables of an atlas, and how they follow from runs.
+    """Base class of instruments, which define variables of an atlas and compute their values from runs.
 
-    A subclass must implement `variables`, or `every_variable` if they are the same for all systems, and one source of their values:
-    `measurements` for numbers, `rules` for labels, or `columns`. The other members contribute nothing unless they are overridden:
+    A subclass must implement `variables`, or `every_variable` if all systems have the same variables. Values come from one of three
+    methods, `measurements` for numbers, `rules` for labels, or `columns`. Other members contribute nothing unless overridden:
 
     Where it measures
-        In scenes that want it (`wanted`); in the kernel (`sums`, `given`, `add_node`, `constants`), perhaps only in whole runs
-        (`needs_whole_run`); without a run (`proofs_of`, `proofs`); with tangent vectors (`needs_growth`).
+        `wanted` selects scenes. `sums`, `given`, `add_node` and `constants` add measurements to the kernel, and `needs_whole_run`
+        says that runs may not end early. `proofs_of` and `proofs` need no run, and `needs_growth` asks for tangent vectors.
     Errors
-        Of numbers: `relative_error`, `pair_error`, `rate_change`; of the statistics of rules: `errors`, `rounding`, `outcome_differs`.
+        `relative_error`, `pair_error` and `rate_change` concern numbers. `errors`, `rounding` and `outcome_differs` concern rules.
     """
 
-    # What the instrument adds to the kernel: numbers of sums and of constants, and a function, see `kernel.ensemble.Plug`.
+    # Numbers of sums and constants in the kernel, and the function that adds a node to the sums. See `kernel.ensemble.Plug`.
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
     needs_whole_run = False  # whether runs may not end before their duration
-    # Function of run and status: mask of the points whose variables need `Run.growth`; None: no point needs it, nor a tangent kernel.
+    # Function that returns, from run and status, a mask of the points that need `Run.growth`. None if no point ever needs it.
     needs_growth: Callable[[Run, Flags], Mask] | None = None
-    # Label variable -> variable whose flag is not 0 where the label is proved for every duration.
+    # Name of a label -> name of the variable whose flag is not 0 where the label is proved for every duration.
     proofs_of: Mapping[str, str] = MappingProxyType({})
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
-        """The variables of all systems; no parameter may have one of these names."""
+        """Return the variables of all systems. No parameter may have the name of a variable."""
         return ()
 
     def variables(self, system: System) -> tuple[Variable, ...]:
-        """The variables of one system; none if the instrument cannot measure it."""
+        """Return the variables of one system, or none if the instrument cannot measure the system."""
         return self.every_variable(system)
 
     def wanted(self, system: System, outputs: Collection[str]) -> bool:
@@ -308,47 +308,47 @@ class Instrument:
     def proofs(
         self, system: System, points: Points, tolerances: Tolerances, in_machine_code: bool = False
     ) -> dict[str, NDArray[Any]]:
-        """Variables that need no run, and proved labels under the names of the predicted labels, 0 where nothing is proved."""
+        """Return variables that need no run, and proved labels (0 where nothing is proved) under the names of predicted labels."""
         return {}
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Measurements from the sums of a run; measured: measurements of earlier instruments."""
+        """Return measurements from the sums of a run. `measured` has the measurements of earlier instruments."""
         return {}
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rules of the instrument's labels; rules: the rules of earlier instruments."""
+        """Return the rules of the instrument's labels. `rules` has the rules of earlier instruments."""
         return {}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected errors of the statistics of the rules; relative: largest `relative_error` of this and earlier instruments."""
+        """Return expected errors of the rules' statistics. `relative` is the largest `relative_error` up to this instrument."""
         return {}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Largest values that rounding alone can give to statistics of the rules; relative: rounding error / size of a quantity."""
+        """Return the largest values that rounding alone can give to the rules' statistics. `relative` is a relative rounding error."""
         return {}
 
     def relative_error(self, run: Run) -> Array:
-        """Expected relative error of the instrument's values, (points,)."""
+        """Return the expected relative error of the instrument's values, (points,)."""
         return np.zeros(run.ensemble.size)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest relative difference of a rate, or of a measurement that decides a label, in two runs of the same points."""
+        """Return the largest relative difference of a rate or deciding measurement between two runs of the same points."""
         return np.zeros(run.ensemble.size)
 
     def outcome_differs(self, run: Run, other: Run) -> Mask | bool:
-        """Where two runs of the same points end differently, (points,)."""
+        """Whether two runs of the same points end differently, (points,)."""
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Relative error of the values, (points,), from a second run with fewer steps; expected: the error expected of `run` alone."""
+        """Return the relative error of values, (points,), from a second run with fewer steps. `expected` is the error without it."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Variables that are not simply measurements; columns: the status and the variables of earlier instruments."""
+        """Return variables that are no plain measurements. `columns` has the status and the variables of earlier instruments."""
         return {}
 
     def constants(self, system: System, points: Points, start: Ensemble) -> Array:
-        """See `kernel.ensemble.Plug`."""
+        """Return the constants of the points. See `kernel.ensemble.Plug`."""
         return np.empty((0, start.size))
 
 
@@ -358,8 +358,8 @@ class MainInstrument(Instrument):
     A subclass must implement `unsteadiness` and `largest` as well, and `early_stop_rate` if it overrides `may_stop_early`.
     """
 
-    has_theory = False  # whether theory predicts its labels
-    quantity = ""  # one word for all that it measures
+    has_theory = False  # whether theory predicts the labels
+    quantity = ""  # one word for all measured quantities
     unsteadiness_text = ""  # meaning of `unsteadiness`
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
@@ -367,45 +367,45 @@ class MainInstrument(Instrument):
         return False
 
     def statistics(self, system: System) -> tuple[str, ...]:
-        """Names of its statistics."""
+        """Return the names of the statistics."""
         return ()
 
     def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
-        """Largest of the statistics that make a point drift, (points,); only the tolerances of settings are used."""
+        """Return the largest of the statistics that make a point drift, (points,). Only the tolerances of `settings` are used."""
         raise NotImplementedError
 
     def steady_below(self, settings: RunSettings) -> Array | float:
-        """The least unsteadiness of a drifting point."""
+        """Return the unsteadiness up to which a point does not drift."""
         return 1.0
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Largest relative error of its statistics; bound: upper bound of the fastest frequency."""
+        """Return the largest relative error of the statistics. `bound` is the bound of the fastest frequency."""
         raise NotImplementedError
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """Frequency bound that sets the steps of points; settled: where the given bound holds for the whole run."""
+        """Return the frequency bound that sets the steps. `settled` is true where the given bound holds for the whole run."""
         return bound
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Rate above which a point drifts, whatever the expected error, see `kernel.ensemble.Ensemble.integrate`."""
+        """Return the rate above which a point drifts, whatever the expected error. See `kernel.ensemble.Ensemble.integrate`."""
         raise NotImplementedError
 
     def step_sizes(
         self, settings: RunSettings, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
-        """Steps of runs with these frequency bounds; step: see `StepSizes.of`."""
+        """Return the steps of runs with the given frequency bounds. For `step` see `StepSizes.of`."""
         return StepSizes.of(settings, bound, duration, step)
 
     def resolved(self, run: Run) -> Mask | bool:
-        """Where the nodes are dense enough to show the motion."""
+        """Whether the nodes are dense enough to show the motion."""
         return True
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Where the atlas holds the measurements; resolved: where the steps suffice for measurements and tangent vectors."""
+        """Whether the atlas holds the measurements. `resolved` tells whether the steps suffice for measurements and tangent vectors."""
         return resolved
 
     def differences(self, run: Run, other: Run, relative: Array) -> dict[str, Array]:
-        """Differences of the statistics of all rules in two runs; relative: relative error of the run, from which some instruments estimate the differences."""
+        """Return the differences of the rules' statistics between two runs, which an instrument may also estimate from `relative`."""
         return {
             name: np.abs(run.measured[name] - other.measured[name])
             for rule in run.rules.values()

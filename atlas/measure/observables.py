@@ -1,4 +1,4 @@
-"""Statistics of observables: their names, their final formulas, their errors, and whether they are constant."""
+"""Statistics of observables, with names, final formulas and errors, and labels of constant observables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .instrument import MainInstrument, Measured, Rule, Run, RunSettings, Variab
 from .rates import END_TIME, INTEGRAL_DRIFT, STATUS, rounding_error, step_variables
 
 _T = TypeVar("_T")
-# Suffix of a statistic in the atlas -> its meaning; {} stands for the name of the observable.
+# Suffix of a statistic in the atlas -> meaning of the statistic, where {} stands for the name of the observable.
 STATISTICS = {
     "mean": "mean of the {}",
     "std": "standard deviation of the {}",
@@ -27,18 +27,18 @@ STATISTICS = {
     "max": "largest {}",
     "drift": "change of the {} over the run along the straight line fitted to it by least squares",
 }
-# Highest frequency of an observable, overtones included, in units of the frequency bound.
+# Highest frequency of an observable, including overtones, in units of the frequency bound.
 OVERTONE = 3.0
 # Largest product of frequency bound and time between two nodes, rad.
 MAX_NODE_RADIANS = 0.4
-# Fraction of the last period of a run that may be missing; largest number of periods.
+# A run may lack the fraction MISSING of its last period, and has at most MAX_PERIODS periods.
 MISSING, MAX_PERIODS = 1e-3, 10**9
-MAX_HALVINGS = 8  # how often step size and steps between nodes may be halved
-# Largest jump of an observable between two nodes, divided by its range in the run.
+MAX_HALVINGS = 8  # number of times that the step size or the number of steps between nodes may be halved
+# Largest jump of an observable between two nodes, divided by the range of the observable in the run.
 MAX_ROUGHNESS = 0.3
-# Least order of the errors of statistics in the step size: the order of rk4; quadrature and interpolation have order 8.
+# Least order of the errors of statistics in the step size. It is the order of rk4, as quadrature and interpolation have order 8.
 STATISTICS_ORDER = 4
-# Rounding error of a statistic in units of the largest value of its observable.
+# Rounding error of a statistic, divided by the largest magnitude of the observable.
 STATISTIC_ROUNDING = 1e-15
 
 
@@ -81,7 +81,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(shares))
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Largest error of a statistic divided by the largest magnitude of its observable."""
+        """Return the largest error of a statistic divided by the largest magnitude of the observable."""
         shares = [
             errors[f"{name}_{suffix}"] / np.where(size > 0, size, 1.0)
             for name, size in sizes(system, measured).items()
@@ -92,7 +92,7 @@ class Observables(MainInstrument):
     def step_sizes(
         self, settings: RunSettings, bound: Array, duration: Array, step: Array | None = None
     ) -> StepSizes:
-        """Steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed; automatic steps are halved for this."""
+        """Return steps with nodes at most MAX_NODE_RADIANS apart, so that no extreme is missed. Automatic steps are halved if needed."""
         step_sizes = StepSizes.of(settings, bound, duration, step)
         may_halve = step is None and settings.step is None
         finest = (np.maximum(step_sizes.dispersion_error, 1e-16) / INTERPOLATION_ERROR) ** (1 / 8) / OVERTONE
@@ -108,11 +108,11 @@ class Observables(MainInstrument):
         return step_sizes
 
     def resolved(self, run: Run) -> Mask:
-        """Where no observable jumps between nodes; jumps show that the steps are too long for the motion."""
+        """Whether no observable jumps between nodes. A jump shows that the steps are too long for the motion."""
         from ..kernel import observe
 
         sums, radians = run.integration.sums, run.bound * run.step_sizes.sample_spacing
-        # An oscillation at the bound has a relative distance of radians^4 / 24 from the cubic through a node's neighbours.
+        # For an oscillation at the bound, the cubic through the neighbours of a node has a relative error of radians^4 / 24 there.
         allowed = MAX_ROUGHNESS + radians**4 / 12
         rough = np.zeros(run.ensemble.size, bool)
         for first in range(observe.FIRST_ROW, len(sums), len(observe.Field)):
@@ -122,7 +122,7 @@ class Observables(MainInstrument):
         return ~rough | ~run.integration.finite
 
     def measurements(self, run: Run, measured: Measured) -> dict[str, Array]:
-        """Every statistic of every observable, as `name_mean`, and `integral_drift`; arrays (points,)."""
+        """Return every statistic of every observable, named as in the atlas, and `integral_drift`, (points,) each."""
         from ..kernel import observe
 
         sums, intervals = run.integration.sums, run.integration.intervals
@@ -133,7 +133,7 @@ class Observables(MainInstrument):
                 first = observe.FIRST_ROW + len(observe.Field) * k
                 start, total, square, trend, least, largest, _ = sums[first : first + len(observe.Field)]
                 count, per_trend = intervals, np.asarray(12.0)
-                if is_strobed(observable):  # sum of (time from middle / duration)^2: count / per_trend
+                if is_strobed(observable):  # count / per_trend is the sum of (time from middle / duration)^2
                     count, per_trend = periods + 1, 12.0 * periods / (periods + 2)
                 shift = total / count
                 variance = np.maximum(square / count - shift * shift, 0.0)
@@ -148,17 +148,17 @@ class Observables(MainInstrument):
         return {"label": Rule(partial(label, limits=limits), tuple(f"{name}_std" for name in limits))}
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of states, and error of statistics divided by the largest magnitude of their observable."""
+        """Return the relative error of states, which is also the error of statistics over the largest magnitude of the observable."""
         step_sizes = run.step_sizes
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
         with np.errstate(over="ignore"):
-            # Error of the interpolation between nodes, for the highest overtone.
+            # The interpolation between nodes has this error for the highest overtone.
             error += INTERPOLATION_ERROR * (OVERTONE * run.bound * step_sizes.sample_spacing) ** 8
         return error
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Errors of the standard deviations: the relative error times the range of each observable, and rounding."""
+        """Return errors of the standard deviations, the relative error times the range of the observable plus rounding."""
         measured = run.measured
         return {
             f"{name}_std": relative * (measured[f"{name}_max"] - measured[f"{name}_min"])
@@ -168,7 +168,7 @@ class Observables(MainInstrument):
 
     @np.errstate(all="ignore")
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors of the observables' values or, where terms cancel, effects of rounding the states at the start."""
+        """Return the rounding errors of the observables or, where larger, the effects of rounding errors of the initial state."""
         equations, state, constants = run.system.equations, run.ensemble.state, run.ensemble.constants
         slope = np.array(np.broadcast_arrays(*equations.rhs(state, constants)))
         shifts = np.eye(len(state))[..., None] * relative * (np.abs(state) + np.abs(slope) / run.bound)
@@ -183,7 +183,7 @@ class Observables(MainInstrument):
         return self.errors(run, relative)
 
     def rate_change(self, run: Run, other: Run, order: Array | float = 1.0) -> Array:
-        """Largest difference of a statistic divided by the size of its observable and, except for extremes, by `order`."""
+        """Return the largest difference of a statistic over the size of the observable. Except for extremes, divide also by `order`."""
         changes = []
         for name, size in sizes(run.system, run.measured).items():
             for suffix in STATISTICS:
@@ -194,7 +194,7 @@ class Observables(MainInstrument):
         return np.asarray(np.fmax.reduce(changes))
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Richardson estimates of the errors, at least 0.3 of the expected error, because two runs may agree by chance."""
+        """Return Richardson estimates of the errors, but at least 0.3 of `expected`, because two runs may agree by chance."""
         ratio = run.step_sizes.steps / coarse.step_sizes.steps
         state, other = run.integration.final_state, coarse.integration.final_state
         size = np.maximum(np.abs(state), np.abs(state).mean(axis=0))
@@ -212,7 +212,7 @@ def is_strobed(observable: Observable) -> bool:
 def whole_periods(
     system: System, constants: Array, duration: Array
 ) -> tuple[NDArray[np.int64] | None, Array]:
-    """Number of whole periods in each run, at least 1 if duration > 0, and their total time; (None, duration) without strobes."""
+    """Return the number of whole periods (at least 1) in each run and their total time, or (None, duration) without strobes."""
     every = next((str(o.every) for o in system.observables if is_strobed(o)), None)
     if every is None:
         return None, duration
@@ -227,7 +227,7 @@ def whole_periods(
 def std_tolerances(
     system: System, settings: Mapping[str, float] | None, rate_tolerance: _T
 ) -> dict[str, float | _T]:
-    """Standard deviation up to which each observable counts as constant, in its unit: from the settings, else the observable's own."""
+    """Return the standard deviation up to which each observable counts as constant, from `settings` or else from the system."""
     limits = {
         o.name: rate_tolerance if o.tolerance is None else float(o.tolerance) for o in system.observables
     }
@@ -235,12 +235,12 @@ def std_tolerances(
 
 
 def label(measured: Measured, limits: Mapping[str, Array | float]) -> Flags:
-    """Label of each point, values of `flags.Steadiness`, whatever its status; limits: see `std_tolerances`."""
+    """Return values of `flags.Steadiness`, whatever the status. `limits` is the result of `std_tolerances`."""
     varies = [measured[f"{name}_std"] > limit for name, limit in limits.items()]
     return np.where(np.any(varies, axis=0), Steadiness.DRIFTING, Steadiness.STEADY).astype(np.int8)
 
 
 def sizes(system: System, measured: Measured) -> dict[str, Array]:
-    """Largest magnitude of each observable, in its unit, by name."""
+    """Return the largest magnitude of each observable by name."""
     names = [observable.name for observable in system.observables]
     return {n: np.maximum(np.abs(measured[f"{n}_min"]), np.abs(measured[f"{n}_max"])) for n in names}

@@ -1,6 +1,4 @@
-"""Labels of motions about the third axis and the vertical, and errors of rates, expected from the step sizes or measured by a
-second run. The statistics are in `kernel.statistics`.
-"""
+"""Labels of motions about the third axis and the vertical, and errors of rates. The statistics are in `kernel.statistics`."""
 
 from __future__ import annotations
 
@@ -34,8 +32,8 @@ END_TIME = Variable("end_time", "float64", "s", "time at which the integration e
 INTEGRAL_DRIFT = next(
     Variable(s.name, "float64", s.unit, s.long_name) for s in STATISTICS if s.name == "integral_drift"
 )
-# For a third axis that starts in the cylinder: sin(theta) above which the nodes follow it; turn of its path between two nodes,
-# in rad, above which they miss how it leaves.
+# Constants for a third axis that starts in the cylinder. The nodes follow the axis where sin(theta) exceeds LEAVING_SINE, and miss how
+# the axis leaves the cylinder if its path turns by more than MISSED_TURN (rad) between two nodes.
 LEAVING_SINE, MISSED_TURN = 0.03, 50.0
 _NO_MEANING = "nan where the third axis counts as inside the cylinder: psi' and phi' have no meaning there"
 _NUMERIC_BOUND = (
@@ -96,34 +94,34 @@ class Rates(MainInstrument):
         return (*RATES, "theta_min", "theta_max")
 
     def unsteadiness(self, system: System, measured: Measured, settings: RunSettings) -> Array:
-        """Largest rms or standard deviation of a rate, rad per time unit."""
+        """Return the largest rms or standard deviation of a rate in rad per time unit."""
         rates = [measured["theta_dot_rms"], measured["psi_dot_std"], measured["phi_dot_std"]]
         in_polar_cap = np.isnan(rates[1])
         return np.where(in_polar_cap, measured["normal_rate_std"], np.fmax.reduce(rates))
 
     def steady_below(self, settings: RunSettings) -> Array | float:
-        """Largest rate that counts as zero, rad per time unit."""
+        """Return the largest rate that counts as zero in rad per time unit."""
         return settings.rate_tolerance
 
     def largest(self, system: System, measured: Measured, errors: Measured, bound: Array) -> Array:
-        """Largest error of a rate, divided by the frequency bound."""
+        """Return the largest error of a rate, divided by the frequency bound."""
         return np.asarray(np.fmax.reduce([errors[name] for name in RATES]) / bound)
 
     def bound(self, bound: Array, settled: Mask) -> Array:
-        """The bound, infinite where it does not hold for the whole run."""
+        """Return the bound, or infinity where the bound does not hold for the whole run."""
         return np.where(settled, bound, np.inf)
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Where the run is resolved, whether or not its tangent vectors are."""
+        """Whether the run is resolved. Its tangent vectors need not be."""
         return run.step_sizes.resolved
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
-        """Whether the outputs hold no statistic; statistics need the whole run."""
+        """Whether `outputs` contain no statistic. Statistics need the whole run."""
         return {statistic.name for statistic in STATISTICS}.isdisjoint(outputs)
 
     def early_stop_rate(self, bound: Array, step_sizes: StepSizes, tolerances: Tolerances) -> Array:
-        """Rate above which a point drifts, whatever the expected error, (points,), rad per time unit."""
-        # With a divisor of at most 0.1 `rounding` is no smaller than the rounding error in `Run.rules`.
+        """Return the rate (rad per time unit) above which a point drifts, whatever the expected error, (points,)."""
+        # The divisor is at most 0.1, so that `rounding` is no smaller than the rounding error in `Run.rules`.
         rounding = bound * ROUNDING * np.sqrt(step_sizes.whole_steps) / np.minimum(tolerances.angle, 0.1)
         absolute = step_sizes.rate_error + rounding
         return np.asarray(
@@ -135,14 +133,14 @@ class Rates(MainInstrument):
         return finish(integration.sums[: len(Row)], integration.intervals, integration.duration)
 
     def rules(self, run: Run, rules: Mapping[str, Rule]) -> dict[str, Rule]:
-        """Rules of the labels in the system's frame and, if the frame turns, in inertial space."""
+        """Return the rules of the labels in the system's frame and, if the frame turns, in inertial space."""
         return {name: rule(run.settings.tolerances, rate) for name, rate in run.frame_rates.items()}
 
     def errors(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Expected error of each measurement that decides a label, in its unit, (points,) each."""
+        """Return the expected error of each measurement that decides a label, (points,) each."""
         step_sizes, bound, measured = run.step_sizes, run.bound, run.measured
         share = np.minimum(relative_error(step_sizes, bound), 1.0)
-        # psi' and phi' contain 1 / sin(theta): near the vertical rounding errors grow.
+        # psi' and phi' contain 1 / sin(theta), so that rounding errors grow near the vertical.
         near_vertical = step_sizes.rate_error + bound * ROUNDING * np.sqrt(
             step_sizes.whole_steps
         ) / np.maximum(_least_sine(measured), 1e-300)
@@ -157,13 +155,13 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes may lie on the wrong side of the rim, or one in each oscillation if nodes meet all oscillations in one phase.
+        # Two nodes may lie on the wrong side of the rim. If the nodes meet every oscillation in the same phase, one node in each may.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
 
     def rounding(self, run: Run, relative: Array) -> dict[str, Array]:
-        """Rounding errors of rates as large as the bound; outside the cylinder those of psi' and phi' are divided by sin(theta)."""
+        """Return rounding errors of rates as large as the bound. Errors of psi' and phi' are divided by sin(theta)."""
         size = run.bound * relative
         of_angles = size / np.maximum(_least_sine(run.measured), run.settings.cylinder)
         names = "psi_dot_mean", "psi_dot_std", "phi_dot_mean", "phi_dot_std"
@@ -171,7 +169,7 @@ class Rates(MainInstrument):
         return sizes | dict.fromkeys(names, of_angles)
 
     def relative_error(self, run: Run) -> Array:
-        """Relative error of an oscillation at the frequency bound, amplified by an instability to at most 1."""
+        """Return the relative error of an oscillation at the frequency bound, which an instability amplifies to at most 1."""
         step_sizes, log_growth = run.step_sizes, run.log_growth
         error = np.maximum(step_sizes.dispersion_error, step_sizes.dissipation_error)
         error = error + rounding_error(step_sizes)
@@ -181,14 +179,15 @@ class Rates(MainInstrument):
         return _with_statistics(error, run)
 
     def rate_change(self, run: Run, other: Run) -> Array:
-        """Largest difference of a rate between the runs, divided by the frequency bound."""
+        """Return the largest difference of a rate between the runs, divided by the frequency bound."""
         return np.asarray(np.fmax.reduce(_differences(run, other, RATES)) / run.bound)
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Relative error of the states, from their final difference and the order of the method, and of the statistics.
+        """Return the relative error of states and statistics from the difference between the runs.
 
-        Statistics converge at no clear order: the difference between the runs counts as their error, but at least 0.3 of the error
-        of the states, because two runs may agree by chance. Where the second run is not resolved, a larger expected error counts.
+        The error of the states follows from their final difference and the order of the method. Statistics converge at no clear order,
+        so that their difference counts as their error, but at least 0.3 of the error expected from that of the states, because two runs
+        may agree by chance. Where the second run is not resolved, `expected` counts if it is larger.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):
@@ -203,7 +202,7 @@ class Rates(MainInstrument):
         return np.where(trusted, error, np.fmax(error, expected))
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The geometry, and the statistics of psi' and phi', nan in the cylinder."""
+        """Return the geometry, and the statistics of psi' and phi', which are nan in the cylinder."""
         tolerances, ok = run.settings.tolerances, columns["status"] == Status.OK
         cylinder = in_cylinder(run.measured, tolerances.angle)
         steady = ok & (columns["label"] != Label.DRIFTING)
@@ -216,7 +215,7 @@ class Rates(MainInstrument):
 def geometry(
     system: System, measured: Measured, steady: Mask, cylinder: Mask, tolerances: Tolerances
 ) -> Flags:
-    """Flag of the first geometry of the system that holds for each motion, 0 if none holds or the motion is not steady."""
+    """Return the flag of the first geometry that holds for each motion, or 0 if none holds or the motion is not steady."""
     kinds = [
         kind.holds(measured, cylinder, tolerances.rate, tolerances.angle)
         for kind in system.geometries.values()
@@ -225,7 +224,7 @@ def geometry(
 
 
 def existing(system: System, variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    """The given variables without those that this system lacks."""
+    """Return `variables` without the variables that the system lacks."""
     missing = {"integral_drift"} if not system.equations.INTEGRALS else set()
     if not system.geometries:
         missing |= {"geometry"}
@@ -256,13 +255,13 @@ def step_variables(system: System) -> list[Variable]:
 
 
 def label(measured: Mapping[str, Array], tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Flags:
-    """Values of flags.Label, whatever the status; frame_rate, rad per time unit, is added to psi'."""
+    """Return values of `flags.Label`, whatever the status. `frame_rate` (rad per time unit) is added to psi'."""
     rate = tolerances.rate
     cylinder = in_cylinder(measured, tolerances.angle)
     nutates = measured["theta_dot_rms"] > rate
-    # A run that enters or leaves the cylinder has no usable psi': theta decides.
+    # A run that enters or leaves the cylinder has psi' in a part of the run only. Therefore theta decides, and the rate about the
+    # vertical must be steady as well.
     entered = _least_sine(measured) < tolerances.angle
-    # psi' is then measured in a part of the run only, so the rate about the vertical must be steady as well.
     swings = measured["theta_max"] - measured["theta_min"] > tolerances.angle
     crossing = entered & (swings | (measured["normal_rate_std"] > rate))
     unsteady = (measured["psi_dot_std"] > rate) | (measured["phi_dot_std"] > rate)
@@ -280,15 +279,14 @@ def rule(tolerances: Tolerances, frame_rate: Array | float = 0.0) -> Rule:
 def steady_label(
     n: Array, m: Array, cylinder: Mask, tolerance: Array | float, drifting: Mask | bool = False
 ) -> Flags:
-    """Labels by the mean rates n = psi' and m = phi', steady unless `drifting`; rates up to the tolerance count as zero."""
+    """Return labels from the mean rates n = psi' and m = phi'. Rates up to `tolerance` count as zero."""
     zero_rate = (np.abs(n) <= tolerance) | (np.abs(m) <= tolerance)
     steady = np.where(cylinder | zero_rate, Label.PERMANENT_ROTATION, Label.REGULAR_PRECESSION)
     return np.where(drifting, Label.DRIFTING, steady).astype(np.int8)
 
 
 def in_cylinder(measured: Measured, cylinder_tolerance: float) -> Mask:
-    """Whether the third axis counts as vertical: sin(theta) is below the tolerance at all nodes, or at half of the nodes or more
-    while theta varies by less than the tolerance (rad)."""
+    """Whether sin(theta) is below the tolerance at all nodes, or at half of the nodes while theta varies by at most the tolerance."""
     inside = np.asarray(measured["sine_max"] < cylinder_tolerance)
     at_most_nodes = ~inside & (measured.get("outside", np.ones(1)) <= 0.5)
     if at_most_nodes.any():
@@ -302,11 +300,11 @@ def _least_sine(measured: Measured) -> Array:
 
 
 def _with_statistics(state_error: Array, run: Run) -> Array:
-    """Relative error of states and statistics, from the error of the states.
+    """Return the relative error of states and statistics, from the error of the states.
 
-    Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at
-    least 1 where the axis passed through the cylinder. A run that starts in the cylinder has nodes close to its start: they
-    show how the axis leaves, unless it is so slow that its path turns much between two nodes.
+    Interpolation between nodes adds to the error of the angles. The error of psi' and phi' grows near the vertical, and is at least 1
+    where the third axis passed through the cylinder. A run that starts in the cylinder has nodes close to the start, which show how
+    the axis leaves, unless the axis is so slow that its path turns much between two nodes.
     """
     measured, bound, cylinder, integration = run.measured, run.bound, run.settings.cylinder, run.integration
     u1, u2, *_ = run.system.equations.frame_motion(run.ensemble.state, run.ensemble.constants)
@@ -317,7 +315,7 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
         sine = np.maximum(np.where(leaves, LEAVING_SINE, least), cylinder)
         spread = np.fmax(measured["psi_dot_std"], measured["phi_dot_std"]) / bound
         rates = np.fmax(angle, angle * (1.0 + (2.0 + 6.0 * spread) / sine))
-        # Peak of psi' when the axis leaves the cylinder at the frequency bound.
+        # psi' has this peak if the axis leaves the cylinder at the frequency bound.
         peak = np.sqrt(0.5 * np.pi / (cylinder * bound * integration.duration))
         undefined = np.fmax.reduce([np.ones_like(rates), spread, peak])
         turn = run.step_sizes.sample_spacing * bound**2 / np.hypot(u1, u2)
@@ -331,36 +329,36 @@ def _with_statistics(state_error: Array, run: Run) -> Array:
 
 
 def _differences(run: Run, other: Run, names: Collection[str]) -> list[Array]:
-    """Absolute differences of the named statistics in two runs."""
+    """Return the absolute differences of the named statistics between two runs."""
     with np.errstate(invalid="ignore"):
         return [np.abs(run.measured[name] - other.measured[name]) for name in names]
 
 
 def rounding_error(step_sizes: StepSizes) -> Array:
-    """Relative error of the states by rounding, (points,)."""
+    """Return the relative error of the states that rounding causes, (points,)."""
     return np.asarray(4.0 * ROUNDING * np.sqrt(step_sizes.whole_steps))
 
 
 def tolerated_error(settings: StepSettings, step_sizes: StepSizes, bound: Array) -> Array:
-    """Relative error of the states that settings allow: the expected error, and without a given step at least the tolerance."""
+    """Return the expected relative error of the states, but without a given step at least the tolerance of `settings`."""
     expected = relative_error(step_sizes, bound) + rounding_error(step_sizes)
     return expected if settings.step is not None else np.fmax(expected, settings.tolerance)
 
 
 def state_distance(system: System, state: Array, other: Array, bound: Array) -> Array:
-    """Largest difference of a component of two states; angular velocities count in units of the bound."""
+    """Return the largest difference of a component between two states. Angular velocities are measured in units of the bound."""
     difference = np.abs(state - other)
     difference[[name in system.rate_states for name in system.equations.STATE]] /= bound
     return np.asarray(difference.max(0))
 
 
 def relative_error(step_sizes: StepSizes, bound: Array) -> Array:
-    """Relative error of a standard deviation: dispersion, dissipation and interpolation error."""
+    """Return the relative error of a standard deviation, the sum of dispersion, dissipation and interpolation errors."""
     interpolation = _interpolation_error(step_sizes, bound)
     return np.asarray(step_sizes.dispersion_error + step_sizes.dissipation_error + interpolation)
 
 
 def _interpolation_error(step_sizes: StepSizes, bound: Array) -> Array:
-    """Relative error of the motion between nodes, for an oscillation at the frequency bound."""
+    """Return the relative error of interpolation between nodes for an oscillation at the frequency bound."""
     with np.errstate(over="ignore"):
         return np.asarray(INTERPOLATION_ERROR * (bound * step_sizes.sample_spacing) ** 8)

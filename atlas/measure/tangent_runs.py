@@ -1,4 +1,4 @@
-"""Runs with a tangent vector, which give the indicators of chaos; imported only by plans that have such runs."""
+"""Runs with a tangent vector, which give the indicators of chaos. Only plans that have tangent runs import this module."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ from ..kernel.tableaux import TANGENT_METHOD as METHOD
 from ..systems.base import Array, Flags, Mask, Points, System, shape_of
 from .rates import tolerated_error
 
-# Least number of nodes of a run; at each node the tangent vector is divided by its norm and its growth added to the sums.
+# Least number of nodes of a run. At each node the tangent vector is divided by its norm, and its growth is added to the sums.
 NODES = 1024
-# Largest number of steps between two nodes: a tangent vector grows by less than e^700 there, and cannot overflow.
+# Largest number of steps between two nodes. A tangent vector grows by less than e^700 in these steps and cannot overflow.
 MAX_STEPS_PER_NODE = 1000
-# Largest step times frequency bound: longer steps make regular motions look chaotic, shorter ones change MEGNO of regular
-# motions by less than 0.01.
+# Largest product of step and frequency bound. Longer steps make regular motions look chaotic. Shorter steps change the MEGNO of
+# regular motions by less than 0.01.
 MAX_RADIANS_PER_STEP = 0.3
-# Largest relative loss of amplitude by numerical dissipation during a run; the loss lowers MEGNO.
+# Largest relative loss of amplitude by numerical dissipation during a run. A loss of amplitude lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
-# A tangent run for the growth alone must follow the main run only until the main run's error has grown to some per cent. Ratio of its
-# step to the step at which rk8 has this error at the frequency bound; largest product of its step and the bound, rad.
+# A tangent run for the growth alone must follow the main run only until the error of the main run reaches some per cent. The step is
+# GROWTH_STEP times the step at which rk8 has the main run's error, and at most MAX_RADIANS_FOR_GROWTH (rad) of the bound.
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
-# Run time of a step with a tangent vector, divided by that of a step with statistics, see bench_engine.py.
+# Run time of a step with a tangent vector, divided by the run time of a step with statistics. See bench_engine.py.
 RELATIVE_COST = 1.5
 # Largest fall of L, the logarithm of the growth of a tangent vector. The vector grows in chaos, but also while a regular motion
-# leaves the neighbourhood of an unstable one. If the motion returns to a distance d, a vector along its velocity shrinks by d and
-# L falls by ln(1/d). At d = 1e-6 to 1e-8 truncation and rounding errors carry the run across the separatrix and cause the growth:
-# falls of 14 to 22 were measured, against at most 7 along chaotic motions.
+# leaves the neighbourhood of an unstable motion. If the regular motion returns to a distance d, a vector along the velocity shrinks
+# by d, and L falls by ln(1/d). If d is 1e-6 to 1e-8, truncation and rounding errors carry the run across the separatrix and cause
+# the growth. Falls of 14 to 22 were then measured, and of at most 7 along chaotic motions.
 MAX_DRAWDOWN = 10.0
-# Largest growth of L in one passage of an unstable motion: at most ln(1/d^2) with d^2 >= 1e-16 (rounding); 39 was measured.
+# Largest growth of L in one passage of an unstable motion, ln(1/d^2) where rounding keeps d^2 above 1e-16. 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO below the first value means regular (it tends to 2 or less), above the second value chaotic (it grows as lambda T / 2).
+# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR) and grows as lambda T / 2 for chaotic ones (above MIN_CHAOTIC).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# A chaotic run is continued until it exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, for at most this number of durations.
+# A chaotic run is continued until L exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, but for at most this number of durations.
 MAX_DURATIONS = 16
 
 
 @dataclass(frozen=True)
 class TangentSteps:
-    """Steps of the runs with tangent vectors; arrays of shape (points,)."""
+    """Steps of the runs with tangent vectors. Arrays have shape (points,)."""
 
     steps: NDArray[np.int64]
     step_size: Array  # in time units
@@ -60,9 +60,9 @@ class TangentSteps:
     def of(
         cls, bound: Array, duration: Array, step: float | None, max_steps: int, error: Array | None = None
     ) -> TangentSteps:
-        """Steps for frequency bounds (rad per time unit) and durations; step: the largest step size, if given.
+        """Return steps of at most `step`, if given, for frequency bounds (rad per time unit) and durations.
 
-        error: relative error of the main runs, if tangent runs give the growth alone, see GROWTH_STEP.
+        If tangent runs give the growth alone, `error` is the relative error of the main runs, see GROWTH_STEP.
         """
         radians = bound * duration
         finite = np.isfinite(radians)
@@ -98,7 +98,7 @@ class TangentSteps:
 
 
 class TangentArrays(NamedTuple):
-    """Data of points that the tangent kernel reads and writes, in the manner of `blocks.Arrays`."""
+    """Data of points that the tangent kernel reads and writes, as `blocks.Arrays` for other kernels."""
 
     step_size: Array
     state: Array
@@ -109,16 +109,16 @@ class TangentArrays(NamedTuple):
 
 
 def rate_unit(system: System, points: Points, without_frame: Array | float = 1.0) -> Array:
-    """Unit of angular velocities in the norm of a tangent vector, rad per time unit: the rate of the frame, else without_frame.
+    """Return the unit of angular velocities in the norm of a tangent vector, the rate of the frame or else `without_frame`.
 
-    The Lyapunov exponent of a finite run depends a little on this unit; the limit for long runs does not.
+    The Lyapunov exponent of a finite run depends a little on this unit. The limit for long runs does not.
     """
     rate = np.abs(system.frame_rate(points)) if system.frame_rate else np.zeros(shape_of(points))
     return np.where(rate > 0, rate, without_frame)
 
 
 class Separation:
-    """Tangent vectors of an ensemble, integrated for its durations and, where needed, longer."""
+    """Tangent vectors of an ensemble, which are integrated for one or more durations of each run."""
 
     def __init__(
         self, system: System, kernel: ModuleType, ensemble: Ensemble, steps: TangentSteps, rate_unit: Array
@@ -127,10 +127,10 @@ class Separation:
         self.state, self.constants = ensemble.state.copy(), ensemble.constants
         with np.errstate(all="ignore"):
             unit = steps.step_size / METHOD.kernel_step
-            # Factors, in the norm of a tangent vector, of its components in the kernel's units.
+            # `weights` are the factors of the components, in the kernel's units, in the norm of a tangent vector.
             equations = system.equations
             constants = equations.scaled(self.state, self.constants, unit)[1]
-            # A state of ones becomes the factors by which the units of the components change.
+            # The conversion of a state of ones gives the factors by which the units of the components change.
             in_caller_units = equations.unscaled(np.ones_like(self.state), constants, unit)
             rows = [
                 in_caller_units[i]
@@ -148,13 +148,13 @@ class Separation:
 
     @property
     def megno(self) -> Array:
-        """Mean MEGNO up to now, (points,); nan or infinite where numbers overflow."""
+        """Mean MEGNO up to now, (points,). It is nan or infinite where numbers overflow."""
         with np.errstate(all="ignore"):
             return np.asarray(self.sums[tangent.Growth.MEGNO_INTEGRAL] / (self.durations * self.steps.steps))
 
     @property
     def lyapunov(self) -> Array:
-        """Largest Lyapunov exponent up to now, per time unit, (points,); nan or infinite where numbers overflow."""
+        """Largest Lyapunov exponent up to now, per time unit, (points,). It is nan or infinite where numbers overflow."""
         with np.errstate(all="ignore"):
             time = self.steps.step_size * (self.durations * self.steps.steps)
             return np.asarray(self.sums[tangent.Growth.LOG_GROWTH] / time)
@@ -165,7 +165,7 @@ class Separation:
         *,
         threads: blocks.Threads = blocks.ALL_THREADS,
     ) -> None:
-        """Integrate points, all after the same number of durations, for one more duration."""
+        """Integrate the points `where`, which have completed the same number of durations, for one more duration."""
         where = np.arange(self.durations.size) if where is None else where
         schedule = blocks.pack_blocks(self.steps.steps[where], self.steps.nodes[where])
         points, nodes = where[schedule.points], schedule.steps_per_sample
@@ -182,7 +182,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class TangentRuns:
-    """Points ready to be integrated with a tangent vector; arrays of shape (points,)."""
+    """Points that are ready to be integrated with a tangent vector. Arrays have shape (points,)."""
 
     system: System
     kernel: ModuleType  # see `kernel.specialization.tangent_kernel`
@@ -204,7 +204,7 @@ class TangentRuns:
         *,
         has_chaos: bool,
     ) -> TangentRuns:
-        """Tangent runs beside main runs with these step_sizes; has_chaos: for the indicators of chaos, not for the growth alone."""
+        """Return tangent runs for main runs with `step_sizes`. If `has_chaos` is false, the runs give the growth alone."""
         bound = ensemble.frequency_bound
         with np.errstate(all="ignore"):
             error = None if has_chaos else tolerated_error(settings, step_sizes, bound)
@@ -216,7 +216,7 @@ class TangentRuns:
         return cls(system, kernel, ensemble, steps, unit, work / (own + work))
 
     def _separation(self, where: NDArray[np.int64], threads: blocks.Threads) -> Separation:
-        """Tangent vectors of some points after their runs; progress advances by `share` of all points."""
+        """Return tangent vectors of the points `where` at the end of the runs. Progress advances by `share` of all points."""
         steps = self.steps.subset(where)
         separation = Separation(
             self.system, self.kernel, self.ensemble.subset(where), steps, self.rate_unit[where]
@@ -226,8 +226,10 @@ class TangentRuns:
         return separation
 
     def growth(self, where: Mask, threads: blocks.Threads) -> Array:
-        """Logarithm of the largest growth of a tangent vector: infinite where the steps do not resolve it, nan outside `where`;
-        progress advances by `share` of all points."""
+        """Return the logarithm of the largest growth of a tangent vector. Progress advances by `share` of all points.
+
+        The result is infinite where the steps do not resolve the growth, and nan outside `where`.
+        """
         result = np.where(where, np.inf, np.nan)
         resolved = np.flatnonzero(where & self.steps.resolved)
         if resolved.size:
@@ -243,7 +245,7 @@ class TangentRuns:
         unstable: Mask,
         threads: blocks.Threads,
     ) -> dict[str, np.ndarray]:
-        """Variables of chaos, nan or NOT_COMPUTED unless the status is ok; progress advances by `share` of all points."""
+        """Return the variables of chaos, which are missing unless the status is ok. Progress advances by `share` of all points."""
         size = self.rate_unit.size
         megno, lyapunov = np.full(size, np.nan), np.full(size, np.nan)
         flags = np.full(size, Regularity.NOT_COMPUTED, np.int8)
@@ -256,13 +258,13 @@ class TangentRuns:
         values[:, ~np.isfinite(values).all(0)] = np.nan
         kind = regularity(columns["label"][where].astype(np.int8), values[0], unstable[where])
         drifting = np.isin(kind, (Regularity.REGULAR, Regularity.CHAOTIC, Regularity.UNDECIDED))
-        # Errors can decide how a motion leaves an unstable one only after a tangent vector has grown.
+        # Errors can decide how a motion leaves an unstable motion only after a tangent vector has grown.
         highest, drawdown = separation.sums[tangent.Growth.HIGHEST], separation.sums[tangent.Growth.DRAWDOWN]
         values[:, drifting & (drawdown > MAX_DRAWDOWN) & (highest > MAX_DRAWDOWN)] = np.nan
-        # Chaos is certain where a vector grows by more than in one passage of an unstable motion; other runs go on.
+        # Chaos is certain where a vector grows by more than one passage of an unstable motion allows. Other runs go on.
         chaotic = np.flatnonzero(kind == Regularity.CHAOTIC)
         active = chaotic
-        log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view of the sums, as `drawdown` is
+        log_growth = separation.sums[tangent.Growth.LOG_GROWTH]  # a view of the sums, like `drawdown`
         for duration in range(1, MAX_DURATIONS + 1):
             active = active[(drawdown[active] <= MAX_DRAWDOWN) & (log_growth[active] <= MAX_PASSAGE_GROWTH)]
             if duration < MAX_DURATIONS and active.size:
@@ -275,7 +277,7 @@ class TangentRuns:
 
 
 def regularity(label: Flags, megno: Array, unstable: Mask) -> Flags:
-    """Values of flags.Regularity; label: unresolved unless the status is ok; unstable: whether the start is on an unstable motion."""
+    """Return values of `flags.Regularity`. `unstable` is true where the start is on an unstable motion."""
     steady = np.isin(label, (Label.REGULAR_PRECESSION, Label.PERMANENT_ROTATION))
     drifting = label == Label.DRIFTING
     conditions = {

@@ -205,7 +205,7 @@ def points_at(scene: Scene, coordinates: Mapping[str, np.ndarray]) -> Grid:
 
 
 def point_at(scene: Scene, places: Mapping[str, float], what: str) -> Grid:
-    """The point of a scene with the given value of each axis; BadInput, which says what needs it, if there is none or no motion."""
+    """Return the point at the value of each axis; BadInput for a wrong axis, which `what` needs, or a point without motion."""
     for name in (*scene.axes, *places):
         if name not in places or name not in scene.axes:
             problem = "is no axis of the scene" if name in places else "has no value"

@@ -1,4 +1,4 @@
-"""Names of processes, and whether a process runs."""
+"""Names of processes, and tests of whether a process runs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import socket
 from contextlib import suppress
 from pathlib import Path
 
-# A process is named machine-boot-pid-start. On its machine the name decides whether it runs: a later process with the same number
-# has another start, and after a new boot no earlier process runs. A container counts as a machine of its own, because it cannot
-# see processes outside. Nothing is known about processes of other machines.
+# A process is named machine-boot-pid-start. On the same machine the name tells whether the process runs. A later process with the
+# same number has another start, and after a new boot no earlier process runs. A container counts as a machine of its own, because
+# processes outside are not visible there. Nothing is known about processes of other machines.
 PROCESS_NAME = re.compile(r"([0-9a-f]{8})-([0-9a-f]{8})-(\d+)-(\d+)")
 
 
 def process_name() -> str:
-    """Name of this process, made of hexadecimal digits and hyphens."""
+    """Return the name of this process, which consists of hexadecimal digits and hyphens."""
     pid = os.getpid()
     machine, boot = _machine_and_boot()
     return f"{machine}-{boot}-{pid}-{_start(pid) or 0}"
 
 
 def is_running(process: str) -> bool | None:
-    """Whether the process of a `process_name` runs; None if it is on another machine."""
+    """Return whether the process with a name from `process_name` runs, or None if the process is on another machine."""
     match = PROCESS_NAME.fullmatch(process)
     machine, boot = _machine_and_boot()
     if match is None or match[1] != machine:
@@ -42,7 +42,7 @@ def is_running(process: str) -> bool | None:
 
 
 def _machine_and_boot() -> tuple[str, str]:
-    """Short hashes of the host (with its container) and of its last boot, if Linux shows the boot."""
+    """Return short hashes of the host (including the container) and of the last boot, if Linux shows the boot."""
     machine, boot = [socket.gethostname()], ""
     with suppress(OSError):
         machine.append(Path("/etc/machine-id").read_text(encoding="ascii"))
@@ -55,7 +55,7 @@ def _machine_and_boot() -> tuple[str, str]:
 
 
 def _start(pid: int) -> int | None:
-    """Start of a process in ticks after the boot; -1 for a zombie, None if it cannot be read."""
+    """Return the start of a process in ticks after the boot, -1 for a zombie, or None if the start cannot be read."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
         fields = text.rpartition(")")[2].split()  # the name of the program, in brackets, may contain blanks

@@ -1,4 +1,4 @@
-"""Importing this module registers the accessor `ds.atlas` with xarray."""
+"""Registration of the accessor `ds.atlas` with xarray, which takes place when this module is imported."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import xarray as xr
 
 @xr.register_dataset_accessor("atlas")  # type: ignore[untyped-decorator]
 def questions(ds: xr.Dataset) -> Any:
-    """`ds.atlas`; its class is imported on first use."""
+    """Return the accessor `ds.atlas`. The class of the accessor is imported on first use."""
     from .accessor import Atlas
 
     return Atlas(ds)

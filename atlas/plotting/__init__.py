@@ -1,1 +1,1 @@
-"""Figures of atlases and motions; only this room and extensions import Matplotlib."""
+"""Figures of atlases and motions. Only this package and extensions import Matplotlib."""

@@ -1,4 +1,4 @@
-"""Values of an atlas over its axes: cells over two axes, a curve or levels of flags over one."""
+"""Drawing of the values of an atlas, as cells over two axes, or as a curve or levels of flags over one axis."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from .style import COLOURS
 def draw_values(
     ax: Axes, array: xr.DataArray, edges: list[np.ndarray], scale: ColorScale
 ) -> ScalarMappable | None:
-    """Draw an array over two axes as cells, and return the cells; draw an array over one axis as a curve."""
+    """Draw an array over two axes as cells, and return the cells. Draw an array over one axis as a curve."""
     ax.set_xlim(edges[0][0], edges[0][-1])
     if array.ndim == 1:
         values = array.values
@@ -63,7 +63,7 @@ def draw_values(
 def draw_levels(
     ax: Axes, array: xr.DataArray, texts: Sequence[str], colours: Sequence[str], levels: Sequence[int]
 ) -> None:
-    """Draw flags over one axis as a step curve, a level for each flag, with a dot in the flag's colour at each point."""
+    """Draw flags over one axis as a step curve with a level for each flag, and a dot in the colour of the flag at each point."""
     x, heights = array[array.dims[0]].values, np.searchsorted(levels, array.values)
     ax.step(x, heights, where="mid", color="0.35", linewidth=0.6)
     ax.scatter(x, heights, c=np.array(colours)[array.values.astype(int)], s=9, marker="s", zorder=2.2)
@@ -72,14 +72,14 @@ def draw_levels(
     ax.tick_params(axis="y", length=0)
 
 
-# In square points: area of all dots of a panel, which together cover it about once; limits of the area of one dot.
+# Area of all dots, which together cover a panel about once, and limits of the area of a dot, in square points.
 PANEL_AREA, MIN_DOT, MAX_DOT = 6000.0, 0.5, 14.0
 
 
 def draw_dots(
     ax: Axes, array: xr.DataArray, places: list[np.ndarray], scale: ColorScale, *, rare_on_top: bool
 ) -> ScalarMappable:
-    """Draw the values at single points as dots, and return the dots."""
+    """Draw the values of single points as dots, and return the dots."""
     values = array.values.astype(np.int8) if array.dtype == bool else array.values
     order = np.arange(values.size)
     if rare_on_top:
@@ -94,7 +94,7 @@ def draw_dots(
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
-    """Scale and ticks of an axis, "x" or "y"; inner: no tick labels near the ends, where a neighbouring panel has labels."""
+    """Set the scale and the ticks of an axis, "x" or "y". An `inner` axis has no tick labels near its ends."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     if log:
         ax.set(**{f"{which}scale": "log"})
@@ -108,8 +108,8 @@ def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
 
 
 MAX_DECADES = 10  # largest number of decades of a logarithmic colour scale
-MIN_LOG_RATIO = 100  # positive numbers with a larger ratio of extremes get a logarithmic colour scale
-MAX_INTEGERS = 40  # integers in a range up to this get one colour each
+MIN_LOG_RATIO = 100  # a colour scale is logarithmic if the ratio of the extremes exceeds this value
+MAX_INTEGERS = 40  # each integer gets its own colour if the range of the values is at most this wide
 
 
 @dataclass(frozen=True)
@@ -118,19 +118,19 @@ class ColorScale:
 
     colormap: Colormap
     norm: Normalize
-    extend: str = "neither"  # ends of the colour bar beyond which there are values: "min", "max" or "both"
+    extend: str = "neither"  # ends of the colour bar that values exceed, "min", "max" or "both"
     log_range: tuple[float, float] | None = None  # lowest and highest value of a logarithmic scale
     integers: bool = False  # whether each integer has a colour of its own
 
     def as_drawn(self, values: np.ndarray) -> np.ndarray:
-        """Values to draw: on a logarithmic scale, zero and negative values get the colour below the scale."""
+        """Return the values to draw. On a logarithmic scale, zero and negative values get the colour below the scale."""
         if self.log_range is None:
             return values
         return np.where(values <= 0, 0.5 * self.log_range[0], values)
 
 
 def is_angle(array: xr.DataArray) -> bool:
-    """Whether a variable is an angle, whose scale is always linear; errors and variations of angles do not count."""
+    """Whether a variable is an angle, whose scale is always linear. Errors and variations of angles do not count."""
     is_small = re.search("error|drift|std|rms|roughness", str(array.name))
     return attribute_text(array.attrs, "units") in (RAD, DEGREE) and not is_small
 
@@ -143,7 +143,7 @@ def color_scale(
     name: str = "",
     angle: bool = False,
 ) -> ColorScale:
-    """Colour scale of numbers, or of flags by their colours; BadInput for options that do not suit the values."""
+    """Return the colour scale of numbers, or of flags by their colours. Options that do not suit the values raise BadInput."""
     if flags:
         return ColorScale(ListedColormap(flags), BoundaryNorm(np.arange(len(flags) + 1) - 0.5, len(flags)))
     options = MapOptions() if options is None else options
@@ -174,7 +174,7 @@ def color_scale(
         norm.autoscale_None(finite)
         return ColorScale(colormap, norm, _extend(finite, norm))
     if chosen is None and first < 0 < last and (vmin is None or vmax is None):
-        # Cividis is blue below, grey at and yellow above its middle, and its luminance shows the sign.
+        # Cividis is blue below the middle, grey there and yellow above, so that luminance shows the sign.
         bound = next((abs(end) for end in (vmin, vmax) if end is not None), max(-low, high))
         signed = colormaps["cividis"] if options.cmap is None else colormap
         norm = Normalize(-bound, bound)
@@ -192,13 +192,13 @@ def color_scale(
 
 
 def _extend(values: np.ndarray, norm: Normalize) -> str:
-    """The ends of a colour bar beyond which there are values, see `ColorScale.extend`."""
+    """Return the ends of a colour bar that values exceed. See `ColorScale.extend`."""
     below, above = values.min() < norm.vmin, values.max() > norm.vmax
     return {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above), "neither")
 
 
 def _log_scale(colormap: Colormap, values: np.ndarray, low: float, high: float) -> ColorScale:
-    """Logarithmic scale between two positive numbers."""
+    """Return a logarithmic scale between two positive numbers."""
     norm = LogNorm(low, high)
     return ColorScale(colormap, norm, _extend(values, norm), (low, high))
 
@@ -206,7 +206,7 @@ def _log_scale(colormap: Colormap, values: np.ndarray, low: float, high: float) 
 def add_color_bar(
     figure: Figure, axes: list[Axes], image: ScalarMappable, scale: ColorScale, label: str
 ) -> None:
-    """Colour bar to the right of the panels."""
+    """Add a colour bar to the right of the panels."""
     bar = figure.colorbar(image, ax=axes, pad=0.02, extend=scale.extend, aspect=25)
     bar.set_label(label)
     if isinstance(scale.norm, BoundaryNorm):  # integers
@@ -218,13 +218,13 @@ def add_color_bar(
     bar.outline.set_linewidth(0.6)
 
 
-# From a weak orange to black: darker where neighbouring motions separate faster.
+# Colours from a weak orange to black. A darker colour means that neighbouring motions separate faster.
 _COLOURS = LinearSegmentedColormap.from_list("exponents", ["#b86a1c", "#5e2205", "#160300"])
 MAX_EXPONENT_DECADES = 3  # largest number of decades of the colour scale
 
 
 def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
-    """Lyapunov exponents at the chaotic points of a map of regularity, else nan, in the shape of flags; None for other maps."""
+    """Return the Lyapunov exponents of chaotic points, and nan at other points, or None unless the map is one of regularity."""
     if flags.name != "regularity" or "lyapunov" not in ds or {*ds["lyapunov"].dims} != {*flags.dims}:
         return None
     exponents = ds["lyapunov"].transpose(*flags.dims).values
@@ -232,7 +232,7 @@ def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
 
 
 def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
-    """Colours of the exponents of chaotic points; None if there are no exponents."""
+    """Return the colour scale of the exponents of chaotic points, or None if there are no exponents."""
     values = np.concatenate([np.empty(0), *(each.ravel() for each in exponents if each is not None)])
     values = values[values > 0]
     if not values.size or values.max() == values.min():
@@ -242,7 +242,7 @@ def exponent_scale(exponents: Iterable[np.ndarray | None]) -> ColorScale | None:
 
 
 def regularity_texts(ds: xr.Dataset) -> Mapping[str, str]:
-    """Texts of flags of regularity in the legend; "regular" and "chaotic" state the length of the runs of a scene."""
+    """Return legend texts for flags of regularity. "regular" and "chaotic" state the length of the runs of a scene."""
     length = (
         {}
         if (scene := scene_of(ds)) is None
@@ -265,13 +265,13 @@ BORDERS: dict[str, dict[str, Any]] = {
     },
 }
 PLAIN_LINE: dict[str, Any] = {"linestyle": "-", "linewidth": 0.6}
-# Dashes of families, by their numbers in the system.
+# Dashes of families by the number of the family in the system.
 DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1)))
-# On panels narrower than NARROW (mm) lines are thinner by the factor THINNER, in all figures.
+# Lines are thinner by the factor THINNER on panels narrower than NARROW (mm).
 NARROW, THINNER = 90.0, 0.5
-# The halo keeps lines visible on dark colours; it must not hide a strip of cells along the line.
+# A halo keeps lines visible on dark colours. It must not hide a strip of cells along the line.
 HALO = 0.35  # width in points on each side
-# Lines of a kind in KINDS have no halo if they are more than this or crowded: the halo would cover the cells between them.
+# More than MAX_HALOED lines of a kind in KINDS, or crowded lines, have no halo, which would cover the cells between the lines.
 MAX_HALOED = 40
 
 
@@ -294,26 +294,26 @@ HATCHES = {
 
 
 def border_style(kind: str, width: float = math.inf) -> dict[str, Any]:
-    """Line style of a kind of border of the core or of an extension; width: width of the panel, mm."""
+    """Return the line style of a kind of border, which may be that of an extension, on a panel of `width` mm."""
     return at_width(
         {"color": "black"} | (extension.load("line_styles", kind) or BORDERS.get(kind, PLAIN_LINE)), width
     )
 
 
 def family_style(number: int, width: float = math.inf) -> dict[str, Any]:
-    """Line style of the family with this number in the system; width: width of the panel, mm."""
+    """Return the line style of the family with this number in the system, on a panel of `width` mm."""
     return at_width({"color": "black", "linestyle": DASHES[number % len(DASHES)], "linewidth": 1.0}, width)
 
 
 def at_width(style: dict[str, Any], width: float) -> dict[str, Any]:
-    """Line style with the linewidth for a panel; width: width of the panel, mm."""
+    """Return the line style with the linewidth for a panel of `width` mm."""
     return style | {"linewidth": style["linewidth"] * (THINNER if width < NARROW else 1.0)}
 
 
 def draw_overlay(
     ax: Axes, panel: Panel, edges: list[np.ndarray], families: Sequence[str], width: float
 ) -> None:
-    """Draw hatching and theory over the cells of a panel that has its limits and scales; width: width of the panel, mm."""
+    """Draw hatching and theory over the cells of a panel of `width` mm. The limits and scales of `ax` must be set before."""
     for what, mask in ((NOT_YET, panel.white.get(NOT_YET)), (SLOW, panel.slow)):
         if mask is not None and mask.any():
             draw_hatching(ax, mask, edges, HATCHES[what])
@@ -326,9 +326,9 @@ def draw_overlay(
 
 
 def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -> None:
-    """Hatch the marked cells; over one axis from bottom to top.
+    """Hatch the marked cells. Over one axis the cells reach from bottom to top.
 
-    All marked cells are one path, a rectangle for each row of them along x, because Matplotlib takes seconds to hatch many paths.
+    Marked neighbours along x form a rectangle. All rectangles are one path, because Matplotlib takes seconds to hatch many paths.
     """
     x, y = edges[0], edges[1] if mask.ndim == 2 else ax.get_ylim()
     mask = np.atleast_2d(mask)
@@ -348,7 +348,7 @@ def draw_hatching(ax: Axes, mask: Mask, edges: list[np.ndarray], hatch: Hatch) -
 
 
 def _draw_lines(ax: Axes, lines: list[np.ndarray], style: dict[str, Any], *, halo: float) -> None:
-    """Draw lines over a white halo without dashes, which is below all lines; halo: its width in points on each side of a line.
+    """Draw lines over a white halo without dashes, which is `halo` points wide on each side and lies below all lines.
 
     Lines over two axes are one path with gaps, because Matplotlib takes milliseconds for each path.
     """

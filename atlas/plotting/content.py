@@ -1,4 +1,4 @@
-"""Content of maps: values, reasons for missing values, and lines of theory."""
+"""Content of maps, which consists of values, reasons for missing values, and lines of theory."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ NO_BODY, NO_MOTION, NOT_YET, NO_VALUE = "no such body", "no such motion", "not c
 NO_THEORY = "theory says nothing"
 BY_PROOF, PROVED = "proved, not integrated", "edge of what is proved for every duration"
 SLOW = "too slow to show"
-# A region with a smaller fraction of the points is not visible.
+# A region with less than this fraction of the points is not visible.
 MIN_VISIBLE = 1e-3
-# Hatching narrower than this fraction of the frame's side is not visible, nor are lines closer to the frame than that.
+# Hatching that is narrower than this fraction of the frame's side, and lines that are closer to the frame, are not visible.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# Largest `crowding` of lines with a halo; in sides of a cell, distance of samples on a line, and least path back to a crossed cell.
+# Lines have a halo up to a `crowding` of CROWDED. In sides of a cell, samples are SAMPLING apart, and a return is longer than RETURN.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
-# Flag variables on whose maps theory draws the borders of labels.
+# Theory draws the borders of labels on maps of these flag variables.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
 
 Lines = Mapping[str, list[np.ndarray]]
@@ -48,22 +48,22 @@ Lines = Mapping[str, list[np.ndarray]]
 class Panel:
     """Content of one panel."""
 
-    array: xr.DataArray  # values over one axis, or over two with x last
-    white: Mapping[str, Mask]  # reason why there is no value -> cells, bool of the shape of the array
-    slow: Mask  # cells of unstable motions that had no time to drift, bool of the shape of the array
+    array: xr.DataArray  # values over one axis, or over two axes with x last
+    white: Mapping[str, Mask]  # reason for a missing value -> mask of the cells, in the shape of the array
+    slow: Mask  # mask of the cells with unstable motions that had no time to drift
     borders: Lines = field(default_factory=dict)  # kind of border -> lines
     families: Lines = field(default_factory=dict)  # family -> lines
     crowded: Collection[str] = ()  # kinds of borders whose lines are often less than a cell apart
 
     def in_degrees(self, degrees: bool | None) -> Panel:
-        """The panel with angles in the unit to be shown; degrees: see `analysis.degrees.factor`."""
+        """Return the panel with angles in the unit to be shown. For `degrees` see `analysis.degrees.factor`."""
         axes = [self.array[dim] for dim in self.array.dims[::-1]]
         borders, families = (lines_in_degrees(each, axes, degrees) for each in (self.borders, self.families))
         return replace(self, array=in_degrees(self.array, degrees), borders=borders, families=families)
 
 
 def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
-    """The panel without hatching and lines of theory that are too small to be seen; `crowded` is filled in."""
+    """Return the panel without hatching and lines that are too small to be seen, and with the kinds of `crowded` lines."""
     slow, box = panel.slow, [math.ceil(MIN_HATCHED * count) for count in panel.slow.shape]
     is_visible = slow.mean() >= MIN_VISIBLE
     if is_visible:
@@ -72,7 +72,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
         is_visible = binary_erosion(slow, np.ones(box)).any()
 
     def is_inside(line: np.ndarray) -> bool:
-        """Whether a line enters INSIDE; on one axis a line is a value."""
+        """Whether a line enters INSIDE. On a map with one axis a line is a value."""
         places = [np.interp(v, e, np.linspace(0, 1, e.size)) for v, e in zip(line.T, edges, strict=True)]
         path = Path(np.transpose(places if len(places) == 2 else [places[0].repeat(2), [0, 1]]))
         return path.intersects_bbox(INSIDE, filled=False)
@@ -86,7 +86,7 @@ def visible(panel: Panel, edges: list[np.ndarray]) -> Panel:
 
 
 def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
-    """Fraction of the crossed cells that lines cross twice: in these cells a tongue is narrower than a cell."""
+    """Return the fraction of the crossed cells that lines cross twice. In such a cell a tongue is narrower than the cell."""
     if len(edges) == 1:
         return 0.0
     samples, start = [], 0.0
@@ -105,7 +105,7 @@ def crowding(lines: list[np.ndarray], edges: list[np.ndarray]) -> float:
 
 
 def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, boundary: bool) -> Panel:
-    """Content of a panel over one or two axes (x first), in memory."""
+    """Return the content of a panel over one or two axes (x first), loaded into memory."""
     names = [
         n
         for n in (
@@ -123,7 +123,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     white = _white(ds, name, dims, scene)
     array, slow = ds[name], np.zeros(ds[name].shape, bool)
     if "computed" in ds and not flag_names(array):
-        # Where a refined atlas did not integrate, the value of the nearest integrated point is drawn.
+        # Where a refined atlas has no run, the value of the nearest integrated point is drawn.
         gaps = ~np.isfinite(array.values) & (ds["computed"].values == 0)
         if gaps.any() and not gaps.all():
             from scipy.ndimage import distance_transform_edt  # slow to import, and most maps do not need it
@@ -135,23 +135,23 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
     of_motions = name.removesuffix("_inertial") in MOTIONS
     of_runs = of_motions and not name.startswith("predicted")
     if scene.nudge and of_runs and {"label", "stable", "growth_rate", "end_time"} <= set(ds):
-        # Nudged motions that are unstable by theory and stayed steady: the run ended before the nudge grew.
+        # Motions that are unstable by theory have stayed steady, because the run ended before the nudge grew.
         label = ds["label"].values
         steady = (label == Label.REGULAR_PRECESSION) | (label == Label.PERMANENT_ROTATION)
         grown = ds["growth_rate"].values * ds["end_time"].values >= MAX_SURVIVED_GROWTH
         slow = steady & (ds["stable"].values == Stability.UNSTABLE) & ~grown
-    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # other axes than the scene's, or averages
+    if not set(dims) <= axes_of(scene).keys() <= ds.coords.keys():  # not the scene's axes, or averages
         return Panel(array, white, slow)
     try:
         borders = theory_lines(scene, ds, dims, name)
         families = family_curves(Plane.of(scene, ds, dims))
     except BadInput as error:
-        # Between the points of an atlas there may be impossible bodies, which the map itself does not need.
+        # Between the points of an atlas there may be impossible bodies, which concern only theory.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
     if borders and borders.keys().isdisjoint(
         (*KINDS, *RESONANCES)
-    ):  # lines of properties of bodies, such as the number of equilibria
+    ):  # the lines belong to properties of bodies, such as the number of equilibria
         return Panel(array, white, slow, borders)
     if not of_motions:
         borders = {
@@ -161,7 +161,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
 
 
 def _outline(ds: xr.Dataset, name: str, dims: list[str]) -> Lines:
-    """The edge of the region in which the labels of a map over two axes are proved."""
+    """Return the edge of the region in which labels are proved, for a map over two axes."""
     label = name.replace("predicted", "label").replace("agreement", "label")
     proof = proofs_of_labels().get(label)
     if proof not in ds or len(dims) != 2:
@@ -174,7 +174,7 @@ def _outline(ds: xr.Dataset, name: str, dims: list[str]) -> Lines:
 
 
 def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> dict[str, Mask]:
-    """Reason -> cells without a value."""
+    """Return a mask of the cells without a value for each reason."""
     array = ds[name]
     flags = flag_names(array)
     if flags:
@@ -186,9 +186,9 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
     else:
         missing = ~np.isfinite(array.values)
     if "computed" in ds:
-        missing &= ds["computed"].values == 1  # elsewhere the value of the nearest point is drawn
+        missing &= ds["computed"].values == 1  # other cells show the nearest point
     reasons = np.full(array.shape, "", object)
-    run = next((each for each in ("label", "status") if each in ds), None)  # 0 where no motion was computed
+    run = next((each for each in ("label", "status") if each in ds), None)  # 0 if no motion was computed
     not_computed = missing & (ds[run].values == Label.NOT_COMPUTED if run else bool(flags))
     reasons[missing] = NO_THEORY if is_theory(system_of(ds), name) else NO_VALUE
     reasons[not_computed] = NO_MOTION
@@ -205,7 +205,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
         and set(dims) <= set(axes_of(scene))
         and without_motion.any()
     ):
-        # A white cell at which the scene has a motion belongs to a tile that is not computed yet.
+        # A white cell belongs to a tile that is not computed yet if the scene has a motion there.
         grids = np.broadcast_arrays(*np.meshgrid(*[ds[dim].values for dim in dims[::-1]], indexing="ij"))
         columns = {dim: grid[without_motion] for dim, grid in zip(dims[::-1], grids, strict=True)}
         try:
@@ -221,7 +221,7 @@ def _white(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None) -> d
 
 
 def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
-    """Number of finished tiles, and of all tiles, of an unfinished atlas; None for a finished atlas."""
+    """Return the numbers of finished tiles and of all tiles of an unfinished atlas, or None for a finished atlas."""
     match = re.match(r"(\d+) of (\d+) tiles", attribute_text(ds.attrs, "atlas_run"))
     if match is None or int(match[1]) >= int(match[2]):
         return None
@@ -229,7 +229,7 @@ def tiles_done(ds: xr.Dataset) -> tuple[int, int] | None:
 
 
 def remarks(ds: xr.Dataset, *, filled: bool) -> list[str]:
-    """Sentences under a map: about gaps filled with the nearest values, and about an unfinished run."""
+    """Return sentences for below a map, about gaps that are filled with the nearest values and about an unfinished run."""
     tiles = tiles_done(ds)
     sentences = []
     if filled and "computed" in ds:

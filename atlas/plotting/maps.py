@@ -57,7 +57,7 @@ from .style import (
     wrapped,
 )
 
-Entries = dict[str, Artist]  # text of the legend -> sample
+Entries = dict[str, Artist]  # text in the legend -> sample of the colour, hatching or line
 
 
 @typed
@@ -68,18 +68,18 @@ def figure(
 ) -> Figure:
     """Figure of several atlases, or of several variables, with one legend for all panels.
 
-    Panels of the same variable share a colour scale, panels over the same axes share these axes.
+    Panels of the same variable share a colour scale, and panels over the same axes share the axes.
 
     Parameters
     ----------
     panels : sequence or mapping of str to Dataset or (Dataset, str)
-        Atlases, each alone or with the name of a variable; the keys of a mapping are written above the panels.
+        Atlases, each alone or with the name of a variable. The keys of a mapping are written above the panels.
     **options
 
     Returns
     -------
     matplotlib.figure.Figure
-        With the panels row by row.
+        The figure, which has the panels row by row.
 
     Examples
     --------
@@ -101,33 +101,33 @@ def figure(
 
 
 def atlas_map(ds: xr.Dataset, variable: str | None = None, **options: Any) -> Figure:
-    """Map of a variable of an atlas with theory drawn over it, or a scatter map of single points, see `Atlas.map`."""
+    """Draw a map of a variable with theory over the values, or a scatter map of single points. See `Atlas.map`."""
     chosen = MapOptions(**options)
     return draw(views_of(ds, variable, chosen), chosen)
 
 
 @dataclass(frozen=True)
 class View:
-    """What one panel shows: a variable over one or two axes, or at single points."""
+    """Content and texts of one panel, which shows a variable over one or two axes, or at single points."""
 
     name: str  # name of the variable
-    flags: Mapping[str, str]  # name of each flag -> its colour, in the order of the values; empty for numbers
+    flags: Mapping[str, str]  # name of a flag -> colour, in the order of the values; empty for numbers
     flag_texts: Mapping[str, str]
     axes: list[str]  # x first
-    labels: list[str]  # labels of the axes, x first; for a curve the second label is that of the variable
+    labels: list[str]  # labels of the axes, x first; the second label of a curve is the variable
     bar_label: str
     log: list[bool]  # whether each axis is logarithmic
-    edges: list[np.ndarray]  # edges of the cells along each axis, x first, or coordinates of single points
+    edges: list[np.ndarray]  # edges of cells along each axis, x first, or coordinates of points
     panel: Panel  # with angles in the unit shown
     notes: list[str]  # sentences below the figure
     families: list[str] = field(default_factory=list)  # families of the system, in the order of flags
     texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
-    exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, else nan
-    heading: str = ""  # name of a variable of flags, which no axis shows
-    from_theory: bool = False  # whether the variable is theory; its lines are then not marked as theory
+    exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, nan in other cells
+    heading: str = ""  # name of a flag variable, which no axis shows
+    from_theory: bool = False  # whether the variable is theory, so that no line is marked as theory
 
     def named(self) -> View:
-        """The view with its heading added to its texts."""
+        """Return the view with the heading added to the last text."""
         return replace(
             self, texts=[*self.texts[:-1], ": ".join(filter(None, [*self.texts[-1:], self.heading]))]
         )
@@ -143,7 +143,7 @@ class View:
         return len(self.edges) == 1
 
     def extent(self, axis: int) -> str:
-        """A text that is equal for panels that can share the axis x (0) or y (1)."""
+        """Return a text that is equal for panels that can share the axis x (0) or y (1)."""
         edges = [] if self.is_points else [edge[[0, -1]].tolist() for edge in self.edges[axis : axis + 1]]
         return f"{self.labels[axis]} {edges} {self.log[axis : axis + 1] or self.name}"
 
@@ -157,7 +157,7 @@ class View:
         *,
         inner: bool,
     ) -> ScalarMappable | None:
-        """Draw the panel, of a width in mm, and return the image for the colour bar; inner: whether it is not alone in its row."""
+        """Draw the panel, which is `width` mm wide, and return the image for the colour bar. Panels in one row are `inner` panels."""
         array, image = self.panel.array, None
         if self.is_points:
             image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
@@ -179,7 +179,7 @@ class View:
 
 
 def views_of(ds: xr.Dataset, variable: str | None, options: MapOptions) -> list[View]:
-    """The panels of one variable of an atlas, row by row."""
+    """Return the panels of one variable of an atlas, row by row."""
     system_of(ds)
     for role in ("row", "col"):
         dim, is_row = getattr(options, role), role == "row"
@@ -210,11 +210,11 @@ def views_of(ds: xr.Dataset, variable: str | None, options: MapOptions) -> list[
 
 
 def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
-    """The panels of a variable over its axes; view: holds the name and the flags of the variable."""
+    """Return the panels of a variable over its axes. `view` holds the name and the flags of the variable."""
     name, flags = view.args[:2]
-    ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # axes over which the variable was averaged
+    ds = ds.drop_dims(set(ds.dims) - set(ds[name].dims))  # drops axes over which the variable was averaged
     select, degrees = options.select or {}, options.degrees
-    in_input = degrees is True  # a scene asks for degrees in figures only
+    in_input = degrees is True  # degrees from a scene concern figures only
     plane, dims, panel_dims = plane_of(
         ds, options.x, options.y, select, options.row, options.col, degrees=in_input
     )
@@ -272,7 +272,7 @@ def axes_views(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list
 
 
 def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> list[View]:
-    """The panel of a variable of single points; view: holds the name and the flags of the variable."""
+    """Return the panel of a variable of single points. `view` holds the name and the flags of the variable."""
     for option in ("select", "row", "col"):
         if getattr(options, option):
             raise BadInput(
@@ -286,7 +286,7 @@ def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> lis
     missing = np.zeros(array.shape, bool) if flags else ~np.isfinite(array.values)
     panel = Panel(array, {NO_VALUE: missing} if missing.any() else {}, np.zeros(array.shape, bool))
     for column in places:
-        # Positive values get a logarithmic axis if it spreads them more evenly.
+        # An axis is logarithmic if this spreads positive values more evenly.
         spread = bool((column > 0).all()) and column.max() >= cells.MIN_LOG_RATIO * column.min()
         log.append(spread and bool((np.median(column) - column.min()) / np.ptp(column) < 0.1))
     labels = [text_of(options, axis, axis_label(ds, axis)) for axis in axes]
@@ -295,21 +295,21 @@ def points_view(ds: xr.Dataset, options: MapOptions, view: partial[View]) -> lis
 
 
 def text_of(options: MapOptions, name: str, default: str) -> str:
-    """Text for a flag, an axis or a variable: the caller's, or the default."""
+    """Return the caller's text for a flag, an axis or a variable, or else `default`."""
     return drawable(str((options.labels or {}).get(name, default)))
 
 
 def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
-    """Text for the variable of a map, with the word theory if the variable is theory."""
+    """Return the text for the variable of a map, with the word theory if the variable is theory."""
     name = str(array.name)
     return text_of(options, name, variable_label(array, theory=is_theory(system_of(ds), name)))
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """Axes of a scatter map, x first, by default the most varied coordinates; BadInput without two."""
+    """Return the axes of a scatter map, x first. The default is the two coordinates with the most values. BadInput if there is one."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
     check_axes(allowed, "a number given at each of these points", x=x, y=y)
-    varied_by_scene: set[str] = set()  # names with a range or a column, not computed by ties and families
+    varied_by_scene: set[str] = set()  # parameters with a range or a column, which are not computed
     if (scene := scene_of(ds)) is not None:
         points = scene.points or {}
         varied_by_scene = {*axes_of(scene), *points.get("ranges", {}), *points.get("values", {})}
@@ -325,15 +325,15 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 
 
 def draw(views: list[View], options: MapOptions) -> Figure:
-    """Draw panels, row by row, with one legend."""
+    """Draw panels row by row with one legend."""
     check_options(views, options)
-    # Variables of numbers are named at colour bars and axes, flags above the legend or, with a title or several names, above panels.
+    # Numbers are named at colour bars and axes. Flags are named above the legend or, if there is a title or several names, above panels.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):
         views, heading = [view.named() for view in views], ""
     options = replace(options, title=options.title and drawable(options.title))
-    # Curves of flags have the names of the flags at their side, and need the width.
+    # Curves of flags need the width, because the names of the flags stand beside the curve.
     most = 4 if options.size_mm[0] >= 130 else 1 if views[0].is_curve and views[0].flags else 2
     columns = options.columns or (1 if options.row else min(len(views), most))
     if len(views[0].texts) == 2:
@@ -378,7 +378,7 @@ def draw(views: list[View], options: MapOptions) -> Figure:
 
 
 def check_options(views: list[View], options: MapOptions) -> None:
-    """Raise BadInput for options that suit none of the panels, and for too many panels."""
+    """Raise BadInput for options that suit no panel, and for too many panels."""
     if options.ax is not None and len(views) > 1:
         raise BadInput(f"ax: {len(views)} panels do not fit into one; choose one by select")
     check_panels("these", len(views))
@@ -401,30 +401,30 @@ def check_options(views: list[View], options: MapOptions) -> None:
 
 
 TEXT_ROW = 2.8  # height of a line of text, mm
-LEGEND_SHARE = 0.97  # largest width of a legend, as a fraction: low resolutions draw letters wider than print
+LEGEND_SHARE = 0.97  # largest width of a legend, as a fraction; low resolutions draw letters wider than print
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure with panels in rows, or the Axes of the caller."""
+    """Figure with panels in rows, or the Axes of the caller."""
 
     options: MapOptions  # choices of the caller
-    panels: int = 1  # number of panels
+    panels: int = 1
     columns: int = 1  # number of panels in a row
-    panel_height: float | None = None  # mm; default: height of a map over two axes
+    panel_height: float | None = None  # height in mm, or None for the height of a map over two axes
     share_x: bool = True
     share_y: bool = True
     heading: str = ""  # heading of the legend, if the caller chose no title
 
     def figure(self, legend: Entries, notes: Sequence[str]) -> tuple[Figure, list[Axes]]:
-        """The figure with empty panels, legend, title and notes; notes on the caller's Axes are logged."""
+        """Return the figure and its empty panels, with legend, title and notes. On Axes of the caller, notes are logged instead."""
         options = self.options
         legend = legend if options.legend else {}
         if options.ax is not None:
             caller = options.ax.get_figure(root=True)
             assert caller is not None
             handles, names = list(legend.values()), list(legend)
-            if legend:  # inside, since there may be no room around the Axes of the caller
+            if legend:  # there may be no room for a legend around the Axes of the caller
                 options.ax.legend(
                     handles, names, loc="upper right", fontsize="small", framealpha=0.85,
                     title=self.heading or None, title_fontsize="small",
@@ -460,7 +460,7 @@ class Sheet:
         return figure, axes[: self.panels]
 
     def _draw_legend(self, figure: Figure, legend: Entries) -> float:
-        """Draw the legend above the panels in as many columns as fit, and the title; returns their height in mm."""
+        """Draw the title, and the legend in as many columns as fit, above the panels, and return the height of both in mm."""
         width = self.options.size_mm[0]
         texts = [wrapped(text, width - 9.0, 7, figure.dpi) for text in legend]
         size, text = (9, self.options.title) if self.options.title else (8, self.heading)
@@ -468,7 +468,7 @@ class Sheet:
         letters = 6.5 if width < cells.NARROW else 7
         entries = list(zip(legend.values(), texts, strict=True))
         by_length = sorted(entries, key=lambda entry: len(entry[1]))
-        # Columns are as wide as their longest text; short texts may stand first or last.
+        # A column is as wide as its longest text. Entries may be sorted by length, so that more columns fit.
         for columns, listed in product(range(len(legend), 0, -1), (entries, by_length, by_length[::-1])):
             drawn = figure.legend(
                 *zip(*listed, strict=True), loc="outside upper center",
@@ -485,7 +485,7 @@ class Sheet:
         return 1.0 + 4.0 * (title.count("\n") + 1)
 
     def label_axes(self, axes: list[Axes], labels: Sequence[Sequence[str]], entries: Entries) -> None:
-        """Label the axes of the panels, with one common label if all agree; entries: samples of the legend, added to axes[0]."""
+        """Label the axes of the panels, with one common label if all labels agree, and add the samples of the legend to axes[0]."""
         for text, sample in entries.items():
             sample.set_label(text)
             axes[0].add_artist(sample)
@@ -503,8 +503,8 @@ class Sheet:
 
 
 def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[Entries, list[str]]:
-    """Legend of all panels of a width in mm (text -> sample of colour, hatching or line), and the sentences below the figure."""
-    regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and cells of the region in each panel
+    """Return the legend of all panels, which are `width` mm wide, and the sentences below the figure."""
+    regions: dict[str, tuple[Patch, list[Mask]]] = {}  # text -> sample, and mask of the region in each panel
     panels = [view.panel for view in views]
     for view, panel in zip(views, panels, strict=True):
         white = sum(panel.white.values(), np.zeros(panel.array.shape, bool))
@@ -547,18 +547,18 @@ def map_legend(views: Sequence[View], width: float, *, caption: bool) -> tuple[E
 
 
 def as_math(kind: str) -> str:
-    """Text for a kind of border, with symbols for the rates in it."""
+    """Return the text for a kind of border, with symbols in place of the names of rates."""
     for name in ("psi", "phi"):
         kind = kind.replace(f"{name}' = 0", f"{SYMBOLS[f'{name}_dot']} = 0")
     return kind
 
 
-# Position of samples of the legend: they belong to the Axes, but draw nothing there.
+# Position of samples of the legend, which belong to the Axes but must draw nothing there.
 _NOWHERE = np.full((1, 2), np.nan)
 
 
 def _sample(region: str, colour: str = "") -> Patch:
-    """Sample of a region in the legend: its colour, or the background of its hatching, with the hatching of cells.HATCHES."""
+    """Return a sample of a region for the legend, with a colour or the background of the hatching, and with the hatching."""
     hatch = cells.HATCHES.get(region, cells.PLAIN)
     background = colour or hatch.background
     return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

@@ -1,4 +1,4 @@
-"""The options of maps, for `ds.atlas.map`, the command `map` and pages; only methods import Matplotlib."""
+"""Options of maps, for `ds.atlas.map`, the command `map` and pages. Only methods import Matplotlib."""
 
 from __future__ import annotations
 
@@ -25,49 +25,49 @@ NORMS = ("linear", "log", "symlog", "asinh")
 
 
 def option(default: Any, text: str, /, **settings: Any) -> Any:
-    """Field of `MapOptions` that is also an option of the command `map`; text: its help; settings: for `argparse`."""
+    """Return a field of `MapOptions` that is also an option of the command `map`, with the help `text` and `argparse` settings."""
     return field(default=default, metadata={"help": text} | settings)
 
 
 @dataclass(frozen=True)
 class MapOptions:
-    """Options of a map; BadInput for a value that suits no variable.
+    """Options of a map. A value that suits no variable raises BadInput.
 
     Parameters
     ----------
     x, y : str, optional
-        Axes of the map; default: the two longest, of which x comes first in the atlas. For single points, parameters or
-        other coordinates of the points; default: the two with the most values.
+        Axes of the map. The default is the two longest axes, of which x comes first in the atlas. For single points, parameters or
+        other coordinates of the points. The default is then the two coordinates with the most values.
     row, col : str, optional
         Axes, or dimensions with names as coordinates (see `atlas.concat`), whose values become panels from top to bottom (row) or
-        left to right (col), at most `atlas.analysis.select.MAX_PANELS`. Default: one axis besides x and y, as panels row by row.
+        left to right (col), at most `atlas.analysis.select.MAX_PANELS`. By default one axis besides x and y gives panels row by row.
     select : mapping of str to float, optional
-        Axis -> value, for axes that the map does not show; the nearest value of the axis is taken.
+        Values of axes that the map does not show, by the name of the axis. The nearest value of the axis is taken.
     ax : matplotlib.axes.Axes, optional
-        Axes to draw into, with their own fonts and size; default: a new figure. ``ax.get_legend_handles_labels()`` returns
-        the entries of the legend, even if it is not drawn.
+        Axes to draw into, which keep their fonts and size. The default is a new figure. ``ax.get_legend_handles_labels()``
+        returns the entries of the legend, even if the legend is not drawn.
     title : str, optional
         Title of the figure.
     cmap : str or Colormap, optional
         Colour map of a variable of numbers.
     vmin, vmax : float, optional
-        Ends of the colour scale of numbers, in the unit shown; over a single axis, ends of the vertical axis. If both are given,
-        the scale is not centred on zero.
+        Ends of the colour scale of numbers, in the unit shown. Over a single axis they are the ends of the vertical axis. If both
+        are given, the scale is not centred on zero.
     norm : str or matplotlib.colors.Normalize, optional
         "linear", "log", "symlog", "asinh", or a norm of Matplotlib, for a variable of numbers.
     colors : mapping of str to str, optional
-        Name of a flag -> colour, for a variable of flags.
+        Colours by the names of flags, for a variable of flags.
     labels : mapping of str to str, optional
-        Name of a flag, of an axis or of the variable -> text shown instead.
+        Texts to show instead of the names of flags, of axes or of the variable, by these names.
     boundary : bool, optional
         Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
         atlas, and hatch unstable motions that had no time to drift.
     legend : bool, optional
         Draw the legend.
     columns : int, optional
-        Panels in a row; default: 2, on wide figures 4, with `row` alone 1.
+        Number of panels in a row. The default is 2, or 4 on wide figures, or 1 if only `row` is given.
     width : {"column", "page"} or float, optional
-        "column" is 88 mm, "page" 180 mm; or a number of mm.
+        Width of the figure in mm, where "column" is 88 mm and "page" 180 mm.
     size : (float, float), optional
         Width and height in mm, instead of `width`.
     dpi : float, optional
@@ -75,8 +75,8 @@ class MapOptions:
     caption : bool, optional
         Print under the map what it shows and how it was computed.
     degrees : bool, optional
-        Show angles, and take angles in `select`, in degrees. Default: show an axis in degrees if the scene has
-        display_units = "deg" for it.
+        Show angles, and take angles in `select`, in degrees. By default an axis is shown in degrees if the scene has
+        display_units = "deg" for this axis.
     """
 
     x: str | None = option(None, "horizontal axis (default: the first)", metavar="AXIS")
@@ -158,12 +158,12 @@ class MapOptions:
 
     @property
     def size_mm(self) -> tuple[float, float | None]:
-        """Width of the figure in mm, and its height if the caller chose one."""
+        """Width of the figure in mm, and the height or None if the caller chose no height."""
         return self.size if self.size is not None else (width_mm(self.width), None)
 
 
 def width_mm(width: Width) -> float:
-    """Width of a figure in mm; BadInput if `width` is not valid."""
+    """Return the width of a figure in mm, or raise BadInput if `width` is not valid."""
     if isinstance(width, str) and width in WIDTHS:
         return WIDTHS[width]
     if not _is_number(width, MIN_SIZE, MAX_SIZE):
@@ -184,7 +184,7 @@ def _is_number(value: object, low: float, high: float) -> bool:
 
 
 def takes_map_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator that gives a function with **options the signature and the documented parameters of `MapOptions`."""
+    """Give a function with **options the signature and the documented parameters of `MapOptions`."""
     signature = inspect.signature(function)
     own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
     keyword = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)

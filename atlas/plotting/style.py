@@ -1,4 +1,4 @@
-"""Style and texts of the figures: sizes, fonts, colours, saving; labels of axes and variables, captions."""
+"""Style and texts of the figures, which are sizes, fonts, colours, labels of axes and variables, and captions."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "atlas",
     "hatch.linewidth": 0.4,
 }
-# One colour per meaning; the colours of a variable differ for colour-blind readers and in grey prints too.
+# Flags with the same meaning have one colour. The colours of a variable differ for colour-blind readers and in grey prints too.
 _FLAGS_OF_COLOUR = {
     "#ffffff": ("not_computed", "not_compared", "unknown"),
     "#a8d8f0": ("permanent_rotation", "stable", "gyroscopic", "arnold_moser", "false"),
@@ -81,11 +81,11 @@ _FLAGS_OF_COLOUR = {
     "#302251": ("energy_stable_axial",),
 }
 COLOURS = {flag: colour for colour, flags in _FLAGS_OF_COLOUR.items() for flag in flags}
-# Colours of positions in a list: white for none, then colours without an order, those of Tol's scheme "muted".
+# Colours of positions in a list. White is for no position, and the other colours, from Tol's scheme "muted", have no order.
 QUALITATIVE = (
     "#ffffff", "#88ccee", "#cc6677", "#117733", "#ddcc77", "#332288", "#aa4499", "#44aa99", "#882255", "#999933",
 )  # fmt: skip
-# Largest number of flags for which a colour map from blue to yellow has enough shades.
+# Largest number of flags for which Cividis, a colour map from blue to yellow, has enough shades.
 MAX_EVEN_SHADES = 11
 SYMBOLS = {
     "theta": r"$\theta$",
@@ -99,17 +99,17 @@ SYMBOLS = {
 
 
 def style(width: Width = "column") -> AbstractContextManager[None]:
-    """Context in which Matplotlib makes and saves figures with the fonts, lines and sizes of this package.
+    """Return a context in which Matplotlib makes and saves figures with the fonts, lines and sizes of this package.
 
     Parameters
     ----------
     width : {"column", "page"} or float, optional
-        Width of new figures: "column" is 88 mm, "page" 180 mm (one or two columns of a journal); or a number of mm.
+        Width of new figures in mm, where "column" is 88 mm and "page" 180 mm (one or two columns of a journal).
 
     Returns
     -------
     contextlib.AbstractContextManager
-        Changes the settings of Matplotlib, and restores them at its end.
+        A context that changes the settings of Matplotlib and restores the settings at the end.
 
     Examples
     --------
@@ -123,16 +123,16 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Flag -> colour: QUALITATIVE for few numbered flags, else COLOURS, else even steps of luminance from white."""
+    """Return the colour of each flag. A few numbered flags have QUALITATIVE, others COLOURS or else even steps of luminance."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
-    # The first flag is white, so both maps begin beyond their light end; the second map has more distinct colours.
+    # Both maps begin beyond the light end, because the first flag is white. The second map has more distinct colours.
     few = len(names) <= MAX_EVEN_SHADES
     shades = colormaps["cividis" if few else "magma"](
         np.linspace(*((1.1, 0.0) if few else (1.06, 0.03)), len(names))
     )
-    if len(names) > 12:  # no map has as many colours that also differ in grey: warm and cold greys in turn
+    if len(names) > 12:  # no map has so many colours that differ in grey, so warm and cold greys alternate
         tint = 0.04 * (-1.0) ** np.arange(len(names))[:, None] * [1, 0, -1]
         shades = np.clip(np.linspace(1, 0.02, len(names))[:, None] + tint, 0, 1)
     return {
@@ -141,12 +141,12 @@ def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
 
 
 class PrintFigure(Figure):
-    """A figure that `savefig` writes in the style of this module and at the resolution of the figure."""
+    """Figure that `savefig` writes in the style of this module and at the resolution of the figure."""
 
     def savefig(self, fname: Any, **options: Any) -> None:
-        """Write the figure as Matplotlib does; letters that FONT does not have are drawn as boxes."""
+        """Write the figure as Matplotlib does. Letters that FONT does not have are drawn as boxes."""
         options = {"dpi": self.dpi} | options
-        # At low resolutions hinted letters would be wider than in the measured legend.
+        # Hinting would make letters at low resolutions wider than in the measured legend.
         hinting = (
             {} if options["dpi"] in (None, "figure") or options["dpi"] >= 300 else {"text.hinting": "none"}
         )
@@ -156,10 +156,10 @@ class PrintFigure(Figure):
 
 
 def save(figure: Figure, path: str | Path, dpi: float | None = None) -> None:
-    """Write a figure as PNG, PDF or SVG (else BadInput), with reproducible bytes, whole or not at all."""
+    """Write a figure, whole or not at all, as PNG, PDF or SVG with reproducible bytes. Other suffixes raise BadInput."""
     path = writable(path, FIGURES, force=True)
     kind = path.suffix.lower()[1:]
-    # No date in the file, so that the same atlas gives the same bytes.
+    # The file has no date, so that the same atlas gives the same bytes.
     undated = {"png": {}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}[kind]
     content = io.BytesIO()  # Matplotlib raises odd errors where it cannot write a file
     with rc_context(STYLE):
@@ -180,7 +180,7 @@ WORDS = {
 
 
 def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
-    """Symbol and unit of an axis from the registry, or the long_name and units in the scene."""
+    """Return the label of an axis, with the symbol from the registry or else the long_name of the axis, and the unit."""
     system, attributes = system_of(ds), ds[dim].attrs
     text = attribute_text(attributes, "long_name", dim)
     stem = dim.removesuffix("_offset")
@@ -195,9 +195,9 @@ def axis_label(ds: xr.Dataset, dim: str, *, unit: bool = True) -> str:
 
 
 def drawable(text: str) -> str:
-    """A text that is safe to draw: `printable` lines of limited length, dollar signs escaped where Matplotlib finds no formula.
+    """Return a text that is safe to draw, with `printable` lines of limited length.
 
-    Every text that is not the program's own passes this function.
+    Dollar signs are escaped in lines that Matplotlib cannot read as formulas. Every text from outside passes this function.
     """
     lines = [printable(line, MAX_MESSAGE) for line in text.split("\n")]
     for i, line in enumerate(lines):  # Matplotlib sets each line of a text by itself
@@ -213,9 +213,9 @@ def drawable(text: str) -> str:
 
 
 def wrapped(text: str, width: float, size: float, dpi: float) -> str:
-    """A drawable text in lines of at most `width` mm, in letters of `size` pt, without breaks in formulas.
+    """Return a drawable text in lines of at most `width` mm, in letters of `size` pt, without breaks in formulas.
 
-    Hinting changes the widths of letters with the resolution: lines fit at `dpi`, in print, and without hinting.
+    Hinting changes the widths of letters with the resolution. Therefore lines fit at `dpi`, in print, and without hinting.
     """
     font, lines = FontProperties(family=FONT, size=size), list[str]()
     measures: list[tuple[Any, float]] = [(text_to_path, 72.0)]
@@ -223,17 +223,17 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
 
     @cache
     def widths(part: str) -> np.ndarray:
-        """Widths of a part of a line in inches, one for each way of measuring."""
+        """Return the widths of a part of a line in inches, one for each way of measuring."""
         is_math = is_math_text(part)
         return np.array(
             [m.get_text_width_height_descent(part, font, is_math)[0] / each for m, each in measures]
         )
 
     def fits(line: str) -> bool:
-        """Whether a line fits by every way of measuring; outside of formulas the widths of words add up."""
+        """Whether a line fits by every way of measuring. The widths of words outside formulas are summed."""
         is_math = is_math_text(line)
         if is_math and 25.4 * len(line) * size / 72 <= width:
-            return True  # avoids a slow measurement: a formula draws fewer letters than its text has
+            return True  # not measured, which is slow; a formula draws fewer letters than its text has
         parts = [line] if is_math else re.findall(r" ?[^ ]+", line)
         return bool(25.4 * np.sum([widths(part) for part in parts], axis=0).max() <= width)
 
@@ -252,16 +252,16 @@ def wrapped(text: str, width: float, size: float, dpi: float) -> str:
 
 
 def math_text(text: str, symbols: Mapping[str, str]) -> str:
-    """A text with its formulas and symbols in Matplotlib's mathematical notation.
+    """Return `text` with formulas and symbols in Matplotlib's mathematical notation.
 
-    The whole text is one formula if all its words are names or symbols. In other texts formulas are names with a digit, Greek
-    letters, and a parameter at the end. A text with dollar signs is returned unchanged.
+    The whole text is one formula if all words are names or symbols. Formulas in other texts are names with a digit, Greek letters,
+    and a parameter at the end of the text. A text with dollar signs is returned unchanged.
     """
     if "$" in text:
         return text
 
     def in_words(word: re.Match[str]) -> str:
-        """A word of a text: a formula if it has a digit or is a Greek letter, else unchanged."""
+        """Return a word as a formula if the word has a digit or is a Greek letter, and unchanged otherwise."""
         formula = _formula(word[0], symbols)
         is_name = word[0] in _LETTERS or any(c.isdigit() for c in word[0])
         return f"${formula}$" if formula and is_name else word[0]
@@ -273,7 +273,7 @@ def math_text(text: str, symbols: Mapping[str, str]) -> str:
         text = re.sub(r"\s*\*\s*", r"\\,", text)
         return f"${re.sub(_PRODUCT, _THIN, text)}$"
     text = re.sub(_WORD, in_words, text)
-    last = text.rpartition(" ")[2]  # "rate of precession n": a symbol after the words that name it
+    last = text.rpartition(" ")[2]  # a symbol may follow the words, as in "rate of precession n"
     return f"{text.removesuffix(last)}{symbols[last]}" if symbols.get(last) else text
 
 
@@ -283,7 +283,7 @@ _LETTERS = {name: rf"\{name}" for name in GREEK} | {"eps": r"\epsilon", "phi": r
 
 
 def _formula(word: str, symbols: Mapping[str, str]) -> str:
-    """A name in mathematical notation, empty for other words."""
+    """Return a name in mathematical notation, or an empty text for a word that is no name."""
     if symbols.get(word):
         return symbols[word].strip("$")
     match = re.fullmatch(r"([A-Za-z]+?)_?(\d*)(_dot)?(\d*)", word)
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Label of a variable: a statistic of a symbol, or the words of its name; then "theory" where it is, its unit, selected names."""
+    """Return the label of a variable, with words or symbol, the word theory if `theory` is true, the unit and selected names."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = (
@@ -315,7 +315,7 @@ def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """A unit in UDUNITS spelling for print, with raised exponents; empty for pure numbers."""
+    """Return a unit in UDUNITS spelling for print, with raised exponents. The text is empty for pure numbers."""
     if unit in ("", "1"):
         return ""
     if unit == DEGREE:
@@ -325,7 +325,7 @@ def unit_text(unit: str) -> str:
 
 
 def caption(ds: xr.Dataset) -> str:
-    """Caption in one line: what a figure of an atlas shows and how the atlas was computed."""
+    """Return a caption in one line, which says what a figure of an atlas shows and how the atlas was computed."""
     system, attributes = system_of(ds), ds.attrs
     scene = None if scene_problem(ds) else scene_of(ds)
     sentences = [

@@ -27,7 +27,7 @@ from .style import COLOURS, STYLE, SYMBOLS, unit_text
 
 View: TypeAlias = tuple[float, float]
 VIEW: View = (40.0, 25.0)  # azimuth and elevation of the viewer of the sphere, degrees
-MIN_BESIDE = 140.0  # width in mm from which on the sphere is beside the panels over time, not below
+MIN_BESIDE = 140.0  # on figures at least this wide (mm) the sphere is beside the panels over time
 FAR_OPACITY = 0.35  # opacity of paths on the far side of the sphere
 START_MARKER: dict[str, Any] = {
     "marker": "o",
@@ -43,9 +43,9 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "#7fb9d8", "linestyle": "-."},
 )
 MAX_PANELS = 8  # largest number of panels for a system with observables
-# If a rate exceeds CLIP_ABOVE times the quantile 0.9 of all rates, the panel ends at CLIP_AT times the quantile.
+# If a rate exceeds CLIP_ABOVE times the 0.9 quantile of all rates, the panel ends at CLIP_AT times the quantile.
 CLIP_ABOVE, CLIP_AT = 10, 3
-# A path within SMALL (rad) of its mean direction is also drawn enlarged; a path within AT_REST (rad) is rounding.
+# A path within SMALL (rad) of the mean direction is also drawn enlarged. A path within AT_REST (rad) consists of rounding errors.
 SMALL, AT_REST = 0.1, 1e-12
 ANIMATIONS: dict[str, Any] = {".gif": PillowWriter, ".mp4": FFMpegWriter}
 FRAMES_PER_SECOND, FILM_DPI = 25, 150
@@ -55,7 +55,7 @@ NOTE = SYMBOLS["normal_rate"] + ": angular velocity relative to the frame along 
 def trajectory_figure(
     tr: xr.Dataset, *, ax: Axes | None = None, view: View = VIEW, degrees: bool = False, width: Width = "page"
 ) -> Figure:
-    """Figure of angles, rates and the path of the third body axis, or of observables; on `ax` the path alone; see `Atlas.plot`."""
+    """Draw angles, rates and the path of the third body axis, or observables. On `ax` draw the path alone. See `Atlas.plot`."""
     boolean("degrees", degrees)
     size = width_mm(width) / 25.4
     if ax is not None:
@@ -97,7 +97,7 @@ def trajectory_figure(
 
 
 def _path(tr: xr.Dataset) -> np.ndarray:
-    """Third body axis in the frame, (times, 3); BadInput unless this is the trajectory of a body."""
+    """Return the third body axis in the frame, (times, 3), or raise BadInput unless `tr` is the trajectory of a body."""
     missing = [
         n for n in ("theta", "psi", "phi", *PLOTTED_RATES, "axis_x", "axis_y", "axis_z") if n not in tr
     ]
@@ -107,7 +107,7 @@ def _path(tr: xr.Dataset) -> np.ndarray:
 
 
 class Film(FuncAnimation):
-    """An animation that notebooks show with buttons."""
+    """Animation that notebooks show with buttons."""
 
     def _repr_html_(self) -> str:
         with rc_context(STYLE | {"savefig.dpi": FILM_DPI}):
@@ -115,7 +115,7 @@ class Film(FuncAnimation):
 
 
 def animate(tr: xr.Dataset, path: str | Path | None, seconds: float, view: View = VIEW) -> Film | None:
-    """Animation of the third body axis with its trace; with a path, it is written to this file; see `Atlas.animate`."""
+    """Return an animation of the third body axis and its trace, or write the animation to `path`. See `Atlas.animate`."""
     axis, names, time = _path(tr), system_of(tr).frame_axes, tr["time"].values
     unit, side = unit_text(attribute_text(tr["time"].attrs, "units", "s")), WIDTHS["column"] / 25.4
     count = int(max(2, min(positive("seconds", seconds) * FRAMES_PER_SECOND, len(axis))))
@@ -143,7 +143,7 @@ def animate(tr: xr.Dataset, path: str | Path | None, seconds: float, view: View 
 
 
 def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], width: float) -> Figure:
-    """A panel over time for each observable."""
+    """Draw a panel over time for each observable."""
     panels = {}
     for observable in observables:
         if observable.name not in tr:
@@ -159,7 +159,7 @@ def _figure_of_observables(tr: xr.Dataset, observables: Sequence[Observable], wi
 def _draw_over_time(
     figure: Figure | SubFigure, tr: xr.Dataset, panels: Mapping[str, Mapping[str, np.ndarray]]
 ) -> list[Axes]:
-    """Draw panels one below the other; panels: label -> name of a curve -> values over time."""
+    """Draw panels one below the other. `panels` maps a label to curves, and the name of a curve to values over time."""
     axes = list(figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0])
     time = tr["time"]
     for ax, (label, curves) in zip(axes, panels.items(), strict=True):
@@ -200,16 +200,16 @@ def _draw_time_series(figure: SubFigure, tr: xr.Dataset) -> None:
 
 
 class _Formatter(ScalarFormatter):
-    """Tick labels with powers of ten, and offsets such as 0.9 instead of 9 x 10^-1."""
+    """Formatter of tick labels with powers of ten, but with offsets such as 0.9 instead of 9 x 10^-1."""
 
     def format_data(self, value: float) -> str:
-        """Text of the offset of an axis, without a power of ten if the offset is of moderate size."""
+        """Return the text of the offset of an axis, without a power of ten if the offset is of moderate size."""
         plain = 1e-3 <= abs(value) < 1e5
         return f"{value:.9g}".replace("-", "\N{MINUS SIGN}") if plain else str(super().format_data(value))
 
 
 def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: Sequence[str]) -> None:
-    """Draw the offset of a path from a direction, in the plane perpendicular to this direction."""
+    """Draw the offset of a path from a direction in the plane that is perpendicular to the direction."""
     sine = np.hypot(direction[0], direction[1])
     if sine < SMALL:
         first, second, labels = np.eye(3)[0], np.eye(3)[1], [f"along {name}" for name in names[:2]]
@@ -234,7 +234,7 @@ def _draw_enlarged(ax: Axes, offset: np.ndarray, direction: np.ndarray, names: S
 
 
 class Sphere:
-    """Orthographic picture of the unit sphere with named axes; if the third axis is named "down", it points down on the page."""
+    """Orthographic picture of the unit sphere with named axes. A third axis whose name begins with "down" points down."""
 
     def __init__(self, ax: Axes, names: Sequence[str], view: View = VIEW):
         try:
@@ -243,7 +243,7 @@ class Sphere:
             azimuth = elevation = np.nan
         if not (np.isfinite(azimuth) and abs(elevation) <= np.pi / 2):
             raise BadInput(f"view = {shown(view)}: must be azimuth and elevation in degrees, from -90 to 90")
-        # Signs of components after half a turn about the first axis, if the third axis points down.
+        # If the third axis points down, components get these signs by half a turn about the first axis.
         self.upright = np.array([1.0, -1.0, -1.0] if names[2].startswith("down") else [1.0, 1.0, 1.0])
         horizontal = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
         self.ax, self.toward_viewer = ax, np.cos(elevation) * horizontal + [0.0, 0.0, np.sin(elevation)]
@@ -266,12 +266,12 @@ class Sphere:
         ax.set_axis_off()
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) on the page, (..., 2)."""
+        """Project points (..., 3) onto the page, (..., 2)."""
         points = points * self.upright
         return np.stack([points @ self.right, points @ np.cross(self.toward_viewer, self.right)], -1)
 
     def draw(self, points: np.ndarray, zorder: int, **style: Any) -> None:
-        """Draw the far part of a line on the sphere pale, and its near part over it."""
+        """Draw the far part of a line on the sphere pale, and draw the near part over the far part."""
         near = points * self.upright @ self.toward_viewer >= 0
         for visible, alpha, level in ((~near, FAR_OPACITY, zorder), (near, 1.0, zorder + 1)):
             line = self.project(points)
@@ -282,7 +282,7 @@ class Sphere:
 def _draw_sphere(
     ax: Axes, path: np.ndarray, names: Sequence[str], view: View, *, pointer: bool = False
 ) -> None:
-    """Draw a path on the unit sphere, shape (times, 3), maybe with a pointer from the centre to its end."""
+    """Draw a path (times, 3) on the unit sphere and, if `pointer` is true, a pointer from the centre to the end of the path."""
     sphere = Sphere(ax, names, view)
     sphere.draw(path, 3, color=COLOURS["regular_precession"], linewidth=1.1)
     ax.plot(*sphere.project(path[0]), zorder=6, **START_MARKER)

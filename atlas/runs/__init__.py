@@ -1,1 +1,1 @@
-"""A scene computed in tiles, in memory, in a folder or on a cluster; refinement, reuse, claims, dry runs."""
+"""Computation of a scene in tiles, in memory, in a folder or on a cluster, with refinement, reuse, claims and dry runs."""

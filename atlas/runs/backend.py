@@ -1,4 +1,4 @@
-"""Open an atlas from a file, a store or a run folder, also by `xr.open_dataset(..., engine="atlas")`."""
+"""Opening of an atlas from a file, a store or a run folder, also by `xr.open_dataset(..., engine="atlas")`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..scene.checks import typed
 
 
 class AtlasBackend(BackendEntrypoint):
-    """The engine "atlas" of xarray, for atlases and run folders."""
+    """Engine "atlas" of xarray, which opens atlases and run folders."""
 
     description = "Opens run folders and atlases of Precession Atlas"
     open_dataset_parameters = ("filename_or_obj", "drop_variables")
@@ -34,7 +34,7 @@ class AtlasBackend(BackendEntrypoint):
     def open_dataset(
         self, filename_or_obj: Any, *, drop_variables: str | Iterable[str] | None = None
     ) -> xr.Dataset:
-        """Open an atlas as `atlas.open_atlas` does; for a run folder chunks={} gives a chunk for each tile."""
+        """Open an atlas as `atlas.open_atlas` does. With chunks={}, a run folder has a chunk for each tile."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             raise BadInput(f"{shown(filename_or_obj)}: the engine atlas opens paths")
         ds = open_atlas(Path(filename_or_obj))
@@ -61,10 +61,10 @@ def open_atlas(path: str | Path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        Flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile; points of missing tiles are
-        `not_computed` and nan, with a logged warning. Tiles are read each time values are computed, so that tiles finished later
-        appear in the same Dataset. The run of a refined scene must be finished. Reading values whose checksum is wrong raises
-        BadInput; `atlas status FILE --verify` compares all checksums.
+        The atlas, whose flag variables are plain integers. A run folder gives dask arrays with a chunk for each tile. Points of
+        missing tiles are `not_computed` and nan, and a warning is logged. Tiles are read each time values are computed, so that tiles
+        finished later appear in the same Dataset. The run of a refined scene must be finished. Reading values whose checksum is wrong
+        raises BadInput. `atlas status FILE --verify` compares all checksums.
 
     Raises
     ------

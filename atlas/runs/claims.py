@@ -1,4 +1,4 @@
-"""Claims on tiles, by which processes that share a run divide its work without a server."""
+"""Claims on tiles, with which processes divide the work of a run without a server."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..files import is_recent
 from ..process import PROCESS_NAME, is_running, process_name
 from ..store.place import Place
 
-SUFFIX = ".claim"  # suffix of the name of a claim
+SUFFIX = ".claim"
 POLL = 0.5  # seconds between two attempts to claim
-# Seconds without a sign of life after which a claim expires; seconds between two signs of life.
+# A claim expires CLAIM_AGE seconds after the last sign of life. A process gives a sign of life every CLAIM_INTERVAL seconds.
 CLAIM_AGE, CLAIM_INTERVAL = 180.0, 20.0
-NAMELESS_AGE = 10.0  # seconds after which a claim expires that names no process, because the disk was full
-NAMED_AFTER = 5.0  # seconds of waiting after which a message names the process that is waited for
-TAKEOVER = 0.2  # seconds after which the last of the processes that took over an expired claim holds it
+NAMELESS_AGE = 10.0  # a claim without a process name (the disk was full) expires after this number of seconds
+NAMED_AFTER = 5.0  # a message names the process that holds a claim after a wait of this number of seconds
+TAKEOVER = 0.2  # seconds that processes wait to see which of them took over an expired claim last
 
 
 def claim(place: Place, name: str) -> bool:
-    """Make a claim, or take over an expired one, and return whether this process now holds it."""
+    """Make a claim or take over an expired claim, and return whether this process now holds the claim."""
     process = process_name().encode()
     if place.create(name, process):
         return True
@@ -37,7 +37,7 @@ def claim(place: Place, name: str) -> bool:
 
 
 def claimant(place: Place, name: str) -> str:
-    """Name of another process that holds a claim; empty if it has ended, or has not renewed the claim for CLAIM_AGE."""
+    """Return the name of another process that holds a claim, or "" if the process has ended or the claim has expired."""
     with suppress(OSError, ValueError):  # the claim has been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False:
@@ -49,7 +49,7 @@ def claimant(place: Place, name: str) -> str:
 
 @contextmanager
 def held(place: Place, name: str) -> Iterator[None]:
-    """Renew a claim while the context is open, and release it at the end."""
+    """Renew a claim while the context is open, and release the claim at the end."""
     ended = Event()
 
     def keep() -> None:
@@ -69,20 +69,20 @@ def held(place: Place, name: str) -> Iterator[None]:
 
 
 def claimants(place: Place) -> Iterator[tuple[str, str]]:
-    """Names of all claims in a place and its folders, each with its `claimant`."""
+    """Yield the name and the `claimant` of each claim in a place, including folders."""
     for name in place.walk():
         if name.endswith(SUFFIX):
             yield name, claimant(place, name)
 
 
 def named(process: str, hosts: Mapping[str, str]) -> str:
-    """Text for a process in messages, with its host if `hosts` has it."""
+    """Return the text for a process in messages, with the host if `hosts` contains the process."""
     match = PROCESS_NAME.fullmatch(process)
     return f"{f'process {match[3]}' if match else process} on {hosts.get(process, 'this or another machine')}"
 
 
 class Wait:
-    """A wait for a claim, with one log message if it is long; hosts: gives the known hosts, process -> host."""
+    """A wait for a claim, with one log message if the wait is long. `hosts` returns the known hosts by process."""
 
     def __init__(self, place: Place, hosts: Callable[[], Mapping[str, str]] = dict):
         self.place, self.hosts, self.due = place, hosts, time.monotonic() + NAMED_AFTER

@@ -1,4 +1,4 @@
-"""Tasks on many machines by dask.distributed, few at a time; a task is repeated if its worker dies."""
+"""Tasks on many machines by dask.distributed. Few tasks are submitted at a time. A task is repeated if its worker dies."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT = 5.0  # seconds to wait for a scheduler
 POLL_INTERVAL = 5.0  # seconds between two counts of the workers
-NO_WORKER_WARNING = 60.0  # seconds without a worker after which a warning follows
-TASKS_PER_THREAD = 2  # number of submitted tasks for each thread, so that no thread waits for its next task
-# Bytes of freed memory that a worker of `connect` keeps; with dask's default, 65536, every large temporary array is mapped anew.
+NO_WORKER_WARNING = 60.0  # a warning is logged after this number of seconds without a worker
+TASKS_PER_THREAD = 2  # submitted tasks for each thread, enough that no thread waits for a task
+# Workers of `connect` keep this number of freed bytes. With dask's default, 65536, every large temporary array is mapped anew.
 ALLOCATOR = {"MALLOC_TRIM_THRESHOLD_": 2**28, "MALLOC_MMAP_THRESHOLD_": 2**25}
-MAX_ATTEMPTS = 3  # how often a task is submitted if dask gives it up because several workers died
+MAX_ATTEMPTS = 3  # number of times that a task is submitted if dask gives up because workers died
 SCHEDULER_LOST = "the dask scheduler was lost; finished tiles are kept, and the same command continues with another scheduler"
 
 
@@ -36,7 +36,7 @@ def check(scheduler: str) -> None:
     try:
         scheme, address = parse_address(scheduler)
         with socket.create_connection(parse_host_port(address), CONNECT_TIMEOUT) as connection:
-            # A dask server sends first; with another server the client of dask would wait for ever.
+            # A dask server sends first. The client of dask would wait for ever for another kind of server.
             if scheme == "tcp" and not connection.recv(1):
                 raise OSError("this is no dask server")
     except (OSError, ValueError) as error:
@@ -46,7 +46,7 @@ def check(scheduler: str) -> None:
 
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
-    """A client of a scheduler, or of local processes with one thread each; BadInput for wrong TLS, OSError for a lost scheduler."""
+    """Connect to a scheduler, or to local processes with one thread each. A lost scheduler raises OSError, wrong TLS BadInput."""
     import dask
     import distributed
     from distributed.comm.core import CommClosedError
@@ -112,7 +112,7 @@ def for_each(
     arguments: Iterable[tuple[Any, ...]],
     on_result: Callable[[Any], None],
 ) -> None:
-    """Call `task` on workers, maybe more than once, for each tuple of arguments, and `on_result` here with each result."""
+    """Call `task` on workers, perhaps repeatedly, for each tuple of arguments, and call `on_result` here with each result."""
     from distributed import wait
 
     source = iter(arguments)
@@ -153,7 +153,7 @@ def for_each(
 
 
 def _has_result(future: Future[Any], attempt: int) -> bool:
-    """Whether a task has a result, else it must be submitted again; raises the error of a task that failed."""
+    """Return whether a task has a result. Otherwise the task must be submitted again. Raise the error of a failed task."""
     from distributed import KilledWorker
 
     if future.status == "finished":

@@ -1,4 +1,4 @@
-"""The dry run: an estimate of time, memory and disk space of a scene from one of its tiles."""
+"""The dry run, which estimates time, memory and disk space of a scene by measuring one tile."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from ..systems.base import derived_values, derived_variables
 from .plan import LONG, ScenePlan
 from .refine import expected_points
 
-# Number of steps, summed over points, that each thread computes in the measurement: about half a second.
+# Number of steps, summed over points, that each thread computes in the measurement. They take about half a second.
 CALIBRATION_STEPS = 1e8
-# Largest number of steps (at most 0.2 s) and least number of points from which the saving by early ends of runs is measured.
+# The saving by early ends of runs is measured with about LABEL_STEPS steps (at most 0.2 s) of at least LEAST_POINTS points.
 LABEL_STEPS, LEAST_POINTS = 2e7, 16
 HEADER_BYTES = 1000  # size of the header of a tile
-# Size of a run folder without its tiles, and of a variable of a file or store without its values: attributes, tables of the format.
+# Size of a run folder without tiles, and of a variable without values, which has attributes and tables of the file format.
 FOLDER_BYTES, VARIABLE_BYTES = 6000, 2300
-START_MINUTES = 5  # time of a job before it integrates: imports and compilation
+START_MINUTES = 5  # time of imports and compilation at the start of a job
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class _Measurement:
     theory_seconds: float  # wall-clock time of the predictions of one point
     compile_seconds: float
     memory: float  # peak memory of the process, bytes
-    bytes_per_tile: float  # memory of a tile at work, bytes
+    bytes_per_tile: float  # memory of a tile during the computation, bytes
     stored_bytes_per_point: float  # size of measured variables and parameters after compression
 
 
@@ -63,12 +63,12 @@ class _Cost:
 
 
 def _cost(plan: ScenePlan, processors: int) -> _Cost:
-    """The expected cost of a scene on a number of processors, measured on one of its tiles."""
+    """Return the expected cost of a scene on a number of processors, which is measured on one tile."""
     scene, exists = plan.scene, plan.sample.exists
     existing = scene.size * exists.mean()
     points = existing if scene.refine is None else expected_points(plan)
     tile = _measure(plan, processors)
-    # Time of the derived variables of one point, averaged over points that take a few tenths of a second.
+    # The time of derived variables is the mean over so many points that the measurement takes a few tenths of a second.
     has_derived = not derived_variables(scene.system).keys().isdisjoint(scene.outputs)
     existing_points, derived_seconds, count = np.flatnonzero(exists), 0.0, 0
     while has_derived and derived_seconds < 0.2 and count < existing_points.size:
@@ -92,7 +92,7 @@ def _cost(plan: ScenePlan, processors: int) -> _Cost:
 
 
 def long_run(plan: ScenePlan, processors: int, share: float, unit: str) -> str:
-    """A sentence about the expected time of a fraction of a scene, empty if it is below LONG."""
+    """Return a sentence about the expected time of a fraction of a scene, or an empty text if the time is below LONG."""
     seconds = share * _cost(plan, processors).seconds
     if seconds < LONG:
         return ""
@@ -110,7 +110,7 @@ def dry_run(
     workers: int | None = None,
     jobs: tuple[int, int] | None = None,
 ) -> str:
-    """Text about the expected cost of running a scene, also in jobs (their number, processors of each); BadInput as `run`."""
+    """Return a text about the expected cost of a scene, and of each job if `jobs` has a number of jobs and processors of a job."""
     plan = ScenePlan.of(scene)
     tiles, exists = plan.tiling, plan.sample.exists
     processors = workers or threads or blocks.available_threads()
@@ -156,12 +156,12 @@ def dry_run(
 
 
 def _memory(plan: ScenePlan, cost: _Measurement, threads: int) -> float:
-    """Memory in bytes of a process with this number of threads."""
+    """Return the memory in bytes of a process with this number of threads."""
     return cost.memory + (plan.tiles_in_flight(threads) - 1) * cost.bytes_per_tile
 
 
 def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, processors: int) -> list[str]:
-    """Time and memory of the largest job, from the cost on `measured` processors; lines of SLURM that ask for twice as much."""
+    """Return time and memory of the largest job, from the cost on `measured` processors, and SLURM lines with twice as much."""
     tiles, text, share = plan.tiling.count, "", 1 / jobs  # the jobs of a refined scene share each level
     if plan.scene.refine is None:
         most = math.ceil(tiles / jobs)
@@ -180,7 +180,7 @@ def _job_lines(plan: ScenePlan, expected: _Cost, measured: int, jobs: int, proce
 
 
 def _statistics_lines(plan: ScenePlan, threads: int | None) -> list[str]:
-    """A sentence on the fraction of the integration that labels alone need, measured on some points; none if this would take long."""
+    """Return a sentence on the fraction of the integration that labels alone need, or none if the measurement would take long."""
     labels = plan.runs.without_statistics
     if labels is None:
         return []
@@ -202,7 +202,7 @@ def check_memory(scene: Scene) -> None:
     """Raise BadInput for an atlas that is larger than the memory of this machine."""
     needed = scene.size * sum(np.dtype(dtype).itemsize for dtype in tile_types(scene).values())
     present = math.inf
-    with suppress(AttributeError, ValueError, OSError):  # not every operating system knows these
+    with suppress(AttributeError, ValueError, OSError):  # not every operating system has these names
         present = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if needed > present:
         raise BadInput(
@@ -212,8 +212,8 @@ def check_memory(scene: Scene) -> None:
 
 
 def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
-    """Compressed bytes of a number of integrated points on the disk."""
-    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # derived: not measured
+    """Return the compressed bytes of a number of integrated points on the disk."""
+    types, derived = tile_types(plan.scene), derived_variables(plan.scene.system)  # not in the measured size
     others = sum(np.dtype(types[name]).itemsize for name in derived.keys() & types)
     return points * (cost.stored_bytes_per_point + others)
 
@@ -221,13 +221,13 @@ def _stored_bytes(plan: ScenePlan, cost: _Measurement, points: float) -> float:
 def _folder_bytes(
     plan: ScenePlan, cost: _Measurement, integrated: float, points: int, *, is_joined: bool
 ) -> float:
-    """Bytes of the tiles of a number of points on the disk; tiles to be joined are not compressed."""
+    """Return the bytes of the tiles of a number of points on the disk. Tiles that will be joined are not compressed."""
     stored = points * bytes_per_point(plan.scene) if is_joined else _stored_bytes(plan, cost, integrated)
     return stored + HEADER_BYTES * math.ceil(points / math.prod(plan.tiling.tile))
 
 
 def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) -> None:
-    """Raise BadInput if the missing points of a run, and the joined file if there will be one, do not fit onto the disk."""
+    """Raise BadInput if the missing points of a run, and the joined file if `is_joined` is true, do not fit onto the disk."""
     if surely_fits(plan.scene, folder):
         return
     free = shutil.disk_usage(folder).free
@@ -242,7 +242,7 @@ def check_disk(plan: ScenePlan, folder: Path, missing: int, *, is_joined: bool) 
 
 
 def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
-    """The plan of a tile from the middle of the grid, with runs shortened to about CALIBRATION_STEPS in all."""
+    """Return the plan of a tile from the middle of the grid, with runs that are shortened to about CALIBRATION_STEPS per thread."""
     outputs = tuple(name for name in plan.scene.outputs if name not in derived_variables(plan.scene.system))
     settings = replace(plan.scene.settings, prove=False)
     scene, tile = replace(plan.scene, outputs=outputs, settings=settings), plan.tiling.count // 2
@@ -255,7 +255,7 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
         fraction = CALIBRATION_STEPS * min(threads, len(schedule.points)) / work
         if fraction > 0.8:  # close enough, because numbers of steps are rounded
             return plan
-        # Shorten both duration and max_steps: a number of steps that max_steps limits does not depend on the duration.
+        # Both duration and max_steps are shortened, because a number of steps that max_steps limits does not depend on the duration.
         settings = plan.limited(max(round(plan.scene.settings.max_steps * fraction), 1))
         duration, transient = fraction * plan.sample.duration, fraction * plan.sample.transient
         sample = replace(plan.sample, duration=duration, transient=transient)
@@ -263,10 +263,10 @@ def _short_tile(plan: ScenePlan, threads: int) -> ScenePlan:
 
 
 def _measure(plan: ScenePlan, threads: int) -> _Measurement:
-    """Compile the kernel by integrating one point, then measure a tile from the middle of the grid."""
+    """Compile the kernel by integrating one point, and then measure a tile from the middle of the grid."""
 
     def most_memory() -> float:
-        """Peak memory of this process so far, bytes."""
+        """Return the peak memory of this process so far in bytes."""
         unit = 1 if sys.platform == "darwin" else 1024
         return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit)
 
@@ -274,7 +274,7 @@ def _measure(plan: ScenePlan, threads: int) -> _Measurement:
     points, started = plan.sample, time.perf_counter()
     evaluate(plan.runs, points.subset(np.zeros(1, np.int64)), threads=Threads(1))
     compile_seconds, memory = time.perf_counter() - started, most_memory()
-    began = time.process_time()  # process time, which other programs do not change
+    began = time.process_time()  # other programs do not change process time
     predict_runs(plan.runs, points)
     theory_seconds = time.process_time() - began
     columns = evaluate(plan.runs, points, threads=Threads(threads)) | points.base

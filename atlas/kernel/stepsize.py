@@ -12,7 +12,7 @@ from .sampling import MIN_INTERVALS
 from .tableaux import METHODS, Method
 
 MAX_STEPS_PER_SAMPLE = 16
-# Automatic steps limit the error of a rate as large as the frequency bound to this fraction of the rate tolerance.
+# With automatic steps, the error of a rate as large as the frequency bound is at most this fraction of the rate tolerance.
 RATE_ERROR_BUDGET = 0.1
 ROUNDING = 1e-16  # relative rounding error of the initial state and of each step
 # A run counts as resolved if `step_ratio` and `dissipation_error` do not exceed these limits.
@@ -47,7 +47,7 @@ class StepSizes:
     steps: NDArray[np.int64]
     steps_per_sample: NDArray[np.int64]  # number of steps between two nodes of the statistics
     step_size: NDArray[np.float64]  # in time units
-    step_ratio: NDArray[np.float64]  # step size times frequency bound, over the stability limit
+    step_ratio: NDArray[np.float64]  # step size times frequency bound, divided by the stability limit
     # Phase error (rad) and relative loss of amplitude that an oscillation at the frequency bound has at the end of the run.
     dispersion_error: NDArray[np.float64]
     dissipation_error: NDArray[np.float64]
@@ -196,7 +196,7 @@ class StepSizes:
         return self._in_steps(intervals * self.steps_per_sample, self.steps_per_sample, method)
 
     def in_periods(self, periods: NDArray[np.int64] | None, method: Method) -> StepSizes:
-        """Return step sizes with equally many nodes in each of `periods` periods of a run. None changes nothing."""
+        """Return step sizes with equally many nodes in each of the `periods` periods of a run, or the same step sizes for None."""
         if periods is None:
             return self
         steps = np.maximum(self.steps, MIN_NODES_PER_PERIOD * periods * self.steps_per_sample)
@@ -231,7 +231,7 @@ def steps_of_length(length: Any, duration: NDArray[np.float64], least: int, most
 def steps_between_instants(
     settings: StepSettings, steps: NDArray[np.int64], duration: NDArray[np.float64], intervals: int
 ) -> NDArray[np.int64]:
-    """Return the number of steps in each of `intervals` equal parts of a run, from `settings.step` or else from `steps` of the run."""
+    """Return the number of steps in each of `intervals` equal parts of a run of `steps` steps, unless `settings.step` is given."""
     if settings.step is None:
         return -(-steps // intervals)
     return steps_of_length(settings.step, duration / intervals, 1, max(settings.max_steps // intervals, 1))

@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Method:
-    """An explicit Runge-Kutta method, with errors for x' = i w x and the step h, where y = w h. An invalid tableau raises ValueError."""
+    """An explicit Runge-Kutta method. Errors are for x' = i w x and the step h, with y = w h. An invalid tableau raises ValueError."""
 
     name: str
     order: int  # global order

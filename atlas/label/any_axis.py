@@ -55,7 +55,7 @@ def _circle(
 ) -> dict[str, Array]:
     """Return statistics of the angular velocity of exact motions in a frame that turns about the vertical at `frame_rate`.
 
-    Rates are nan if the frame turns and the motion precesses about another axis than the vertical, which makes three rotations.
+    Rates are nan if the frame turns and the precession is not about the vertical, because the motion then has three rotations.
     """
     s, m, fixed, n = axes
     vertical = frame_motion(system, points)[1]
@@ -67,7 +67,7 @@ def _circle(
     rate = np.where(turning & ~about_vertical, np.nan, n + frame_rate)
     sine = length(cross(s, np.where(turning & single, vertical, fixed)))
     zero, spin = np.zeros_like(rate), np.where(np.isnan(rate), np.nan, m)
-    # The angular velocity covers an arc of the angle m T on a circle with radius 1. `arc` is the standard deviation along the arc.
+    # In the duration T the angular velocity covers an arc of the angle m T. `arc` is the standard deviation on a circle of radius 1.
     arc = np.sqrt(1.0 - np.nan_to_num(np.sinc(m * duration / (2.0 * np.pi))) ** 2)
     return {
         "spread": np.abs(rate) * sine * arc, "height_std": zero, "radius_std": zero, "spin_std": zero,
@@ -81,8 +81,8 @@ def near_circle(
     """Return whether the angular velocity may stay on a circle in the body, as along a steady motion about any axes.
 
     No linear theory covers steady motions about any axes. Let v be the derivative of the angular velocity. On a circle v.v' = 0 and
-    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within a radian of the
-    frequency bound: the change of the angular velocity, and its departure from the circle that the first derivatives give.
+    v'' = -(|v'| / |v|)^2 v. A start is far from every circle if two changes exceed _FAR_CIRCLE tolerances within one radian at the
+    frequency bound. These are the change of the angular velocity and the departure from the circle that the first derivatives give.
     """
     bound, place = system.frequency_bound(points), system.equations.STATE.index
     state, constants = system.initial_state(points), system.constants(points)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The error of one point in POINTS_PER_HALF_STEP is measured if check_half_step = "sample".
 POINTS_PER_HALF_STEP = 64
-# Statistics from two step sizes may differ by this fraction. The error that both have in common may be ten times as large.
+# Statistics from two step sizes may differ by this fraction. An error that is common to both may be ten times as large.
 LARGEST_CHANGE = 0.01
 
 
@@ -106,7 +106,7 @@ def label_status(
     step_sensitive: Mask | bool = False,
     rounding_decides: Mask | bool = False,
 ) -> Flags:
-    """Return the status of each computed point, which is the first of the following conditions that applies.
+    """Return the status of each computed point, the first in the order of `flags.Status` whose condition holds.
 
     `rounding_growth` is the logarithm of the growth of rounding errors. `step_sensitive` is true where the step size decides a
     label or a statistic (see `_recheck` and `_step_decides`). For `rounding_decides` see `Run`.
@@ -142,7 +142,7 @@ class _Runs:
         self.threads.progress(0.0)
 
     def integrate(self) -> Run:
-        """Integrate the points. Unresolved runs end after a few steps. If the plan allows it, runs also end once they surely drift."""
+        """Integrate the points. Unresolved runs end after a few steps. If the plan allows it, a run also ends once it surely drifts."""
         step_sizes, settings = self.step_sizes.without_unresolved(), self.settings
         total = max(int(step_sizes.whole_steps.sum()), 1)
         further = self.tangent or self.growth
@@ -184,7 +184,7 @@ class _Runs:
         needed = [each.needs_growth(run, status) for each in run.instruments if each.needs_growth]
         if self.growth is None or not needed:
             return run
-        # Progress counts each point once. If there are tangent runs for chaos, progress counts those runs instead.
+        # Progress counts these runs unless there are tangent runs for chaos, which are counted instead.
         threads = self.threads.scaled(0.0) if self.tangent else self.threads
         return replace(run, growth=self.growth.growth(np.logical_or.reduce(needed), threads))
 
@@ -250,7 +250,7 @@ def _recheck(runs: _Runs, run: Run) -> tuple[Array, Mask]:
     method, theory = METHODS[run.settings.method], runs.theory
     with np.errstate(all="ignore"):
         usable = (runs.status(run, False) == Status.OK) & ~run.integration.stopped_early
-        # Integration errors may cause the departure from an unstable motion. If the start is on the motion to rounding, errors cause it.
+        # A start that is on an unstable motion to within rounding departs from the motion by integration errors alone.
         departed = usable & theory.departed(run)
         step_sensitive = departed & (
             theory.prediction.start_residual <= ROUNDING * np.sqrt(run.step_sizes.whole_steps)

@@ -192,7 +192,7 @@ class _Labels:
     outputs: Sequence[str]  # names of the returned variables
     names: Sequence[str]  # names of the parameters
     size: int  # number of points in all chunks
-    duration: Duration | None  # replaces the last array unless it is None
+    duration: Duration | None  # replaces the durations in the last array, if given
     transient: Duration
     threads: int | None
     progress: bool

@@ -1,4 +1,4 @@
-"""Points whose labels are proved for every duration, so that they need no run."""
+"""Points that need no run, because their labels are proved for every duration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Labels predicted by theory, and their agreement with the measured ones."""
+"""Labels that theory predicts, and their agreement with measured labels."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ from ..theory.steady import Existence
 from .plan import Plan
 
 MAX_LOG_GROWTH = 700.0  # exp of a larger number overflows
-# If halving the step changes theta' by a smaller fraction, the offset of the start and not an error made it leave an unstable motion.
+# A motion leaves an unstable motion because of its start, not of errors, if halving the step changes theta' by less than this fraction.
 HALF_STEP_RTOL = 0.05
-# An exact motion about other axes is sampled at _SAMPLES times. The error of a statistic is _SAMPLING_ERROR times the spread.
+# An exact motion about other axes is sampled at _SAMPLES times. The error is _SAMPLING_ERROR times the spread of the samples.
 _SAMPLES, _SAMPLING_ERROR = 32, 0.5
 
 

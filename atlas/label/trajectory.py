@@ -96,7 +96,7 @@ def trajectory(
     Raises
     ------
     BadInput
-        In the cases in which `label_points` raises it.
+        For the same reasons as in `label_points`.
 
     Notes
     -----
@@ -297,7 +297,7 @@ def _path(
 
 
 def frame_vector(system: System, points: Points, state: Array, constants: Array) -> Array:
-    """Return the first frame axis at the start along body axes. The axis follows from psi0, and phi0 if the third axis is vertical."""
+    """Return the first frame axis at the start along body axes, from psi0 and, if the third axis is vertical, from phi0."""
     g1, g2, g3 = system.equations.frame_motion(state, constants)[3:]
     theta0, psi, phi0 = (points.get(name, np.zeros_like(g3)) for name in ("theta0", "psi0", "phi0"))
     psi = psi + np.where(np.sin(theta0) < 0.0, np.pi, 0.0)  # so that theta is positive
@@ -324,7 +324,7 @@ class _Motion:
     step_size: float
 
     def axis_and_vertical(self, state: Array) -> tuple[Array, Array, Array, Array]:
-        """Return sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and two speeds: of the vertical and of the rotation."""
+        """Return sin(theta) e^(i psi) / i, sin(theta) e^(i phi), cos(theta), and the speeds of the vertical and of the rotation."""
         u1, u2, u3, g1, g2, g3 = self.equations.frame_motion(state, self.constants)
         x, y = self.equations.axis_in_frame(state, self.constants)
         speed = np.hypot(g2 * u3 - g3 * u2, g3 * u1 - g1 * u3)

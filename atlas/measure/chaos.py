@@ -17,7 +17,7 @@ _TANGENT_OF_STATES = "of one tangent vector of all states in their units, which 
 
 @dataclass(frozen=True)
 class Chaos(Instrument):
-    """The instrument of chaos, for bodies and for systems with observables."""
+    """Instrument of the indicators of chaos, for bodies and for systems with observables."""
 
     def every_variable(self, system: System) -> tuple[Variable, ...]:
         tangent = _TANGENT_OF_STATES if system.observables else _TANGENT

@@ -39,10 +39,10 @@ SWEEPS = 6
 
 
 class Axis(IntEnum):
-    """Rows of the constants of a point in one frame, which are the axes x, y, z in the body and the motion at the start."""
+    """Rows of the constants of a point in one frame. They hold the axes x, y, z in the body and the motion at the start."""
 
     FRAME_RATE, X1, X2, X3, Y1, Y2, Y3, Z1, Z2, Z3 = range(10)  # the angular velocity is u + FRAME_RATE g
-    # Components along x, y, z of the angular velocity (START), of its derivative (SLOPE) and of the vertical.
+    # Components along x, y, z of the angular velocity (START), its derivative (SLOPE) and the vertical, and |derivative|^2 (SPEED).
     START_X, START_Y, START_Z, START_SPEED_SQUARED = range(10, 14)
     SLOPE_X, SLOPE_Y, SLOPE_Z, VERTICAL_X, VERTICAL_Y, VERTICAL_Z = range(14, 20)
 
@@ -209,7 +209,7 @@ ANY_AXIS = (
     "label_any_axis", "label_any_axis_inertial", "precession_rate", "spin_rate", "nutation",
     "spin_axis_1", "spin_axis_2", "spin_axis_3", "precession_inclination", "agreement_any_axis",
 )  # fmt: skip
-# Variables that need theory; agreement_any_axis needs the measured label as well.
+# Variables that need theory. agreement_any_axis needs the measured label as well.
 ANY_AXIS_THEORY = ("predicted_any_axis", "predicted_any_axis_inertial", "agreement_any_axis")
 _NOT_STEADY = "nan where label_any_axis is neither regular_precession nor permanent_rotation"
 _SPIN_AXIS = (

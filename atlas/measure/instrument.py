@@ -109,7 +109,7 @@ class Rule:
     """Rule by which a label follows from measurements."""
 
     label: Callable[[Measured], Flags]  # the labels, whatever the status
-    statistics: tuple[str, ...]  # measurements that decide the label; each has an error unless it is exact
+    statistics: tuple[str, ...]  # names of the measurements that decide the label
     # Name of a mean -> rate that is added to the mean. The label depends on the magnitude of the sum.
     means: Mapping[str, Array | float] = field(default_factory=dict)
     # Statistic -> largest value that rounding alone can cause in a steady motion, in the unit of the statistic.
@@ -119,7 +119,7 @@ class Rule:
     unresolved: str = "unresolved"
 
     def without_rounding(self, measured: Measured) -> Measured:
-        """Return the measurements, with values at rest where rounding may explain a value. Without any, return the same object."""
+        """Replace measurements that rounding may explain by the values at rest. Return the same object if nothing is replaced."""
         changed: dict[str, Array] = {}
         for name in self.rounding.keys() & self.statistics:
             none = -self.means.get(name, 0.0)
@@ -146,7 +146,7 @@ class Rule:
 
 
 def could_change(rule: Rule, measured: Measured, error: Measured) -> Mask:
-    """Whether the label changes if all measurements increase, or all decrease, the size of the motion by their errors."""
+    """Whether the label changes if the errors of all measurements make the motion larger, or if all make the motion smaller."""
     labels = []
     for sign in (-1.0, 0.0, 1.0):
         moved = dict(measured)
@@ -169,7 +169,7 @@ class Run:
 
     system: System
     settings: RunSettings
-    instruments: tuple[Instrument, ...]  # the main instrument first
+    instruments: tuple[Instrument, ...]  # the main instrument, followed by the others
     ensemble: Ensemble
     step_sizes: StepSizes
     frame_rates: Mapping[str, Array]  # label variable -> rate added to psi', rad per time unit
@@ -277,7 +277,7 @@ class Instrument:
     A subclass must implement `variables`, or `every_variable` if all systems have the same variables. Values come from one of three
     methods, `measurements` for numbers, `rules` for labels, or `columns`. Other members contribute nothing unless overridden:
 
-    Where it measures
+    Place of the measurement
         `wanted` selects scenes. `sums`, `given`, `add_node` and `constants` add measurements to the kernel, and `needs_whole_run`
         says that runs may not end early. `proofs_of` and `proofs` need no run, and `needs_growth` asks for tangent vectors.
     Errors
@@ -287,7 +287,7 @@ class Instrument:
     # Numbers of sums and constants in the kernel, and the function that adds a node to the sums. See `kernel.ensemble.Plug`.
     sums, given = 0, 0
     add_node: Callable[..., None] | None = None
-    needs_whole_run = False  # whether runs may not end before their duration
+    needs_whole_run = False  # whether no run may end before its duration is over
     # Function that returns, from run and status, a mask of the points that need `Run.growth`. None if no point ever needs it.
     needs_growth: Callable[[Run, Flags], Mask] | None = None
     # Name of a label -> name of the variable whose flag is not 0 where the label is proved for every duration.
@@ -340,7 +340,7 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Return the relative error of values, (points,), from a second run with fewer steps. `expected` is the error without it."""
+        """Return the relative error of values, (points,), from a second run with fewer steps. `expected` is the error without `coarse`."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -112,7 +112,7 @@ class Rates(MainInstrument):
         return np.where(settled, bound, np.inf)
 
     def shown(self, run: Run, resolved: Mask) -> Mask:
-        """Whether the run is resolved. Its tangent vectors need not be."""
+        """Whether the run is resolved, even if the tangent vectors are not."""
         return run.step_sizes.resolved
 
     def may_stop_early(self, outputs: Collection[str]) -> bool:
@@ -155,7 +155,7 @@ class Rates(MainInstrument):
         errors = {name: size + share * measured[name] for name, size in absolute.items()}
         errors |= {"psi_dot_mean": near_vertical, "phi_dot_mean": near_vertical}
         outside = measured.get("outside", np.ones(1))
-        # Two nodes may lie on the wrong side of the rim. If the nodes meet every oscillation in the same phase, one node in each may.
+        # Two nodes may lie on the wrong side of the rim, or one node in each oscillation if the nodes are in resonance with the motion.
         missed = np.fmax(2.0 / step_sizes.intervals, bound * step_sizes.sample_spacing / (2.0 * np.pi))
         share = np.where((outside > 0.0) & (outside < 1.0), missed, 0.0)
         return errors | {"theta_min": angle, "theta_max": angle, "sine_max": angle, "outside": share}
@@ -185,9 +185,9 @@ class Rates(MainInstrument):
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
         """Return the relative error of states and statistics from the difference between the runs.
 
-        The error of the states follows from their final difference and the order of the method. Statistics converge at no clear order,
-        so that their difference counts as their error, but at least 0.3 of the error expected from that of the states, because two runs
-        may agree by chance. Where the second run is not resolved, `expected` counts if it is larger.
+        The error of the states follows from the difference of the final states and the order of the method. Statistics converge at no
+        clear order. The difference of a statistic counts as the error, but at least 0.3 of the error that follows from the states,
+        because two runs may agree by chance. Where the second run is not resolved, `expected` counts if it is larger.
         """
         order = METHODS[run.settings.method].order
         with np.errstate(all="ignore"):

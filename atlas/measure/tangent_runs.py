@@ -31,7 +31,7 @@ MAX_RADIANS_PER_STEP = 0.3
 # Largest relative loss of amplitude by numerical dissipation during a run. A loss of amplitude lowers MEGNO.
 MAX_DISSIPATION_ERROR = 0.01
 # A tangent run for the growth alone must follow the main run only until the error of the main run reaches some per cent. The step is
-# GROWTH_STEP times the step at which rk8 has the main run's error, and at most MAX_RADIANS_FOR_GROWTH (rad) of the bound.
+# GROWTH_STEP times the step at which rk8 has the main run's error. Step times bound is at most MAX_RADIANS_FOR_GROWTH (rad).
 GROWTH_STEP, MAX_RADIANS_FOR_GROWTH = 3.0, 1.5
 # Run time of a step with a tangent vector, divided by the run time of a step with statistics. See bench_engine.py.
 RELATIVE_COST = 1.5
@@ -42,9 +42,9 @@ RELATIVE_COST = 1.5
 MAX_DRAWDOWN = 10.0
 # Largest growth of L in one passage of an unstable motion, ln(1/d^2) where rounding keeps d^2 above 1e-16. 39 was measured.
 MAX_PASSAGE_GROWTH = 50.0
-# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR) and grows as lambda T / 2 for chaotic ones (above MIN_CHAOTIC).
+# Mean MEGNO tends to 2 or less for regular motions (below MAX_REGULAR) and grows as lambda T / 2 in chaos (above MIN_CHAOTIC).
 MAX_REGULAR, MIN_CHAOTIC = 2.5, 5.0
-# A chaotic run is continued until L exceeds MAX_DRAWDOWN or MAX_PASSAGE_GROWTH, but for at most this number of durations.
+# A chaotic run goes on until L falls by MAX_DRAWDOWN or reaches MAX_PASSAGE_GROWTH, but for at most this number of durations.
 MAX_DURATIONS = 16
 
 

@@ -94,7 +94,7 @@ def draw_dots(
 
 
 def set_axis(ax: Axes, which: str, log: bool, *, inner: bool) -> None:
-    """Set the scale and the ticks of an axis, "x" or "y". An `inner` axis has no tick labels near its ends."""
+    """Set the scale and the ticks of an axis, "x" or "y". An `inner` axis leaves room for tick labels of neighbours at its ends."""
     axis = {"x": ax.xaxis, "y": ax.yaxis}[which]
     if log:
         ax.set(**{f"{which}scale": "log"})
@@ -209,7 +209,7 @@ def add_color_bar(
     """Add a colour bar to the right of the panels."""
     bar = figure.colorbar(image, ax=axes, pad=0.02, extend=scale.extend, aspect=25)
     bar.set_label(label)
-    if isinstance(scale.norm, BoundaryNorm):  # integers
+    if isinstance(scale.norm, BoundaryNorm):  # each integer has a colour
         low, high = scale.norm.boundaries[0] + 0.5, scale.norm.boundaries[-1] - 0.5
         ticks = MaxNLocator(10, integer=True, steps=[1, 2, 5, 10]).tick_values(low, high)
         bar.set_ticks([tick for tick in ticks if low <= tick <= high and tick == round(tick)])
@@ -224,7 +224,7 @@ MAX_EXPONENT_DECADES = 3  # largest number of decades of the colour scale
 
 
 def chaotic_exponents(ds: xr.Dataset, flags: xr.DataArray) -> np.ndarray | None:
-    """Return the Lyapunov exponents of chaotic points, and nan at other points, or None unless the map is one of regularity."""
+    """Return the Lyapunov exponents of chaotic points, and nan at other points, or None for a map of another variable."""
     if flags.name != "regularity" or "lyapunov" not in ds or {*ds["lyapunov"].dims} != {*flags.dims}:
         return None
     exponents = ds["lyapunov"].transpose(*flags.dims).values

@@ -36,7 +36,7 @@ MIN_VISIBLE = 1e-3
 # Hatching that is narrower than this fraction of the frame's side, and lines that are closer to the frame, are not visible.
 MIN_HATCHED = 0.01
 INSIDE = Bbox([[MIN_HATCHED] * 2, [1 - MIN_HATCHED] * 2])
-# Lines have a halo up to a `crowding` of CROWDED. In sides of a cell, samples are SAMPLING apart, and a return is longer than RETURN.
+# Lines have a halo up to a `crowding` of CROWDED. In sides of a cell, samples are SAMPLING apart, and a way back is longer than RETURN.
 CROWDED, SAMPLING, RETURN = 0.2, 0.25, 2.0
 # Theory draws the borders of labels on maps of these flag variables.
 MOTIONS = ("label", "predicted", "agreement", "geometry")
@@ -146,7 +146,7 @@ def panel_of(ds: xr.Dataset, name: str, dims: list[str], scene: Scene | None, bo
         borders = theory_lines(scene, ds, dims, name)
         families = family_curves(Plane.of(scene, ds, dims))
     except BadInput as error:
-        # Between the points of an atlas there may be impossible bodies, which concern only theory.
+        # Between the points of an atlas there may be impossible bodies, for which theory raises BadInput.
         logging.getLogger("atlas").warning("no theory on this map: %s", error)
         return Panel(array, white, slow)
     if borders and borders.keys().isdisjoint(

@@ -113,14 +113,14 @@ class View:
     name: str  # name of the variable
     flags: Mapping[str, str]  # name of a flag -> colour, in the order of the values; empty for numbers
     flag_texts: Mapping[str, str]
-    axes: list[str]  # x first
+    axes: list[str]  # names of the axes, x first
     labels: list[str]  # labels of the axes, x first; the second label of a curve is the variable
     bar_label: str
     log: list[bool]  # whether each axis is logarithmic
     edges: list[np.ndarray]  # edges of cells along each axis, x first, or coordinates of points
     panel: Panel  # with angles in the unit shown
     notes: list[str]  # sentences below the figure
-    families: list[str] = field(default_factory=list)  # families of the system, in the order of flags
+    families: list[str] = field(default_factory=list)  # families of the system in the order of their numbers
     texts: list[str] = field(default_factory=list)  # one text above the panel, or texts of row and column
     exponents: np.ndarray | None = None  # Lyapunov exponents of chaotic cells, nan in other cells
     heading: str = ""  # name of a flag variable, which no axis shows
@@ -157,7 +157,7 @@ class View:
         *,
         inner: bool,
     ) -> ScalarMappable | None:
-        """Draw the panel, which is `width` mm wide, and return the image for the colour bar. Panels in one row are `inner` panels."""
+        """Draw the panel, which is `width` mm wide, and return the image for the colour bar. `inner` panels share a row with others."""
         array, image = self.panel.array, None
         if self.is_points:
             image = cells.draw_dots(ax, array, self.edges, scale, rare_on_top=bool(self.flags))
@@ -558,7 +558,7 @@ _NOWHERE = np.full((1, 2), np.nan)
 
 
 def _sample(region: str, colour: str = "") -> Patch:
-    """Return a sample of a region for the legend, with a colour or the background of the hatching, and with the hatching."""
+    """Return a sample of a region for the legend, in `colour` or else in the background of the hatching, with the hatching."""
     hatch = cells.HATCHES.get(region, cells.PLAIN)
     background = colour or hatch.background
     return Polygon(_NOWHERE, facecolor=background, edgecolor=hatch.colour, hatch=hatch.pattern, linewidth=0.4)

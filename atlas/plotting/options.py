@@ -58,7 +58,7 @@ class MapOptions:
     colors : mapping of str to str, optional
         Colours by the names of flags, for a variable of flags.
     labels : mapping of str to str, optional
-        Texts to show instead of the names of flags, of axes or of the variable, by these names.
+        Mapping from the name of a flag, of an axis or of the variable to the text that replaces the name.
     boundary : bool, optional
         Draw the borders and the curves of exact steady motions that theory predicts from the scene of the
         atlas, and hatch unstable motions that had no time to drift.

@@ -1,4 +1,4 @@
-"""Style and texts of the figures, which are sizes, fonts, colours, labels of axes and variables, and captions."""
+"""Style of the figures (sizes, fonts, colours), and texts in the figures (labels, captions)."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def style(width: Width = "column") -> AbstractContextManager[None]:
 
 
 def flag_colours(meanings: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each flag. A few numbered flags have QUALITATIVE, others COLOURS or else even steps of luminance."""
+    """Return the colour of each flag, from QUALITATIVE for few numbered flags, else from COLOURS or even steps of luminance."""
     names = list(meanings)
     if names and len(names) <= len(QUALITATIVE) and all(name[-1].isdigit() for name in names[1:]):
         return dict(zip(names, QUALITATIVE, strict=False))
@@ -299,7 +299,7 @@ def _formula(word: str, symbols: Mapping[str, str]) -> str:
 
 
 def variable_label(array: xr.DataArray, *, theory: bool = False) -> str:
-    """Return the label of a variable, with words or symbol, the word theory if `theory` is true, the unit and selected names."""
+    """Return the label of a variable, with words or a symbol, the word theory if `theory` is true, the unit and selected names."""
     name, units = str(array.name), unit_text(attribute_text(array.attrs, "units"))
     stem, _, statistic = name.rpartition("_")
     text = (

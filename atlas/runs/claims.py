@@ -38,7 +38,7 @@ def claim(place: Place, name: str) -> bool:
 
 def claimant(place: Place, name: str) -> str:
     """Return the name of another process that holds a claim, or "" if the process has ended or the claim has expired."""
-    with suppress(OSError, ValueError):  # the claim has been removed
+    with suppress(OSError, ValueError):  # the claim may have been removed
         process = place.read(name).decode("ascii", "replace")
         if process != process_name() and is_running(process) is not False:
             is_named = PROCESS_NAME.fullmatch(process)

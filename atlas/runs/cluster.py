@@ -78,7 +78,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 try:
                     yield client
                 except OSError:
-                    if client.status == "running":  # the error of a task
+                    if client.status == "running":  # a task raised the error
                         raise
                     raise OSError(SCHEDULER_LOST) from None
         except (CancelledError, CommClosedError):
@@ -102,7 +102,7 @@ def check_workers(client: Client, check: Callable[..., None], arguments: tuple[A
     for worker, result in client.run(check, *arguments, on_error="return").items():
         if isinstance(result, BadInput):
             raise result
-        if isinstance(result, Exception) and not isinstance(result, OSError):  # OSError: the worker has died
+        if isinstance(result, Exception) and not isinstance(result, OSError):  # died workers give OSError
             raise BadInput(f"worker {worker}: {type(result).__name__}: {one_line(result)}")
 
 

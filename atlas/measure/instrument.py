@@ -340,7 +340,7 @@ class Instrument:
         return False
 
     def pair_error(self, run: Run, coarse: Run, expected: Array) -> Array:
-        """Return the relative error of values, (points,), from a second run with fewer steps. `expected` is the error without `coarse`."""
+        """Return the relative error of values, (points,), from the run `coarse`. `expected` is the error expected of `run` alone."""
         return np.zeros(run.ensemble.size)
 
     def columns(self, run: Run, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -271,7 +271,7 @@ DASHES: tuple[Any, ...] = ((0, (8, 2)), ":", "-.", "--", (0, (6, 1, 1, 1, 1, 1))
 NARROW, THINNER = 90.0, 0.5
 # A halo keeps lines visible on dark colours. It must not hide a strip of cells along the line.
 HALO = 0.35  # width in points on each side
-# More than MAX_HALOED lines of a kind in KINDS, or crowded lines, have no halo, which would cover the cells between the lines.
+# More than MAX_HALOED lines of a kind in KINDS, or crowded lines, have no halo, because halos would cover the cells between the lines.
 MAX_HALOED = 40
 
 

@@ -306,7 +306,7 @@ def label_of(options: MapOptions, array: xr.DataArray, ds: xr.Dataset) -> str:
 
 
 def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
-    """Return the axes of a scatter map, x first. The default is the two coordinates with the most values. BadInput if there is one."""
+    """Return the axes of a scatter map, x first, by default the two coordinates with the most values. Fewer raise BadInput."""
     allowed = [name for name in numeric_coordinates(ds, POINT) if name != POINT]
     check_axes(allowed, "a number given at each of these points", x=x, y=y)
     varied_by_scene: set[str] = set()  # parameters with a range or a column, which are not computed
@@ -327,7 +327,7 @@ def scatter_axes(ds: xr.Dataset, x: str | None, y: str | None) -> list[str]:
 def draw(views: list[View], options: MapOptions) -> Figure:
     """Draw panels row by row with one legend."""
     check_options(views, options)
-    # Numbers are named at colour bars and axes. Flags are named above the legend or, if there is a title or several names, above panels.
+    # Colour bars and axes name variables of numbers. The legend names a flag variable, unless there are a title or several names.
     headings = list(dict.fromkeys(view.heading for view in views if view.heading))
     heading = "".join(headings[:1]) if len(headings) == 1 else ""
     if options.ax is None and (options.title or not heading):

@@ -41,7 +41,7 @@ START_MINUTES = 5  # time of imports and compilation at the start of a job
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Measured cost of a tile, or of a part of a tile that takes long."""
+    """Measured cost of a tile, or of shortened runs if the tile takes long."""
 
     seconds_per_step: float  # wall-clock time of a step of one point if all threads work
     theory_seconds: float  # wall-clock time of the predictions of one point
@@ -59,7 +59,7 @@ class _Cost:
     proved: float  # number of proved points, which are not integrated
     tile: _Measurement
     seconds: float
-    theory_seconds: float  # part of `seconds`
+    theory_seconds: float  # time of theory, which `seconds` includes
 
 
 def _cost(plan: ScenePlan, processors: int) -> _Cost:
